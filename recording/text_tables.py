@@ -5,12 +5,12 @@ their units. A comma is the decimal one where a tab or semicolon separates. Comm
 order of bytes are left out. Whatever is taken in another way than it stands there is among the remarks.
 """
 
-import csv
 import math
 import re
 from array import array
-from collections.abc import Iterator, Sequence
-from itertools import islice
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from presets.regular_files import read_regular
 from proto.errors import ConfigError
+from recording.table_heads import COMMENT, LONGEST_LINE, named, split, split_head, titles_of
 from recording.units import Unit, unit_of
 
 Array = npt.NDArray[np.float64]
@@ -27,23 +28,8 @@ Array = npt.NDArray[np.float64]
 LARGEST_BYTES = 256_000_000
 _MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "nat", "none", "null", "-", "--", "inf", "-inf", "+inf"))
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
-_COMMENT = re.compile(r"\s*(?:#|%|//|\*|!)+\s*")
-_ROW_NAMES = re.compile(r"(?i)\s*(?:columns?|fields?|names?|units?|headers?)\s*[:=]\s*")
-# words in the brackets of a name that are no unit
-_DIRECTIONS = re.compile(
-    r"(?i)(?:fwd|bwd|forward|backward|avg|filt|raw|trace|retrace|approach|retract|extend|rel|abs(?:olute)?|"
-    r"meas(?:ured)?|piezo|sensor|\d+)"
-)
-# units at the end of a name behind a low line, which are often written small
-_SUFFIXES = {
-    **{unit: unit for unit in ("s", "ms", "us", "ns", "m", "mm", "um", "nm", "pm", "Hz", "kHz", "MHz", "V", "mV", "N")},
-    **{"hz": "Hz", "khz": "kHz", "v": "V", "mv": "mV", "uv": "uV", "µs": "us", "µm": "um", "nN": "nN", "pN": "pN"},
-    **{"nn": "nN", "pn": "pN", "un": "uN", "uN": "uN", "percent": "%"},
-}
 _SEPARATORS = ("\t", ";", "", ",")
 _LONGEST_NUMBER = 64
-# A line of a head that is longer says no units: to look for them takes the square of its length.
-_LONGEST_LINE = 4000
 # Lines of a head, before the first row of numbers.
 _LONGEST_HEAD = 4000
 
@@ -84,8 +70,21 @@ class TextTable(NamedTuple):
 
     def find(self, *beginnings: str) -> Column | None:
         """Return the first column whose name begins with a word, in the order of the words, whatever its capitals."""
-        columns = ((word, column) for word in beginnings for column in self.columns)
-        return next((column for word, column in columns if column.name.lower().startswith(word)), None)
+        return next((one for word in beginnings for one in self.columns if one.name.lower().startswith(word)), None)
+
+    def column(self, word: str) -> Column:
+        """Return the column with a title or name, or with a number, the first being 1.
+
+        Raises:
+            ConfigError: There is none; the message names those that there are.
+        """
+        word = word.strip()
+        by_number = {str(number): one for number, one in enumerate(self.columns, start=1)}
+        found = next((one for one in self.columns if word in (one.title, one.name)), by_number.get(word))
+        if found is None:
+            known = ", ".join(one.title or "without a name" for one in self.columns[:20])
+            raise ConfigError(f"{self.name}: has no column {word!r}; it has {len(self.columns)}, {known}")
+        return found
 
     def in_si(self, column: Column, wanted: Sequence[str], given: str = "", option: str = "") -> Array | None:
         """Return the values of a column in SI units; None where neither its head nor `given` names a unit.
@@ -104,9 +103,8 @@ class TextTable(NamedTuple):
         if not word:
             return None
         unit, kinds = unit_of(word), [unit_of(one) for one in wanted]
-        where = (
-            f"{option} {given}" if given else f"{self.name}, line {column.line}: the unit {word!r} of {column.title!r}"
-        )
+        in_head = f"{self.name}, line {column.line}: the unit {word!r} of {column.title!r}"
+        where = f"{option} {given}" if given else in_head
         remedy = f"; {option} gives another" if option and not given else ""
         if unit is None:
             raise ConfigError(f"{where}: is not known; known are such as {', '.join(wanted)}, with a prefix{remedy}")
@@ -128,7 +126,7 @@ class TextTable(NamedTuple):
     def units_in_head(self, *wanted: str) -> set[str]:
         """Return the words of the head, as they stand, that are units of one of these kinds."""
         kinds = [kind.powers for kind in map(unit_of, wanted) if kind]
-        text = "\n".join(line for line in self.head if len(line) <= _LONGEST_LINE)
+        text = "\n".join(line for line in self.head if len(line) <= LONGEST_LINE)
         words = re.findall(r"\[([^\]\n]+)\]|\(([^()\n]+)\)|([^\s,;]+)", text)
         spaced = re.findall(r"\S+ ?/ ?(?:√|sqrt|root|rt) ?\(?Hz\)?|\S+ per (?:sqrt|root) ?\(?Hz\)?", text)
         found = {word.strip(" :,;'\"") for group in words for word in group if word} | set(spaced)
@@ -157,17 +155,20 @@ def parse_table(content: bytes, name: str) -> TextTable:
         raise ConfigError(f"{name}: is empty")
     first, separator = _first_row(rows, name)
     fold = _Folding(separator)
-    width, ends_whole = fold.width_of(islice(rows, first, first + 50)), text.endswith(("\n", "\r"))
+    ends_whole = text.endswith(("\n", "\r"))
+    # as most of the rows have
+    counts = [len(cells) for row in rows[first : first + 50] if row.strip() and _is_data(cells := fold.split(row))]
+    width = max(set(counts), key=lambda count: (counts.count(count), count), default=0)
     # rows of numbers with another width, such as a count of points, belong to the head
     while width and len(fold.split(rows[first])) != width:
         first += 1
     width = width or len(fold.split(rows[first]))
-    head, titles = _titles(rows[:first], width, separator)
+    head, titles = titles_of(rows[:first], width, separator)
     columns = [array("d") for _ in range(width)]
     lines = array("q")
     bad: dict[int, tuple[int, str]] = {}
     for number, row in enumerate(rows[first:], start=first + 1):
-        if not row.strip() or (_COMMENT.match(row) and not fold.is_numeric(row)):
+        if not row.strip() or (COMMENT.match(row) and not fold.is_numeric(row)):
             continue
         cells = fold.split(row)
         count, numbers = len(cells), [fold.number(cell, number) for cell in cells]
@@ -178,8 +179,7 @@ def parse_table(content: bytes, name: str) -> TextTable:
             raise ConfigError(f"{name}, line {number}: is no line of numbers, after {len(lines)} that are")
         if count > width or (count < width and not separator):
             raise ConfigError(f"{name}, line {number}: has {count} columns, where the others have {width}")
-        for place in range(width):
-            value = numbers[place] if place < count else math.nan
+        for place, value in enumerate([*numbers, *[math.nan] * (width - count)]):
             if value is None:
                 bad.setdefault(place, (number, cells[place]))
                 value = math.nan
@@ -192,7 +192,7 @@ def parse_table(content: bytes, name: str) -> TextTable:
         )
     # a sentence above the table names no column
     last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
-    names = len(_split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
+    names = len(split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
     # no program writes 05 for a whole number: it is behind a decimal comma
     if separator == "," and not fold.points and (0 < 2 * names == width or (not names and (fold.zeros or width == 4))):
         raise ConfigError(
@@ -202,7 +202,7 @@ def parse_table(content: bytes, name: str) -> TextTable:
     if fold.commas:
         remarks.append("its commas are decimal ones")
     found = [
-        Column(title, *_named(title, unit), line, np.frombuffer(values, np.float64), bad.get(place))
+        Column(title, *named(title, unit), line, np.frombuffer(values, np.float64), bad.get(place))
         for place, ((title, unit, line), values) in enumerate(zip(titles, columns, strict=True))
     ]
     while len(found) > 1 and not found[-1].title and np.isnan(found[-1].values).all():
@@ -234,14 +234,11 @@ class _Folding:
     """Splits the lines of a file by what separates its columns, and notes which decimal marks it has."""
 
     def __init__(self, separator: str) -> None:
-        self._separator = separator
+        self.split = partial(split, separator=separator)
         # the first line with a decimal comma, and with a decimal point
         self.commas, self.points = 0, 0
         # whether a whole number begins with a 0
         self.zeros = False
-
-    def split(self, row: str) -> list[str]:
-        return _split(row, self._separator)
 
     def number(self, cell: str, line: int) -> float | None:
         value = as_number(cell)
@@ -253,11 +250,6 @@ class _Folding:
 
     def is_numeric(self, row: str) -> bool:
         return all(as_number(cell) is not None for cell in self.split(row))
-
-    def width_of(self, rows: Iterator[str]) -> int:
-        """Return how many columns most of these rows have."""
-        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row)] if _is_data(cells)]
-        return max(set(counts), key=lambda count: (counts.count(count), count), default=0)
 
 
 def decoded(content: bytes, name: str) -> str:
@@ -274,16 +266,6 @@ def decoded(content: bytes, name: str) -> str:
     return text
 
 
-def _split(row: str, separator: str) -> list[str]:
-    if not separator:
-        return row.split()
-    if '"' in row and row.count('"') % 2 == 0 and len(row) < csv.field_size_limit():
-        cells = next(csv.reader([row.strip("\r\n")], delimiter=separator))
-    else:
-        cells = row.strip("\r\n ").split(separator)
-    return [cell.strip() for cell in cells]
-
-
 def _is_data(cells: Sequence[str]) -> bool:
     numbers = [as_number(cell) for cell in cells]
     return None not in numbers and not all(math.isnan(value) for value in numbers if value is not None)
@@ -291,102 +273,18 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 def _first_row(rows: Sequence[str], name: str) -> tuple[int, str]:
     """Return the place of the first row of numbers, and what separates its columns."""
-    for place, row in enumerate(rows[:_LONGEST_HEAD]):
+    begin = rows[:_LONGEST_HEAD]
+    for place, row in enumerate(begin):
         for separator in _SEPARATORS:
-            if separator and separator not in row:
-                continue
-            cells = _split(row, separator)
+            cells = split(row, separator)
             # 1,5 alone may be two columns; with another beside it, it is not
-            if _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
+            if separator in row and _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
                 return place, separator
     # A column of texts, such as the name of a machine, beside columns of numbers: below a head without a number.
-    for place, row in enumerate(rows[1:_LONGEST_HEAD], start=1):
+    for place, (head, row) in enumerate(pairwise(begin), start=1):
         for separator in _SEPARATORS:
-            cells, above = _split(row, separator), _split(rows[place - 1], separator)
-            numbers = [as_number(cell) for cell in cells]
+            above, numbers = split(head, separator), [as_number(cell) for cell in split(row, separator)]
             has_number = any(value is not None and not math.isnan(value) for value in numbers)
-            if len(cells) == len(above) > 1 and has_number and all(as_number(cell) is None for cell in above):
+            if len(numbers) == len(above) > 1 and has_number and all(as_number(cell) is None for cell in above):
                 return place, separator
     raise ConfigError(f"{name}: has no line of numbers in its first {min(len(rows), _LONGEST_HEAD)} lines")
-
-
-def _bare(row: str) -> str:
-    """Return a line of a head without the mark of a comment, and without a word such as `units:`, before it."""
-    comment = _COMMENT.match(row)
-    row = row[comment.end() :] if comment else row
-    word = _ROW_NAMES.match(row)
-    return row[word.end() :] if word else row
-
-
-def _split_head(row: str, separator: str) -> list[str]:
-    row = _bare(row)
-    if separator:
-        return _split(row, separator)
-    joined = re.sub(r"\s+(?=[\[(])", "\x00", row)
-    return [word.replace("\x00", " ") for word in re.sub(r"\s+/\s+", "\x01", joined).split()]
-
-
-def _titles(rows: Sequence[str], width: int, separator: str) -> tuple[list[str], list[tuple[str, str, int]]]:
-    """Return the head, and title, unit of a row of units, and line of each column."""
-    head = [row.strip() for row in rows if row.strip()]
-    numbered = [(number, row) for number, row in enumerate(rows, start=1) if row.strip()]
-    fitting = []
-    for number, row in numbered[-1:-6:-1]:
-        if len(row) > _LONGEST_LINE * width:
-            break
-        plain = _bare(row)
-        ways = (
-            _split_head(row, separator),
-            *(_split(plain, mark) for mark in "\t;,"),
-            re.split(r"\s{2,}", plain.strip()),
-        )
-        fits = [way for way in ways if len(way) == width] or [
-            full for way in ways if len(full := list(filter(None, way))) == width
-        ]
-        if not fits:
-            break
-        fitting.append((number, [cell.strip().strip("\"'").replace("\x01", " / ") for cell in fits[0]]))
-    if not fitting:
-        return head, [("", "", 0)] * width
-    line, titles = fitting[0]
-    units = [title.strip("[](){} ") for title in titles]
-    if len(fitting) > 1 and any(map(unit_of, units)) and all(unit_of(word) or word in ("", "-", "#") for word in units):
-        return head, [(title, unit, line) for title, unit in zip(fitting[1][1], units, strict=True)]
-    return head, [(title, "", line) for title in titles]
-
-
-def _named(title: str, unit: str) -> tuple[str, str]:
-    """Return the name of a column without its unit, and the unit as it stands."""
-    if unit:
-        return title, unit
-    if unit_of(title):
-        return "", title
-    for mark in (r"\s+in\s+", r",\s*", r"\s+/\s+", r":\s*"):
-        parts = re.split(mark, title, maxsplit=1)
-        if len(parts) == 2 and parts[0] and unit_of(parts[1]):
-            return parts[0], parts[1]
-    rest, found = _bracketed(title)
-    while found and _DIRECTIONS.fullmatch(found):
-        rest, found = _bracketed(rest)
-    if found:
-        return rest, found
-    for parts in (title.split("/", 1), title.rsplit(None, 1)):
-        if len(parts) == 2 and parts[0] and unit_of(parts[1]) and not parts[1].isdigit():
-            return parts[0], parts[1]
-    name, mark, suffix = title.rpartition("_")
-    if mark and suffix in _SUFFIXES:
-        return name, _SUFFIXES[suffix]
-    if mark and suffix == "n" and re.match(r"(?i)f(orce)?_|load", title):
-        return name, "N"
-    return title, ""
-
-
-def _bracketed(title: str) -> tuple[str, str]:
-    """Return what stands before the last pair of brackets of a title, and in it; empty where it does not end so."""
-    title, depth = title.strip(), 0
-    for place in range(len(title) - 1, -1, -1):
-        depth += (title[place] in ")]}") - (title[place] in "([{")
-        if depth == 0:
-            inner = title[place + 1 : -1].strip()
-            return (title[:place].strip(), inner) if inner else (title, "")
-    return title, ""

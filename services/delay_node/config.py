@@ -13,9 +13,8 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_v
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from proto.codec import MAX_MESSAGE_BYTES
-from proto.errors import known_names
 from proto.messages import MAX_KEYS
-from services.delay_node.profiles import PROFILES
+from services.delay_node.profiles import PROFILES, refusal_of
 from services.runtime.settings.config import Settings, flatten, merge, nested, validate
 
 Setting = float | int | str | bool
@@ -392,7 +391,7 @@ class LinkSettings(Settings):
     @classmethod
     def _known(cls, name: str) -> str:
         if name not in PROFILES:
-            raise ValueError(f"unknown profile {name!r}; {known_names(name, PROFILES)}")
+            raise ValueError(refusal_of(name))
         return name
 
     @model_validator(mode="before")

@@ -85,8 +85,7 @@ def _names() -> tuple[str, ...]:
 
 def _folders() -> list[Path]:
     """Return the folder of the package, whose names come first, and that of the environment."""
-    own = os.environ.get("TELENANO_NETWORKS")
-    return [NETWORK_DIRECTORY, *([Path(own)] if own else [])]
+    return [Path(folder) for folder in (NETWORK_DIRECTORY, os.environ.get("TELENANO_NETWORKS")) if folder]
 
 
 @cache
@@ -101,5 +100,16 @@ PROFILES: Mapping[str, Profile] = _Profiles()
 def profile_named(name: str) -> Profile:
     """Return a profile by its name in any case; ConfigError names the profiles that there are."""
     if name.lower() not in PROFILES:
-        raise ConfigError(f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}")
+        raise ConfigError(refusal_of(name))
     return PROFILES[name.lower()]
+
+
+def refusal_of(name: str) -> str:
+    """Return why a name is that of no profile; of a file, how a network is made of it, or how its folder is named."""
+    path = Path(name)
+    if not path.exists():
+        return f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}"
+    if path.suffix == ".yaml":
+        return f"{name} is a file: set TELENANO_NETWORKS={path.parent} and name it as {path.stem}"
+    made = f"`telenano link fit {name} --out out/line` makes one of a log or table of delays"
+    return f"{name} is no network: {made}; then set TELENANO_NETWORKS=out/line and name it as profile"

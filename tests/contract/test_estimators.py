@@ -115,6 +115,44 @@ def listed() -> dict[str, str]:
     return {row[0]: row[1] for row in re.findall(r"^\| ([^|]+) \| `([^`]+)` \|", part, re.MULTILINE)}
 
 
+# What fits or solves a set of equations, wherever a module calls it.
+_FITS = re.compile(
+    r"\b(?:curve_fit|least_squares|lstsq|polyfit|polynomial\.fit|minimize(?:_scalar)?|linregress|theilslopes|siegelslopes|"
+    r"nnls|odr|differential_evolution|brentq|root_scalar|fsolve|regressed|linalg\.solve|linalg\.pinv|lsq_linear|chdtri)\(",
+    re.IGNORECASE,
+)
+# Modules with such a call that is part of an estimate of the table: its name there.
+_PARTS = {
+    "packages/telenano-calibration/telenano_calibration/resonance.py": "stiffness by thermal noise",
+    "packages/telenano-calibration/telenano_calibration/line_fit.py": "handle and stage",
+    "packages/telenano-networks/telenano_networks/line_fit.py": "delay of a line",
+}
+# Modules with such a call that estimates nothing from a measurement, with the reason.
+_NO_ESTIMATE = {
+    "packages/telenano-experiments/telenano_experiments/effect_sizes.py": "the bound of an interval, of a known law",
+    "packages/telenano-studies/telenano_studies/loops/theory.py": "the crossing of a gain that a formula gives",
+    "packages/telenano-studies/telenano_studies/loops/tuning.py": "the damping that meets a wanted margin",
+}
+
+
+def test_each_module_that_fits_is_in_the_table_or_says_why_not() -> None:
+    root = PAGE.parents[1]
+    folders = ("analysis", "recording", "services", "studies", "telenano", "packages/*/telenano_*")
+    found = {
+        str(path.relative_to(root))
+        for folder in folders
+        for whole in root.glob(folder)
+        for path in whole.rglob("*.py")
+        if _FITS.search(path.read_text(encoding="utf-8"))
+    }
+    modules = {name.partition(":")[0].replace(".", "/") + ".py" for name in listed().values()}
+    of_table = {path for path in found if any(path.endswith(module) for module in modules)}
+    assert set(_PARTS.values()) <= set(listed())
+    assert found - of_table - set(_PARTS) - set(_NO_ESTIMATE) == set()
+    # neither list keeps a module that fits nothing any more
+    assert set(_PARTS) | set(_NO_ESTIMATE) <= found
+
+
 def test_the_page_lists_each_estimator_and_each_is_there() -> None:
     assert set(listed()) == {"stiffness by thermal noise", *ESTIMATORS}
     for name in listed().values():

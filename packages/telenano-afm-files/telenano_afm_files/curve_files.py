@@ -30,8 +30,13 @@ _READERS: dict[str, Callable[[str], Curves]] = {
 
 
 @contextmanager
-def _open(path: str, given: dict[str, float]) -> Any:
+def _open(path: str, given: dict[str, float], said: text_curves.Said = text_curves.NOTHING) -> Any:
     suffix = Path(path).suffix.lower()
+    if any(said):
+        if suffix not in text_curves.SUFFIXES or nanonis.is_spectroscopy(path):
+            raise ValueError(f"--set {', '.join(said._fields)}: are for a text table; this file says its own")
+        yield text_curves.curves_of(path, said)
+        return
     own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)
     if own is None and not suffix.startswith(map_libraries.SUFFIXES):
         # the names of files of NanoScope end with numbers as well
@@ -39,6 +44,8 @@ def _open(path: str, given: dict[str, float]) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         if suffix in text_curves.SUFFIXES and (own is None or not nanonis.is_spectroscopy(path)):
             try:
+                if text_curves.is_of_other_columns(path):
+                    raise map_libraries.NoCurvesError
                 # the texts of makers have heads of their own
                 yield map_libraries.curves_of(path, Path(folder), given) if own is None else text_curves.curves_of(path)
             except map_libraries.NoCurvesError:
@@ -52,7 +59,7 @@ def _given(stiffness: str | None, sensitivity: str | None) -> dict[str, float]:
     return {name: float(text) for name, text in texts.items() if text}
 
 
-def load_curves(path: str, stiffness: str | None, sensitivity: str | None, report: int) -> Found:
+def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table: str | None, report: int) -> Found:
     """Return the curves of a file.
 
     Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each
@@ -62,11 +69,12 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
         path: The file.
         stiffness: The spring constant [N/m] in place of that of the file, as text.
         sensitivity: The sensitivity [m/V] likewise.
+        table: What a person says of a text table (`text_curves.Said`), as JSON.
         report: The descriptor that takes the advance.
     """
     given = _given(stiffness, sensitivity)
     places, counts, columns = [], [], []
-    with _open(path, given) as curves:
+    with _open(path, given, text_curves.said_of(table)) as curves:
         facts: dict[str, Any] = {"shape": curves.shape, "sides": curves.sides_m}
         for read, share in curves.each:
             curve = read()
@@ -94,14 +102,16 @@ def _in_order(way: Way) -> Way:
     return z, value
 
 
-def load_one(path: str, number: str, stiffness: str | None = None, sensitivity: str | None = None) -> Found:
-    """Return a curve of a file by its number, the first being 0.
+def load_one(
+    path: str, number: str, stiffness: str | None = None, sensitivity: str | None = None, table: str | None = None
+) -> Found:
+    """Return a curve of a file by its number, the first being 0; `table` as in `load_curves`.
 
     A curve is its spring constant [N/m], speed [m/s] and points of the approach by name, and the arrays base and
     deflection [m].
     """
     given, wanted, count = _given(stiffness, sensitivity), int(number), 0
-    with _open(path, given) as curves:
+    with _open(path, given, text_curves.said_of(table)) as curves:
         for count, (read, _) in enumerate(curves.each, start=1):
             if count - 1 == wanted:
                 return _deflections_of(read(), given)

@@ -1,5 +1,6 @@
 """`telenano inspect FILE`: what a file is taken for, before anything is made of it."""
 
+import json
 import re
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -8,9 +9,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from telenano.extend.commands import ConfigError, JsonOption, print_document, report_errors
+from telenano.extend.commands import ConfigError, JsonOption, flag_overrides, print_document, report_errors
 from telenano.extend.readers import FileReader, read_in_child, read_regular
-from telenano.extend.tables import Column, TextTable, decoded, parse_table, unit_of
+from telenano.extend.tables import Column, TextTable, as_number, decoded, parse_table, unit_of
+from telenano_afm_files.text_curves import NOTHING, Said, curves_of, said_of
 
 _LARGEST_BYTES = 256_000_000
 # A text has none of these bytes in its begin.
@@ -24,16 +26,29 @@ _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 
 def inspect(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Any file of an instrument, or of a line.")],
+    lacking: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Of a curve without a head: columns=1,2, way_unit=nm, value_unit=nN."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say what a file is taken for: format, columns, units, sign, what was left out, and which command takes it."""
     with report_errors(as_json):
-        document = inspected(file)
+        given = flag_overrides(lacking or ())
+        if unknown := sorted(set(given) - set(Said._fields)):
+            raise ConfigError(f"--set {unknown[0]}: is none of {', '.join(Said._fields)}")
+        try:
+            said = said_of(json.dumps(given))
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        document = inspected(file, said)
     print_document(document, str(file), as_json=as_json)
 
 
-def inspected(path: Path) -> dict[str, Any]:
-    """Return what a file is taken for.
+def inspected(path: Path, said: Said = NOTHING) -> dict[str, Any]:
+    """Return what a file is taken for, a curve by what a person says of its columns and units as well.
 
     Raises:
         ConfigError: It cannot be read, or is empty.
@@ -56,10 +71,10 @@ def inspected(path: Path) -> dict[str, Any]:
         if found["takes_it"]:
             return {**found, "as_a_table": str(error)}
         return {**found, "format": "no table, and no file that an installed package reads", "reason": str(error)}
-    return _of_table(path, table)
+    return _of_table(path, table, said)
 
 
-def _of_table(path: Path, table: TextTable) -> dict[str, Any]:
+def _of_table(path: Path, table: TextTable, said: Said) -> dict[str, Any]:
     columns = table.columns
     document: dict[str, Any] = {
         "format": f"text table, separated by {_SEPARATORS[table.separator]}",
@@ -74,7 +89,7 @@ def _of_table(path: Path, table: TextTable) -> dict[str, Any]:
     else:
         document["columns"] = {f"column {n}": _column(column) for n, column in enumerate(columns, start=1)}
     document["left_out"] = list(table.remarks)
-    kind, takes, gives = _kind(path, table)
+    kind, takes, gives = _kind(path, table, said)
     document |= {"taken_for": kind, "takes_it": takes}
     return document | ({"would_give": gives} if gives else {})
 
@@ -96,18 +111,31 @@ def _column(column: Column) -> str:
     return f"{name}: {unit}, {sound.min():.6g} to {sound.max():.6g}, {course}{lost}"
 
 
-def _kind(path: Path, table: TextTable) -> tuple[str, list[str], dict[str, Any]]:
+def _kind(path: Path, table: TextTable, said: Said) -> tuple[str, list[str], dict[str, Any]]:
     columns = table.columns
     kinds = {name: _of(columns, name) for name in ("Hz", "m", "N", "V", "s", *_DENSITIES)}
+    if any(said):
+        given = " ".join(f"--set {name}={value}" for name, value in said._asdict().items() if value)
+        takes = [f"telenano curve --overlay {path} {given}", f"telenano sample import {path} {given} --out map.npz"]
+        return "a force curve, as --set says", takes, _curve(path, said)
     in_head = table.units_in_head(*_DENSITIES)
     if (kinds["Hz"] and any(kinds[name] for name in _DENSITIES)) or in_head:
         return "a thermal spectrum", [f"telenano calibrate stiffness --spectrum {path}"], {}
     if kinds["m"] and (kinds["N"] or kinds["V"] or len(kinds["m"]) > 1) and len(table.lines) > 1:
         takes = [f"telenano curve --overlay {path}", f"telenano sample import {path} --out map.npz"]
         takes += [f"telenano calibrate sensitivity --curve {path}"] if kinds["V"] else []
-        return "a force curve", takes, _curve(path)
+        return "a force curve", takes, _curve(path, NOTHING)
     if any(_DELAY.match(column.name or column.title) for column in columns):
         return "a log of a line", [f"telenano link fit {path}"], {}
+    # the last line of the head is one of facts, such as `Width: 1 µm`, and not one of names
+    is_named = all(column.title and as_number(column.title) is None and ":" not in column.title for column in columns)
+    if len(columns) > 2 and is_named:
+        return (
+            f"a table of {len(columns)} columns whose head names no units that are known; of a curve --set columns=1,2"
+            " --set way_unit=nm --set value_unit=nN give them",
+            [],
+            {},
+        )
     if len(columns) > 2:
         text = f"a matrix of {len(table.lines)} x {len(columns)} heights"
         return text, [f"telenano scan --sample {path} --size WIDTH"], {}
@@ -121,7 +149,8 @@ def _kind(path: Path, table: TextTable) -> tuple[str, list[str], dict[str, Any]]
             {},
         )
     return (
-        "two columns without known units: a head such as `z [nm]`, `force [nN]` or `f [kHz]`, `PSD [V^2/Hz]` says them",
+        "two columns without known units: a head such as `z [nm]`, `force [nN]` or `f [kHz]`, `PSD [V^2/Hz]` says them;"
+        " of a curve --set way_unit=nm --set value_unit=nN does, of a spectrum --frequency-unit kHz --unit V^2/Hz",
         [],
         {},
     )
@@ -132,11 +161,9 @@ def _of(columns: tuple[Column, ...], unit: str) -> list[Column]:
     return [column for column in columns if wanted and column.known and column.known.powers == wanted.powers]
 
 
-def _curve(path: Path) -> dict[str, Any]:
-    from telenano_afm_files.text_curves import curves_of
-
+def _curve(path: Path, said: Said) -> dict[str, Any]:
     try:
-        read, _ = next(curves_of(str(path)).each)
+        read, _ = next(curves_of(str(path), said).each)
         curve = read()
     except (ValueError, ConfigError) as error:
         return {"refused": str(error)}

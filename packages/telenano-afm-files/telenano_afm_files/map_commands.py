@@ -18,13 +18,19 @@ from telenano.extend.maps import MEMBERS, SI_UNITS, gates, write_map
 from telenano_afm_files.map_files import Imported, Wanted
 from telenano_afm_files.map_files import import_map as read_map_of
 from telenano_afm_files.sader_jarvis import ASKED
+from telenano_afm_files.text_curves import Said
 
 FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, .dat of Nanonis, or force curves of an instrument.")
 ]
 MembersOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="What the file lacks, such as stiffness_n_per_m=0.1 (repeatable)."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="What the file lacks, such as stiffness_n_per_m=0.1, or of a text table columns=1,2, way_unit=nm and "
+        "value_unit=nN (repeatable).",
+    ),
 ]
 MapChannelOption = Annotated[
     str | None, typer.Option("--channel", metavar="NAME", help="Part of the name of a channel of a .3ds file.")
@@ -117,7 +123,7 @@ def _read(
     **further: Any,
 ) -> Imported:
     given = flag_overrides(members or ())
-    known = (*MEMBERS, *ASKED) if converted else MEMBERS
+    known = (*MEMBERS, *Said._fields, *(ASKED if converted else ()))
     if unknown := sorted(set(given) - set(known)):
         raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(known)}")
     with progress(file.name, 1.0, shown=not as_json) as show:

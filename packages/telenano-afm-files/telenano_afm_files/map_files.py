@@ -11,6 +11,7 @@ curve counts from its own lowest point, so that no curve loses its contact, and 
 `common` the heights of the piezo are kept. In both the lowest point of the map is z = 0.
 """
 
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -24,15 +25,16 @@ from telenano.extend.commands import ConfigError
 from telenano.extend.maps import SI_UNITS, UNITS, Array, ForceMap, MapError, checked_map, read_members
 from telenano.extend.readers import open_regular, read_in_child
 from telenano_afm_files.bruker import is_nanoscope
-from telenano_afm_files.nanonis import backward_of, sweep_of, unit_of
+from telenano_afm_files.nanonis import backward_of, is_spectroscopy, sweep_of, unit_of
 from telenano_afm_files.readers import limits_of_curves
 from telenano_afm_files.sader_jarvis import ASKED, as_force
+from telenano_afm_files.text_curves import SUFFIXES, Said
 
 _LONGEST_3DS_HEADER = 1 << 18
 _MOST_SIDE, _LEAST_POINTS = 4096, 8
 _CURVE_SUFFIXES = (
     ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".nid", ".nhf", ".zip", ".csv", ".txt",
-    ".h5", ".tab",
+    ".h5", ".tab", ".asc", ".tsv",
 )  # fmt: skip
 MAP_SUFFIXES = (".npz", ".3ds", ".dat", *_CURVE_SUFFIXES)
 # Share of the heights, farthest from the sample, whose mean, and whose slope, is that of free air.
@@ -101,8 +103,11 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
             open_regular(path).close()
             if path.stat().st_size == 0:
                 raise MapError("is empty")
-        members = {name: value for name, value in wanted.given.items() if name not in ASKED}
-        found = _import(path, wanted._replace(given=members), watch)
+        members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *Said._fields)}
+        said = {name: value for name, value in wanted.given.items() if name in Said._fields}
+        if said and path.suffix.lower() not in SUFFIXES:
+            raise MapError(f"--set {next(iter(said))}: is for a text table; this file says its own")
+        found = _import(path, wanted._replace(given=members), json.dumps(said), watch)
         found = _corrected(found, wanted)
         found = found._replace(notes=(*_in_free_air(found.map), *found.notes))
         if not wanted.converted:
@@ -118,17 +123,17 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         raise ConfigError(f"{path}: {error}") from error
 
 
-def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
+def _import(path: Path, wanted: Wanted, said: str, watch: Watch) -> Imported:
     suffix = path.suffix.lower()
     source = {"source": path.name}
     if suffix == ".npz":
         found, values = read_members(path)
         assert values is not None
         return Imported(checked_map({**source, **found, **wanted.given}, values), ())
-    if suffix in (".3ds", ".dat"):
+    if suffix == ".3ds" or (suffix == ".dat" and is_spectroscopy(str(path))):
         read = _read_3ds if suffix == ".3ds" else _read_dat
         return _on_one_grid(read(path, wanted.channel), wanted, source)
-    if suffix not in _CURVE_SUFFIXES and not path.is_dir() and not _is_bruker(path):
+    if suffix not in (".dat", *_CURVE_SUFFIXES) and not path.is_dir() and not _is_bruker(path):
         raise MapError(f"is no recorded map that can be read; these are {', '.join(MAP_SUFFIXES)}")
     if suffix == ".h5":
         try:
@@ -141,7 +146,7 @@ def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
             return Imported(
                 checked_map({**source, **facts, **dict(zip("xyz", axes, strict=True)), **wanted.given}, values), ()
             )
-    return _on_one_grid(_read_curves(path, wanted, watch), wanted, source)
+    return _on_one_grid(_read_curves(path, wanted, said, watch), wanted, source)
 
 
 def _in_free_air(found: ForceMap) -> list[str]:
@@ -196,12 +201,12 @@ def _corrected(found: Imported, wanted: Wanted) -> Imported:
     return Imported(whole._replace(values=values), (*found.notes, *notes))
 
 
-def _read_curves(path: Path, wanted: Wanted, watch: Watch) -> _Curves:
+def _read_curves(path: Path, wanted: Wanted, said: str, watch: Watch) -> _Curves:
     given = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
     texts = [None if value is None else repr(float(value)) for value in given]
     limits = limits_of_curves(sum(file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())))
     facts, (places, counts, heights, forces) = read_in_child(
-        "telenano_afm_files.curve_files:load_curves", path, *texts, limits=limits, watch=watch
+        "telenano_afm_files.curve_files:load_curves", path, *texts, said, limits=limits, watch=watch
     )
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]

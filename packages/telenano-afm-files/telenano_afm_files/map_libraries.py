@@ -69,7 +69,7 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
         given: Constants in place of those of the file, of a file that has deflections as they were read.
     """
     import afmformats
-    from afmformats.errors import FileFormatNotSupportedError, MissingMetaDataError
+    from afmformats.errors import AFMFileFormatError, FileFormatNotSupportedError, MissingMetaDataError
 
     # it reports with a traceback what it raises as well
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
@@ -88,8 +88,8 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
                 if (count := _segments_of(path)) > 2:
                     raise ValueError(refusal_of_pause(f"{count} segments")) from error
                 raise NoCurvesError(_NO_CURVES) from error
-            # an archive of something else, or one line of a grid
-            except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
+            # an archive of something else, one line of a grid, or a text with other columns than a recipe guessed
+            except (AFMFileFormatError, ArithmeticError, AttributeError, LookupError, ValueError) as error:
                 raise NoCurvesError(_NO_CURVES) from error
 
     blocks = parts()

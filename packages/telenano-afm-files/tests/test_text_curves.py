@@ -1,5 +1,6 @@
 """A curve in a text table has one meaning, however its columns, units, ways and signs are written."""
 
+import json
 from itertools import product
 from pathlib import Path
 
@@ -7,6 +8,10 @@ import numpy as np
 import pytest
 from telenano_afm_files.curve_files import load_one
 from telenano_afm_files.text_curves import curves_of
+from typer.testing import CliRunner
+
+from proto.errors import ConfigError
+from telenano.cli.root import app
 
 POINTS, K, M_PER_V = 300, 0.5, 50e-9
 LENGTHS = {"nm": 1e-9, "µm": 1e-6, "m": 1.0, "Å": 1e-10}
@@ -55,7 +60,7 @@ def test_a_curve_has_its_pull_off_and_contact_in_any_units(
     [
         ("", "a head with units, such as"),
         ("z\tforce", "a head with units, such as"),
-        ("z [furlong]\tforce [nN]", "a head with units, such as"),
+        ("z [furlong]\tforce [nN]", "the unit .furlong. of .*is not known.*--set way_unit gives another"),
         ("t [s]\tforce [nN]", "a head with units, such as"),
     ],
 )
@@ -66,7 +71,7 @@ def test_a_table_that_names_no_height_or_no_force_is_refused_with_what_to_write(
     written(path, "nm", "force [nN]", True, False, "\t", False)
     _, _, rest = path.read_text(encoding="utf-8").partition("\n")
     path.write_text(f"{head}\n{rest}", encoding="utf-8")
-    with pytest.raises(ValueError, match=reason):
+    with pytest.raises((ValueError, ConfigError), match=reason):
         curves_of(str(path))
 
 
@@ -84,3 +89,72 @@ def test_two_pairs_of_columns_are_the_two_ways_and_one_way_is_taken_for_both(tmp
     path.write_text("z [nm],F [nN]\n" + "".join(f"{a:.9e},{b:.9e}\n" for a, b in rows), encoding="utf-8")
     facts, (base, deflection) = load_one(str(path), "0", repr(K))
     assert facts["turn"] == POINTS and len(base) == 2 * POINTS
+
+
+def _plain(path: Path, head: str, before: str, separator: str) -> None:
+    """Write a curve in nm and nN without units, with columns of other things before it."""
+    way = np.linspace(200e-9, -60e-9, POINTS)
+    z = 1e9 * np.concatenate([way, way[::-1]])
+    force = 1e9 * np.concatenate([force_n(way, 2e-9), force_n(way[::-1], 8e-9)])
+    rows = zip(z, force, strict=True)
+    text = "".join(f"{before.format(n)}{a:.9e}{separator}{b:.9e}\n" for n, (a, b) in enumerate(rows))
+    path.write_text(f"{head}\n{text}" if head else text, encoding="utf-8")
+
+
+UNITS = {"way_unit": "nm", "value_unit": "nN"}
+PLAIN = {
+    "two columns": ("", "", "\t", {}),
+    "two columns of names": ("z force", "", " ", {}),
+    "columns by number": ("", "{};0.5;", ";", {"columns": "3,4"}),
+    "columns by title": ("n,wanted,other", "{},", ",", {"columns": "wanted,other"}),
+    "a column of points": ("index,z,force", "{},", ",", {}),
+    "a unit that is not known": ("z [furlong];force [stone]", "", ";", {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", [".txt", ".csv", ".dat", ".asc", ".tsv"])
+@pytest.mark.parametrize("kind", PLAIN)
+def test_a_curve_without_a_head_is_read_by_what_a_person_says_of_it(kind: str, ending: str, tmp_path: Path) -> None:
+    head, before, separator, columns = PLAIN[kind]
+    path = tmp_path / f"curve{ending}"
+    _plain(path, head, before, separator)
+    facts, (base, deflection) = load_one(str(path), "0", repr(K), None, json.dumps({**UNITS, **columns}))
+    approach, retract = np.split(K * deflection, [facts["turn"]])
+    assert (approach.min(), retract.min()) == (pytest.approx(-2e-9, rel=0.05), pytest.approx(-8e-9, rel=0.05))
+    assert np.ptp(base) == pytest.approx(260e-9, rel=1e-6)
+    with pytest.raises((ValueError, ConfigError), match="--set way_unit"):
+        load_one(str(path), "0", repr(K), None, json.dumps(columns))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(["curve", "--out", "OUT", "--overlay", "FILE"], marks=pytest.mark.check("fits and draws a curve")),
+     ["sample", "import", "FILE", "--out", "OUT.npz"],
+     ["sample", "info", "FILE"], ["inspect", "FILE"]],
+)  # fmt: skip
+def test_each_command_that_reads_curves_asks_for_what_is_not_named_by_the_option_that_gives_it(
+    command: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "curve.txt"
+    _plain(path, "", "{}\t", "\t")
+    words = [word.replace("FILE", str(path)).replace("OUT", str(tmp_path / "out")) for word in command]
+    constant = [] if command[0] == "inspect" else ["--set", f"stiffness_n_per_m={K}"]
+    answer = CliRunner().invoke(app, [*words, *constant, "--json"]).output
+    given: list[str] = []
+    for option in ("columns=2,3", "way_unit=nm", "value_unit=nN"):
+        if command[0] != "inspect":
+            assert f"--set {option.partition('=')[0]}=" in answer
+        given += ["--set", option]
+        done = CliRunner().invoke(app, [*words, *constant, *given, "--json"])
+        answer = done.output
+    assert done.exit_code == 0, answer
+    assert "furlong" in CliRunner().invoke(app, [*words, *constant, "--set", "way_unit=furlong"]).output
+    if command[0] == "inspect":
+        assert json.loads(done.stdout)["would_give"]["least_value"] == pytest.approx(-8e-9, rel=0.05)
+
+
+def test_a_file_that_says_its_own_units_takes_none_from_a_person(tmp_path: Path) -> None:
+    path = tmp_path / "curve.jpk-force"
+    path.write_bytes(b"PK")
+    with pytest.raises(ValueError, match="are for a text table"):
+        load_one(str(path), "0", "1.0", None, json.dumps(UNITS))

@@ -8,6 +8,10 @@ import typer
 from telenano.extend.commands import ConfigError, JsonOption, command_group, print_document, report_errors
 
 app = command_group()
+ColumnsOption = Annotated[
+    tuple[str, str] | None,
+    typer.Option("--columns", metavar="X Y", help="Those of a text table, by number or title; default: its head."),
+]
 
 
 @app.command()
@@ -29,6 +33,7 @@ def sensitivity(
     deflection_unit: Annotated[
         str, typer.Option("--deflection-unit", metavar="UNIT", help="Of the deflection there; default: its head, or V.")
     ] = "",
+    columns: ColumnsOption = None,
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Accept a way for a volt that no usual read-out has.")
     ] = False,
@@ -36,7 +41,7 @@ def sensitivity(
 ) -> None:
     """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error."""
     with report_errors(as_json):
-        document = _sensitivity(curve, part, way_unit, deflection_unit, anyway=anyway)
+        document = _sensitivity(curve, part, way_unit, deflection_unit, columns, anyway=anyway)
     print_document(document, str(curve), as_json=as_json)
 
 
@@ -52,12 +57,13 @@ def stiffness(
         typer.Option(
             "--unit",
             metavar="UNIT",
-            help="Of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz or m/sqrt(Hz); default: its head.",
+            help="Of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz or m/sqrt(Hz); of a record V; default: its head.",
         ),
     ] = "",
     frequency_unit: Annotated[
         str, typer.Option("--frequency-unit", metavar="UNIT", help="Of the frequency; default: its head, or Hz.")
     ] = "",
+    columns: ColumnsOption = None,
     exclude: Annotated[
         tuple[float, float] | None,
         typer.Option("--exclude", metavar="LOW HIGH", help="Leave out lines of the electronics between these [Hz]."),
@@ -110,7 +116,7 @@ def stiffness(
             raise ConfigError("--spectrum, --record: give one of them")
         is_of_metres = False
         if spectrum is not None:
-            found_spectrum = spectrum_of(spectrum, unit, frequency_unit)
+            found_spectrum = spectrum_of(spectrum, unit, frequency_unit, columns or ())
             is_of_metres = found_spectrum.is_of_metres
             averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
@@ -133,7 +139,13 @@ def stiffness(
 
 
 def _sensitivity(
-    curve: Path, part: tuple[float, float], way_unit: str, deflection_unit: str, *, anyway: bool
+    curve: Path,
+    part: tuple[float, float],
+    way_unit: str,
+    deflection_unit: str,
+    columns: tuple[str, str] | None,
+    *,
+    anyway: bool,
 ) -> dict[str, Any]:
     """Return what one curve gives, or the statistic of those of a file of several."""
     from telenano_calibration.own_calibration import (
@@ -148,7 +160,7 @@ def _sensitivity(
     if curve.suffix.lower() not in TEXTS:
         several, refused = sensitivities_of_file(curve, *part)
     else:
-        way_m, volts, remarks = curve_of(curve, way_unit, deflection_unit)
+        way_m, volts, remarks = curve_of(curve, way_unit, deflection_unit, columns or ())
         several, refused = [sensitivity_of_curve(way_m, volts, *part)], 0
     if not anyway:
         require_usual(several)

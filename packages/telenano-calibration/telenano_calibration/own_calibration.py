@@ -37,6 +37,7 @@ BY_ANGLE = 0.971 / 1.09**2
 AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
 # Units of a density, as columns are named: of a power or of its root, in volts or in metres.
 DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
+_NO_DECIBELS = "decibels are not taken, so write the density itself, in"
 # files with other names are those of an instrument, which packages read
 TEXTS = ("", ".asc", ".csv", ".dat", ".tsv", ".txt")
 # numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
@@ -155,7 +156,7 @@ class Spectrum(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
-def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "") -> Spectrum:
+def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "", columns: Sequence[str] = ()) -> Spectrum:
     """Return a thermal spectrum, as density of a power.
 
     Args:
@@ -163,6 +164,7 @@ def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "") -> Spectru
             installed package reads.
         unit: The unit of the density; empty takes that of the file.
         frequency_unit: The unit of the frequency; empty takes that of the file.
+        columns: Those of frequency and density in a text table, by number or title; none takes what its head says.
 
     Raises:
         ConfigError: The file cannot be read, or a unit is not known; the message says how to give it.
@@ -177,7 +179,8 @@ def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "") -> Spectru
         power, is_of_metres = _power_of(density, unit or facts["unit"], f"{path}: its density")
         return Spectrum(frequency_hz, power, is_of_metres, float(facts["averages"]))
     table = read_table(path)
-    first, second = _pair_of(table, ("Hz",), DENSITIES, ("freq", "f"), ("psd", "power", "density", "pwr", "amplitude"))
+    others = ("psd", "power", "density", "pwr", "amplitude")
+    first, second = _pair_of(table, columns, ("Hz",), DENSITIES, ("freq", "f"), others)
     remarks = list(table.remarks)
     words = table.units_in_head("Hz") if not (first.unit or frequency_unit) else set()
     if len(words) > 1:
@@ -210,7 +213,7 @@ def _density_of(table: TextTable, column: Column, unit: str) -> tuple[Array, boo
         if found is None or found.powers not in kinds:
             raise ConfigError(
                 f"{table.name}, line {column.line}: the unit {column.unit!r} of {column.title!r} is that of no density:"
-                f" give --unit, {known}"
+                f" {_NO_DECIBELS if column.unit.startswith('dB') else 'give --unit,'} {known}"
             )
         return _power_of(values, column.unit, table.name)
     words = table.units_in_head(*DENSITIES)
@@ -227,6 +230,8 @@ def _power_of(density: Array, word: str, where: str) -> tuple[Array, bool]:
         kind = unit_of(name)
         if unit and kind and unit.powers == kind.powers:
             values = density * unit.factor
+            if np.any(values < 0.0):
+                raise ConfigError(f"{where}: a density in {word} is below 0: is it in decibels? Then write it without")
             return (values if "^2" in name else values**2), name.startswith("m")
     raise ConfigError(f"{where}: {word!r} is no unit of a density; known are {', '.join(DENSITIES)}")
 
@@ -242,7 +247,7 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
     column = volts[0] if volts else table.find("deflection", "defl", "volt", "signal") or table.columns[0]
     if not volts and len(table.columns) > 1 and column is table.columns[0]:
         raise ConfigError(f"{path}: has {len(table.columns)} columns, of which none is named as a deflection in V")
-    values = table.in_si(column, ("V",), unit, "--deflection-unit")
+    values = table.in_si(column, ("V",), unit, "--unit")
     remarks = table.remarks
     if values is None:
         values, remarks = column.values, (*remarks, "nothing names the unit of the deflection, which is taken as V")
@@ -254,14 +259,19 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
     return values, remarks
 
 
-def curve_of(path: Path, way_unit: str = "", deflection_unit: str = "") -> tuple[Array, Array, tuple[str, ...]]:
+def curve_of(
+    path: Path, way_unit: str = "", deflection_unit: str = "", columns: Sequence[str] = ()
+) -> tuple[Array, Array, tuple[str, ...]]:
     """Return way [m] and deflection [V] of a curve on a hard sample in a text table, and remarks on how it was read.
+
+    The columns are given by number or title, way and deflection; without them the head says which they are.
 
     Raises:
         ConfigError: The file cannot be read, or a unit is not known, or no way has the size; the message asks for it.
     """
     table = read_table(path)
-    first, second = _pair_of(table, ("m",), ("V",), ("z", "way", "height", "piezo", "dist"), ("defl", "volt", "signal"))
+    ways = ("z", "way", "height", "piezo", "dist")
+    first, second = _pair_of(table, columns, ("m",), ("V",), ways, ("defl", "volt", "signal"))
     remarks = list(table.remarks)
     way, volts = (
         table.in_si(column, wanted, given, option)
@@ -289,14 +299,21 @@ def curve_of(path: Path, way_unit: str = "", deflection_unit: str = "") -> tuple
 
 
 def _pair_of(
-    table: TextTable, first: Sequence[str], second: Sequence[str], names: Sequence[str], others: Sequence[str]
+    table: TextTable,
+    chosen: Sequence[str],
+    first: Sequence[str],
+    second: Sequence[str],
+    names: Sequence[str],
+    others: Sequence[str],
 ) -> tuple[Column, Column]:
-    """Return the two columns that are meant: by their units, else by their names, else the first two."""
+    """Return the two columns that are meant: as chosen, else by unit, else by name, else the first two."""
     columns = table.columns
     if len(columns) < 2 or len(table.lines) < 16:
         raise ConfigError(
             f"{table.name}: has {len(table.lines)} lines of {len(columns)} columns, 16 or more lines of 2 are needed"
         )
+    if chosen:
+        return table.column(chosen[0]), table.column(chosen[1])
     found: list[Column | None] = []
     for kinds, words in ((first, names), (second, others)):
         powers = [kind.powers for kind in map(unit_of, kinds) if kind]

@@ -37,6 +37,8 @@ _MOST_STEPS, _ENOUGH = 60, 1e-7
 _DIFFERENCE = 1e-5
 # Windows count where the peak has fewer lines within the width at half its height.
 _FEW_LINES = 2.0
+# A peak whose width at half its height is less than this share of the distance of lines looks as a tone does.
+_AS_A_TONE = 0.3
 # A window spreads the area of a peak and leaves it as it is, so that a fit of another area took wings for the peak.
 _SAME_AREA = math.log(1.5)
 # Each line of a window is a fit for itself; Q is what a broadened peak tells least of.
@@ -123,7 +125,8 @@ def fit_spectrum(
 
     Lines that no thermal noise has under the fit are left out, and the others are fitted again until none is left.
     Where the residuals of the widest band have a course, narrower ones are tried, because what is not of the resonance
-    (drift, other modes) is far from it.
+    (drift, other modes) is far from it. A peak in a single line, as a tone has it, is taken where no wider one is as
+    good.
 
     Args:
         frequency_hz: The lines [Hz], shape (n,), rising.
@@ -138,16 +141,18 @@ def fit_spectrum(
     """
     best: Resonance | None = None
     reason: ValueError | None = None
+    spacing = float(np.median(np.diff(frequency_hz)))
     for band in BANDS:
+        fits: list[Resonance] = [] if best is None else [best]
         for start in starts:
             try:
-                found = _judged_fit(frequency_hz, power, rate_hz, start, averages, band)
+                fits.append(_judged_fit(frequency_hz, power, rate_hz, start, averages, band))
             except ValueError as error:
                 reason = reason or error
-                continue
-            if best is None or found.mismatch < best.mismatch:
-                best = found
-        if best is not None and best.chance > _DOUBTFUL:
+        good = [one for one in fits if one.chance > _DOUBTFUL]
+        wide = [one for one in good if one.resonance_hz / one.quality > _AS_A_TONE * spacing]
+        best = min(wide or good or fits, key=lambda one: one.mismatch, default=None)
+        if good:
             break
     if best is None:
         raise reason or ValueError("no resonance is known from these lines")

@@ -166,7 +166,7 @@ def of_scipy(frequency: np.ndarray, density: np.ndarray, lever: Lever) -> Outcom
             warnings.simplefilter("ignore", OptimizeWarning)
             found, covariance = curve_fit(shape, lines, values[chosen] / unit, start, maxfev=5000)
         square, share = math.exp(found[0]) * unit * top, math.sqrt(covariance[0, 0])
-    except (RuntimeError, ValueError, OverflowError) as error:
+    except (RuntimeError, TypeError, ValueError, OverflowError) as error:
         return Outcome(None, None, str(error))
     if not 0.0 < share < 1.0:
         return Outcome(None, None, "no covariance")

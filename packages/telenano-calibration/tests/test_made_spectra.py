@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from made_spectra import KINDS, row
+from made_spectra import KINDS, outcomes, row
 
 # Spectra of a kind, at most refused, and least that cover (a share of so few is the limit less three of its errors).
 FEW = 12
@@ -20,6 +20,12 @@ def test_no_spectrum_is_accepted_wrongly(kind: str, tmp_path: Path) -> None:
     assert found["wrong"] == 0
     assert found["covered"] >= 0.75
     assert found["refused"] <= MOST_REFUSED[kind] + 0.25
+
+
+def test_a_tone_below_a_wide_resonance_is_not_taken_for_it(tmp_path: Path) -> None:
+    # a tone of 20 % in a single line, which a peak of any height and Q above 8000 describes as well
+    ((found, _),) = outcomes("tone 20 %", range(420, 421), tmp_path)
+    assert found.share == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.endurance

@@ -401,3 +401,26 @@ def test_a_bent_line_of_contact_is_no_hard_sample() -> None:
         volts = 5.0 * np.maximum(way / 200e-9 - 1.0, 0.0) ** power
         with pytest.raises(ConfigError, match="the line of contact is bent"):
             sensitivity_of_curve(way, volts + 0.005 * np.random.default_rng(2).standard_normal(400))
+
+
+def test_columns_are_chosen_by_number_or_title(tmp_path: Path) -> None:
+    path = tmp_path / "hard.txt"
+    way = np.linspace(0.0, 400.0, 300)
+    volts = np.maximum(way - 100.0, 0.0) / 50.0
+    rows = "".join(f"{n};{1.5 * n};{b:.6f};{a:.6f}\n" for n, (a, b) in enumerate(zip(way, volts, strict=True)))
+    for head, columns in (("", ("4", "3")), ("a;b;c;d\n", ("d", "c"))):
+        path.write_text(head + rows, encoding="utf-8")
+        done = CliRunner().invoke(
+            app, ["calibrate", "sensitivity", "--curve", str(path), "--columns", *columns, "--json"]
+        )
+        assert done.exit_code == 0, done.output
+        assert json.loads(done.stdout)["sensitivity_nm_per_v"] == pytest.approx(50.0, rel=1e-3)
+    done = CliRunner().invoke(app, ["calibrate", "sensitivity", "--curve", str(path), "--columns", "4", "9"])
+    assert "has no column '9'; it has 4, a, b, c, d" in " ".join(done.output.split())
+
+
+def test_a_record_in_another_unit_is_refused_with_the_option_of_its_command(tmp_path: Path) -> None:
+    path = tmp_path / "record.txt"
+    path.write_text("deflection [furlong]\n" + "1.0\n2.0\n" * 200, encoding="utf-8")
+    words = ["calibrate", "stiffness", "--record", str(path), "--rate", "1e6", "--sensitivity", "50"]
+    assert "--unit gives another" in " ".join(CliRunner().invoke(app, words).output.split())

@@ -188,7 +188,7 @@ def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
     assert is_random("wifi")
     with pytest.raises(ConfigError, match="--law: unknown law 'wavy'"):
         plan_of(["wavy"], quick=True)
-    with pytest.raises(ConfigError, match="unknown network 'mars'"):
+    with pytest.raises(ConfigError, match="unknown profile 'mars'"):
         plan_of(["wave"], quick=True, networks=["mars"])
     assert plan_of(["wave"], quick=True, networks=["lte"]).networks == ("lte",)
 

@@ -55,7 +55,12 @@ def curve(
     ] = 0,
     lacking: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="What its file lacks: stiffness_n_per_m, sensitivity_m_per_v."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="What its file lacks: stiffness_n_per_m, sensitivity_m_per_v; of a text table columns=1,2, "
+            "way_unit=nm, value_unit=nN.",
+        ),
     ] = None,
     reduced_modulus: Annotated[
         float | None,

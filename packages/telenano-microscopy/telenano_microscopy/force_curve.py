@@ -6,6 +6,7 @@ the meniscus breaks, or, where nothing jumps, the pull-off. Two more places are 
 the pull-off, which is the strongest pull on the way back, and where the force passes zero on that way.
 """
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -29,6 +30,8 @@ Array = npt.NDArray[np.float64]
 _JUMP_SHARE = 0.5
 # A file of a curve may lack these constants.
 CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
+# What a person says of a text table whose head does not.
+OF_TABLES = ("columns", "way_unit", "value_unit")
 # A tenth of a piconewton is below the thermal force of any lever.
 _LEAST_LOAD_N = 1e-13
 _SPEED_M_PER_S = CurveSettings.in_simulated_time().speed_m_per_s
@@ -264,18 +267,22 @@ def read_measured(path: Path, number: int = 0, given: Mapping[str, Any] | None =
     Args:
         path: The file.
         number: Which curve of a map, the first being 0.
-        given: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file.
+        given: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file; of a text table `columns`,
+            `way_unit` and `value_unit`, which its head does not say.
 
     Raises:
         ConfigError: The message names the file and what is wrong with it.
     """
     given = given or {}
-    if unknown := [name for name in given if name not in CONSTANTS]:
-        raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {', '.join(CONSTANTS)}")
+    table = {name: str(value) for name, value in given.items() if name in OF_TABLES}
+    if unknown := [name for name in given if name not in (*CONSTANTS, *OF_TABLES)]:
+        known = ", ".join((*CONSTANTS, *OF_TABLES))
+        raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {known}")
     for name, value in given.items():
-        if not (isinstance(value, int | float) and 0.0 < value < math.inf):
+        if name in CONSTANTS and not (isinstance(value, int | float) and 0.0 < value < math.inf):
             raise ConfigError(f"--set {name}: is {value!r}; it must be a number above 0")
     texts = [repr(float(given[name])) if name in given else "" for name in CONSTANTS]
+    texts += [json.dumps(table)] if table else []
     try:
         facts, (base, deflection) = read_by_package(path, "curve", str(number), *texts)
         curve = _measured(base, deflection, facts["stiffness_n_per_m"], facts["turn"], facts["speed_m_per_s"])

@@ -17,7 +17,6 @@ from telenano.extend.commands import JsonOption, print_json, report_errors
 if TYPE_CHECKING:
     from telenano_networks.line_fit import Agreement
     from telenano_networks.line_log import LineLog
-    from telenano_networks.line_sources import Column
 
 # A quantile that rests on fewer messages is a guess.
 _FEWEST_BEYOND = 10
@@ -86,13 +85,15 @@ def fit(
         from telenano_networks.line_page import line_figure
 
         log = read_log(logs, unit, round_trip=round_trip, direction=direction, period_s=period)
-        model, table = fitted(log), accept(log, seed)
+        model, table = fitted(log), accept(log, seed, with_memory=not without_memory)
         bounds = intervals(log, seed)
-        ways = model.ways(round_trip=log.round_trip)
+        ways = model.ways(round_trip=log.round_trip, with_memory=not without_memory, seed=seed)
         remarks = _remarks(log, table)
         if without_memory:
-            ways = {name: _without_memory(way, seed) if "jitter" in way else way for name, way in ways.items()}
-            remarks.append("Each message drawn by itself: the distribution is that of the line, its memory is not.")
+            remarks.append(
+                "Each message is drawn by itself: delays and losses are those of the line, and its correlation, stalls "
+                "and runs of loss are not in the settings."
+            )
         document: dict[str, Any] = {
             "parameters": {
                 what: {"value": _known(value), "interval": [_known(edge) for edge in bounds[what]]}
@@ -109,7 +110,7 @@ def fit(
         document["written"] = document["agrees"] or anyway
         with results_in(out) as folder:
             _write(folder, document, _profile(ways, seed, about or "a line that was measured", (cite, taken), remarks))
-            picture = png_of(line_figure(log, generated(model, log, seed)))
+            picture = png_of(line_figure(log, generated(ways, log, seed)))
             (folder / "fit.png").write_bytes(picture)
             _page(picture, document).write(folder / "fit.html")
     _show(document, out, as_json)
@@ -221,30 +222,6 @@ def _grouped(cuts: Iterable[str]) -> list[str]:
     ]
 
 
-def _sent(way: dict[str, Any], seed: int, minutes: int = 10) -> "tuple[Column, Column]":
-    """Return when each of 120 000 messages was sent, at even distances in these minutes, and its delay [ns]."""
-    import numpy as np
-
-    from services.delay_node.config import parse_settings
-    from telenano_networks.line_draws import delays_ns
-
-    times_ns = range(0, minutes * 60 * 10**9, minutes * 500_000)
-    settings = parse_settings({"seed": seed, "forward": way})
-    return np.array(times_ns, dtype=np.float64), delays_ns(settings, "teleop/forward", times_ns, 300)
-
-
-def _without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
-    """Return settings whose messages have the delays and the losses of a line, each by itself."""
-    import numpy as np
-
-    from telenano_networks.line_fit import quantiles_of, quantiles_text
-
-    _, delay_ns = _sent(way, seed)
-    delays_s = 1e-9 * delay_ns[~np.isnan(delay_ns)]
-    jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(quantiles_of(delays_s))}
-    return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(delay_ns)}}
-
-
 def _profile(
     ways: dict[str, dict[str, Any]], seed: int, about: str, source: tuple[str, str], remarks: list[str]
 ) -> dict[str, Any]:
@@ -265,8 +242,10 @@ def _profile(
 def _statistics_of(way: dict[str, Any], seed: int) -> dict[str, Any]:
     import numpy as np
 
+    from telenano_networks.line_fit import sent
+
     # Stalls are seldom, and most of the mean may be theirs.
-    sent_ns, delay_ns = _sent(way, seed, minutes=200)
+    sent_ns, delay_ns = sent(way, seed, minutes=200)
     lost = np.isnan(delay_ns)
     delays_ms = 1e-6 * delay_ns[~lost]
     middle = np.quantile(delays_ms, (0.25, 0.5, 0.75)).round(2).tolist()

@@ -43,6 +43,8 @@ _MOST_OVERTAKEN = 1e-3
 MOST_HELD, MOST_HELD_BYTES = 20_000, 4 << 20
 _RESAMPLES, _DRAWS = 200, 25
 _SIZE_BYTES = 200
+# Of the messages that the statistics of a written way are of.
+_SENT_BYTES = 300
 SPREAD = "spread of its logarithm"
 # At these lags the correlation of the delay is compared, where the log has so many of them.
 _LAGS_S = (1.0, 10.0, 60.0)
@@ -125,18 +127,37 @@ class LineModel:
             found["gilbert_elliott"] = {"p": _rounded(leave * self.lost / (1.0 - self.lost)), "r": _rounded(leave)}
         return found
 
-    def ways(self, *, round_trip: bool) -> dict[str, dict[str, Any]]:
-        """Return the settings of both directions of the link.
+    def ways(self, *, round_trip: bool, with_memory: bool = True, seed: int = 0) -> dict[str, dict[str, Any]]:
+        """Return the settings of both directions of the link, which are what is written and what is judged.
 
         A line that was measured one way is the same in both. Of a round trip all that varies goes forward, and half of
         its least delay backward: then what goes there and back has the delays of the log, which two halves that are
-        drawn independently have not.
+        drawn independently have not. Without memory each message has the delays and the losses of the line by itself.
         """
-        if not round_trip:
-            return {"forward": self.settings(), "backward": self.settings()}
-        least_s = _rounded(0.5 * max(self.quantiles[0][1], 0.0))
-        rest = tuple((share, value - least_s) for share, value in self.quantiles)
-        return {"forward": replace(self, quantiles=rest).settings(), "backward": {"delay_s": least_s}}
+        found = {"forward": self.settings(), "backward": self.settings()}
+        if round_trip:
+            least_s = _rounded(0.5 * max(self.quantiles[0][1], 0.0))
+            rest = tuple((share, value - least_s) for share, value in self.quantiles)
+            found = {"forward": replace(self, quantiles=rest).settings(), "backward": {"delay_s": least_s}}
+        if with_memory:
+            return found
+        alone = without_memory(found["forward"], seed)
+        return {name: alone if "jitter" in way else way for name, way in found.items()}
+
+
+def sent(way: dict[str, Any], seed: int, minutes: int = 10) -> tuple[Column, Column]:
+    """Return when each of 120 000 messages was sent, at even distances in these minutes, and its delay [ns]."""
+    times_ns = range(0, minutes * 60 * 10**9, minutes * 500_000)
+    settings = parse_settings({"seed": seed, "forward": way})
+    return np.array(times_ns, dtype=np.float64), delays_ns(settings, "teleop/forward", times_ns, _SENT_BYTES)
+
+
+def without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
+    """Return settings whose messages have the delays and the losses of a line, each by itself."""
+    _, delay_ns = sent(way, seed)
+    delays_s = 1e-9 * delay_ns[~np.isnan(delay_ns)]
+    jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(quantiles_of(delays_s))}
+    return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(delay_ns)}}
 
 
 class Agreement(NamedTuple):
@@ -271,9 +292,8 @@ def correlation_of_scores(wanted: Column, quantiles_s: Column) -> Column:
     return np.asarray(np.interp(wanted, _CORRELATION_POWERS @ powers, _CORRELATIONS))
 
 
-def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
-    """Return what the link with the settings of this model would have done to the messages of a log, there and back."""
-    ways = model.ways(round_trip=log.round_trip)
+def generated(ways: dict[str, dict[str, Any]], log: LineLog, seed: int) -> LineLog:
+    """Return what the link with the settings of these ways would have done to the messages of a log, there and back."""
     segments = []
     begin_s = 0.0
     sent_s = []
@@ -374,8 +394,10 @@ def _statistics(tally: Tally, weights: Numbers) -> dict[str, float]:
     }
 
 
-def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
-    """Fit the first half of each segment and compare what the model generates with the second.
+def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agreement]:
+    """Fit the first half of each segment and compare what its settings generate with the second.
+
+    The settings are those that `LineModel.ways` writes, with memory or without.
 
     The interval is that of a bootstrap of blocks of the second half, 95 %, and a statistic agrees inside of it. Where
     the first half is not inside of it either, no model of the first half can be: it agrees between the two halves, or
@@ -383,9 +405,9 @@ def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
     """
     scale = scale_of(log)
     first, second = log.halves()
-    model = fit(first, scale)
+    ways = fit(first, scale).ways(round_trip=log.round_trip, with_memory=with_memory, seed=seed)
     measured, other = statistics(second, scale), statistics(first, scale)
-    made_logs = [generated(model, second, seed + n) for n in range(_DRAWS)]
+    made_logs = [generated(ways, second, seed + n) for n in range(_DRAWS)]
     draws = [statistics(one, scale) for one in made_logs]
     samples, of_first = (
         [_statistics(tally, weights) for weights in tally.draws(seed, _RESAMPLES)]

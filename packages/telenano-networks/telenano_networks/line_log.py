@@ -30,9 +30,11 @@ _PAUSE_PERIODS, _PAUSE_S = 20.0, 1.0
 _SHORTEST_DELAY_S, _LONGEST_DELAY_S = 1e-6, 100.0
 _SENT, _RECEIVED = ("sent", "send", "pub", "tx"), ("rec", "sub", "rx", "arriv")
 _TIMES = ("time", "ts")
-# words of a heading that mean a round trip, wherever they stand, and its begins that mean a delay
+# words of a heading that mean a round trip or a delay, wherever they stand, and those that mean another figure of it
 _ROUND_TRIP = re.compile(r"(?i)rtt|round|ping|(?:two|2).?way")
-_DELAY, _LOST = ("delay", "latency", "owd", "one-way", "one_way"), "lost"
+_DELAY = re.compile(r"(?i)delay|latenc|owd|one.?way")
+_NO_DELAY = re.compile(r"(?i)drop|los[st]|rate|share|jitter|count|seq|dev|var|\bid\b")
+_LOST = "lost"
 _LARGEST_BYTES = 256_000_000
 # Longer times say that a unit is wrong: between two messages, and of a whole log [s].
 _LONGEST_PERIOD_S, _LONGEST_LOG_S = 600.0, 1e8
@@ -147,9 +149,12 @@ def _read(
 def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: list[str]) -> tuple[list[Part], bool]:
     name, columns = table.name, table.columns
     sent, received = table.find(*_SENT) or table.find(*_TIMES), table.find(*_RECEIVED)
-    delay = table.find(*_DELAY) or next((column for column in columns if _ROUND_TRIP.search(column.name)), None)
+    delay = _delay_in(columns)
     is_trip = delay is not None and _ROUND_TRIP.search(delay.name) is not None
-    if len(columns) == 1 and (period_s or delay is not None):
+    if period_s and delay is not None and (sent is None or sent.bad) and received is None:
+        # dates are no times that are read, and the person says the time between two rows
+        sent = None
+    elif len(columns) == 1 and (period_s or delay is not None):
         # a lone column of delays
         delay = columns[0]
         if period_s is None:
@@ -161,8 +166,8 @@ def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: 
     elif sent is None or (received is None and delay is None):
         raise ConfigError(
             f"{name}: has the columns {', '.join(column.title for column in columns)}; a column of times of sending"
-            " (sent_s) is needed, and one of receiving (received_s) or of delays (delay_s), empty where a message was"
-            " lost"
+            " (sent_s) or --period S is needed, and one of receiving (received_s) or of delays (delay_s), empty where a"
+            " message was lost"
         )
     rows = len(table.lines)
     if not table.ends_whole and rows > 1 and not any("no whole row" in remark for remark in table.remarks):
@@ -196,6 +201,16 @@ def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: 
         cuts.append(f"{name}: its heading {delay.title} means round trips")
     delay_s = np.where(lost, np.nan, delay_s)
     return [(np.asarray(sent_s, dtype=np.float64), delay_s)], is_trip
+
+
+def _delay_in(columns: Sequence[TableColumn]) -> TableColumn | None:
+    """Return the column of delays: one whose name says a delay, else a round trip, and of several one in a time."""
+    for words in (_DELAY, _ROUND_TRIP):
+        named = [one for one in columns if words.search(one.name) and not _NO_DELAY.search(one.name)]
+        in_time = [one for one in named if (unit := one.known) and unit.powers == (("s", 1.0),)]
+        if named:
+            return (in_time or named)[0]
+    return None
 
 
 def _scale_of(column: TableColumn, table: TextTable, unit: str | None) -> float:

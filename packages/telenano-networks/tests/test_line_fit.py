@@ -149,7 +149,7 @@ def test_a_model_without_the_stalls_is_seen_to_disagree() -> None:
     log = made_log(3)
     scale = scale_of(log)
     without = fit(log).__class__(**{**vars(fit(log)), "stalls_per_s": 0.0})
-    measured, other = statistics(log, scale), statistics(generated(without, log, 1), scale)
+    measured, other = statistics(log, scale), statistics(generated(without.ways(round_trip=False), log, 1), scale)
     assert measured["q99.9 [ms]"] > 3.0 * other["q99.9 [ms]"]
     assert other["stalls per minute"] == 0.0 < measured["stalls per minute"]
 
@@ -419,6 +419,35 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     )
     assert "outage" not in twin["link"]["forward"]
     assert "data:image/png" in (tmp_path / "line" / "fit.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.check("fits and draws a log of four minutes with each option")
+@pytest.mark.parametrize(
+    "options", [(), ("--without-memory",), ("--round-trip",), ("--round-trip", "--without-memory"), ("--seed", "7")]
+)
+def test_what_is_judged_is_drawn_from_the_settings_that_are_written(options: tuple[str, ...], tmp_path: Path) -> None:
+    # both halves are the same, so that the model of the first is that of all
+    (part,) = made_log(3, 120.0).segments
+    times_s = np.concatenate([part.sent_s, 120.0 + part.sent_s])
+    rows = zip((1e3 * times_s).tolist(), (1e3 * np.tile(part.delay_s, 2)).tolist(), strict=True)
+    path = tmp_path / "log.csv"
+    text = "".join(f"{sent:.3f},{'' if math.isnan(delay) else f'{delay:.6f}'}\n" for sent, delay in rows)
+    path.write_text(f"sent_ms,delay_ms\n{text}", encoding="utf-8")
+    done = CliRunner().invoke(app, ["link", "fit", str(path), "--out", str(tmp_path / "line"), "--anyway", *options])
+    assert done.exit_code in (0, 3), done.output
+    document = json.loads((tmp_path / "line" / "fit.json").read_text(encoding="utf-8"))
+    judged = {row["what"]: row["generated"] for row in document["agreement"]}
+    log = read_log([path], round_trip="--round-trip" in options)
+    written = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))["link"]
+    draws = [statistics(generated(written, log.halves()[1], seed), scale_of(log)) for seed in range(25)]
+    for what, within in (("q50 [ms]", 0.03), ("q99 [ms]", 0.2), ("lost", 0.1), ("stalls per minute", 0.3)):
+        assert judged[what] == pytest.approx(np.median([one[what] for one in draws]), rel=within, abs=0.1), what
+    neighbours = float(np.median([one["correlation of neighbours"] for one in draws]))
+    assert judged["correlation of neighbours"] == pytest.approx(neighbours, abs=0.05)
+    is_alone = "--without-memory" in options
+    assert (neighbours < 0.1) == is_alone
+    row = next(row for row in document["agreement"] if row["what"] == "correlation of neighbours")
+    assert row["agrees"] != is_alone
 
 
 def test_networks_are_drawn_with_the_age_at_a_reader(tmp_path: Path) -> None:

@@ -3,12 +3,18 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS, OWN_LAWS
 from services.runtime.settings.config import flag_overrides, flatten
 
 _MOST_VALUES = 10_000
+# What is said of a file in the place of numbers.
+_OF_A_LINE = (
+    "; of a log of a line `telenano link fit` makes a network, and `study advise` and `study validate` run over it"
+    " (--network)"
+)
 LONGEST_MS = 10_000.0
 STIFFEST_N_PER_M = 1e5
 
@@ -75,7 +81,7 @@ def number(option: str, text: str, unit: str) -> float:
     except ValueError as error:
         raise ConfigError(
             f"{option}: {text!r} is not a number{f' [{unit}]' if unit else ''}: give a value, a list a,b,c or a range"
-            " start:stop:step"
+            f" start:stop:step{_OF_A_LINE if Path(text).exists() else ''}"
         ) from error
     if not math.isfinite(value):
         raise ConfigError(f"{option}: {text} is not finite")

@@ -140,8 +140,8 @@ def test_a_matrix_of_heights_in_text_has_its_size_and_unit_from_head_or_option(t
     ("head", "factor", "reason"),
     [
         ("", 1e9, "its values are no heights in m: write their unit"),
-        ("# Value units: V\n", 1.0, "its values in 'V', which is no unit of length"),
-        ("# Width: 3 furlong\n", 1.0, "its head gives the width in 'furlong'"),
+        ("# Value units: V\n", 1.0, "the unit of the heights of channel heights is 'V'; it must be a length"),
+        ("# Width: 3 furlong\n", 1.0, "the unit of the width in its head is 'furlong'"),
     ],
 )
 def test_a_matrix_whose_heights_have_no_unit_or_an_unknown_one_is_refused(tmp_path, head, factor, reason):

@@ -17,7 +17,7 @@ from telenano_studies.loops.cells import Cell, Environment, sources
 from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS
 from services.delay_node.config import LinkSettings, parse_settings
-from services.delay_node.profiles import PROFILES
+from services.delay_node.profiles import PROFILES, refusal_of
 from services.runtime.settings.config import Settings
 
 VERSION = 2
@@ -174,7 +174,7 @@ def plan_of(
             raise ConfigError(f"--law: unknown law {law!r}, {known_names(law, LAWS)}")
     for network in networks:
         if network not in PROFILES:
-            raise ConfigError(f"--network: unknown network {network!r}, {known_names(network, PROFILES)}")
+            raise ConfigError(f"--network: {refusal_of(network)}")
     if quick:
         return Plan(tuple(networks) or QUICK_NETWORKS, QUICK_TASKS, tuple(laws), QUICK_HANDS, QUICK_SEEDS, settings)
     return Plan(tuple(networks) or NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)

@@ -39,7 +39,10 @@ def measured_network(folder: Path) -> MeasuredNetwork:
         lost_share = max(way["lost_share"] for way in ways)
         replay = probe["replay"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{file}: is no result of `telenano link probe`: {error}") from error
+        raise ConfigError(
+            f"{file}: is no result of `telenano link probe`: {error}; of a log of a line `telenano link fit` makes a"
+            " network, which `study advise --network` takes"
+        ) from error
     return MeasuredNetwork(parse_settings(replay), folder, round_trip_ms, lost_share)
 
 

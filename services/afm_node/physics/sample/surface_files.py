@@ -91,10 +91,12 @@ def read_surface(
 
 
 def _metres(unit: str, what: str) -> float:
-    if unit not in METRES:
-        said = f"{unit!r}" if unit else "none"
-        raise ValueError(f"the unit of {what} is {said}; it must be a length: {', '.join(METRES)}")
-    return METRES[unit]
+    found = unit_of(unit)
+    if found is None or found.powers != _LENGTH:
+        raise ValueError(
+            f"the unit of {what} is {repr(unit) if unit else 'none'}; it must be a length: {', '.join(METRES)}"
+        )
+    return found.factor
 
 
 def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
@@ -106,7 +108,7 @@ def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
         if not found:
             raise ValueError(f"has no channel {wanted!r}; it has: {names}")
         return found[0]
-    heights = [c for c in channels if c.unit_z in METRES] or channels
+    heights = [c for c in channels if (unit := unit_of(c.unit_z)) and unit.powers == _LENGTH] or channels
     return next((c for c in heights if _HEIGHT_NAMES.search(c.name)), heights[0])
 
 
@@ -143,13 +145,10 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
     values = np.array([table.numbers(column) for column in table.columns]).T[::-1]
     _check_pixels(values.shape)
     said = {key: found[0] for key, words in _SAID.items() if (found := re.findall(words, "\n".join(table.head)))}
-    sides: list[float | None] = []
-    for key in ("width", "height"):
-        number, word = as_number(said[key][0]) if key in said else None, said.get(key, ("", ""))[1]
-        unit = unit_of(word)
-        if number is not None and (unit is None or unit.powers != _LENGTH):
-            raise ValueError(f"its head gives the {key} in {word!r}, which is no unit of length")
-        sides.append(None if number is None or unit is None else number * unit.factor)
+    sides = [
+        (as_number(said[key][0]) or 0.0) * _metres(said[key][1], f"the {key} in its head") if key in said else None
+        for key in ("width", "height")
+    ]
     width = sides[0] if size_m is None else size_m
     if width is None:
         raise ValueError(
@@ -157,12 +156,9 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         )
     # without a side of its own the pixels are square
     depth = sides[1] if size_m is None and sides[1] is not None else width * len(values) / len(values[0])
-    unit = unit_of(said["values"]) if "values" in said else None
-    if "values" in said and (unit is None or unit.powers != _LENGTH):
-        raise ValueError(f"its head gives its values in {said['values']!r}, which is no unit of length")
-    if unit is None and not np.nanmax(np.abs(values)) < _HIGHEST_M:
+    if "values" not in said and not np.nanmax(np.abs(values)) < _HIGHEST_M:
         raise ValueError("its values are no heights in m: write their unit above them, as in `# Value units: nm`")
-    return [_Channel("heights", values * (unit.factor if unit else 1.0), width, depth, "m", "m")]
+    return [_Channel("heights", values, width, depth, "m", said.get("values", "m"))]
 
 
 def _check_pixels(shape: tuple[int, ...]) -> None:
@@ -206,12 +202,9 @@ def _whole(header: Mapping[str, str], key: str) -> int:
 
 
 def _real(header: Mapping[str, str], key: str) -> float:
-    try:
-        value = float(header[key])
-    except (KeyError, ValueError):
-        raise ValueError(f"{key} is {header.get(key, 'missing')}; it must be the length of that side") from None
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{key} is {value}; it must be positive and finite")
+    value = as_number(header.get(key, "missing"))
+    if value is None or not value > 0.0:
+        raise ValueError(f"{key} is {header.get(key, 'missing')}; it must be the length of that side, above 0")
     return value
 
 
