@@ -77,6 +77,8 @@ Drift = drift.Drift
 drifted = drift.drifted
 error_of = drift.error_of
 no_drift = drift.no_drift
+restarted = drift.restarted
+rescaled_drift = drift.rescaled
 _FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
 # the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
 _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
@@ -251,7 +253,7 @@ class SlaveState(NamedTuple):
 @compiled
 def nothing_seen() -> Seen:
     """Return what is known before the first contact."""
-    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0))
+    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0, 0.0))
 
 
 @compiled
@@ -297,11 +299,11 @@ def taught(
             seen.square_m2,
             seen.product_n_m,
             seen.pull_n,
-            Drift(measured_m, -seen.pull_n, drift.speed, drift.square, drift.gone),
+            restarted(drift, measured_m, -seen.pull_n),
         )
     if not seen.known:
         pull_n = max(-force_n, 0.0)
-        here = no_drift(measured_m, force_n)
+        here = no_drift(measured_m, force_n, _FASTEST_DRIFT_M_PER_S / params.mass.position_scale)
         return Seen(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, here)
     way = abs(position_m - seen.last_m) / params.memory_m
     gain = way / (1.0 + way)
@@ -617,13 +619,7 @@ def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState)
         square_m2=longer * longer * seen.square_m2,
         product_n_m=longer * stronger * seen.product_n_m,
         pull_n=stronger * seen.pull_n,
-        drift=Drift(
-            slow_place=longer * seen.drift.slow_place,
-            slow_force=stronger * seen.drift.slow_force,
-            speed=longer * seen.drift.speed,
-            square=longer * longer * seen.drift.square,
-            gone=longer * seen.drift.gone,
-        ),
+        drift=rescaled_drift(seen.drift, longer, stronger),
     )
     mass = rescaled(old.mass, new.mass, state.mass)
     scaled = Contact(contact.stiffness_n_per_m * stronger / longer, longer * contact.zero_m, stronger * contact.pull_n)

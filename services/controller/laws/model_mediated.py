@@ -190,7 +190,7 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
         store_j=0.0,
         injected_j=0.0,
         dissipated_j=0.0,
-        drift=no_drift(0.0, 0.0),
+        drift=no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
         since_s=0.0,
     )
 
@@ -229,7 +229,7 @@ def learnt(
     place, force = signal.position_m / NANO, signal.force_n / NANO
     if signal.in_contact:
         if not fit.known:
-            return met(params.fit, place, force), no_drift(place, force)
+            return met(params.fit, place, force), no_drift(place, force, _FASTEST_NM_PER_S)
         r = root_of(place - drift.gone - fit.surface.contact_nm, fit.surface.kappa / params.fit.cantilever)
         slope = max(-gradient(fit.surface, params.fit.cantilever, r)[0], _LEAST_SLOPE)
         known = fit.surface.kappa * r * r * r - fit.surface.adhesion_nn
@@ -298,7 +298,7 @@ def master_receive(
         mass = let_go(p, mass, hand, signal)
         if fit.known and is_retracted(p, signal):
             # After arming anew the tip may meet another surface.
-            fit, drift = unknown(params.fit), no_drift(0.0, 0.0)
+            fit, drift = unknown(params.fit), no_drift(0.0, 0.0, _FASTEST_NM_PER_S)
         state = MasterState(
             mass=mass,
             fit=fit,

@@ -16,19 +16,25 @@ SCALE, PERIOD_S = 1.5e-6, 2e-3
 
 
 def told(rng: random.Random, kind: str, speed: float, seconds: float = 10.0) -> Drift:
-    """Return what is told of a spring under a hand that trembles, wanders or is noisy, with a noisy place."""
+    """Return what is told of a spring under a hand that trembles, wanders or is noisy, or of a curve under a swing."""
     stiffness = math.exp(rng.uniform(math.log(300.0), math.log(20_000.0)))
     assumed, noise_m = stiffness * rng.uniform(0.8, 1.25), 10.0 ** rng.uniform(-9.0, -7.0)
     size_n = math.exp(rng.uniform(math.log(0.003), math.log(0.1)))
-    rate_hz, wander, drift = rng.uniform(0.3, 6.0), 0.0, None
+    rate_hz, wander, drift, most = rng.uniform(0.3, 6.0), 0.0, None, 5e-10 / SCALE
+    phase, curve = rng.uniform(0.0, 2.0 * math.pi), 0.0
+    if kind == "swing":
+        size_n, curve = rng.uniform(0.1, 0.5), rng.uniform(0.0, 0.3)
+        rate_hz = math.exp(rng.uniform(math.log(0.05), math.log(1.0)))
     for tick in range(round(seconds / PERIOD_S)):
         time_s = tick * PERIOD_S
         wander += -wander * PERIOD_S / 3.0 + math.sqrt(2.0 * PERIOD_S / 3.0) * rng.gauss(0.0, 1.0)
-        wave = {"tremor": math.sin(2.0 * math.pi * rate_hz * time_s), "wander": wander, "noise": rng.gauss(0.0, 1.0)}
+        swing = math.sin(2.0 * math.pi * rate_hz * time_s + phase)
+        wave = {"tremor": swing, "swing": swing, "wander": wander, "noise": rng.gauss(0.0, 1.0)}
         force = 1.0 + size_n * wave[kind]
-        place = speed * time_s + force / stiffness + noise_m * rng.gauss(0.0, 1.0)
-        drift = drift or no_drift(place, force)
-        drift = drifted(drift, place, force, force, assumed, PERIOD_S, 0.2, 5e-10 / SCALE)
+        depth = (force - curve * (force - 1.0) * (force - 1.0)) / stiffness
+        place = speed * time_s + depth + noise_m * rng.gauss(0.0, 1.0)
+        drift = drift or no_drift(place, force, most)
+        drift = drifted(drift, place, force, force, assumed, PERIOD_S, 0.2, most)
     assert drift is not None
     return drift
 
@@ -45,6 +51,17 @@ def test_twice_the_error_of_a_drift_has_it_whatever_the_hand_does(kind: str) -> 
     assert held >= 35
     # and it is no error that holds anything: half of the hands tell a drift of 10 pm/s
     assert sorted(errors)[20] <= 5e-12
+
+
+def test_the_curve_under_a_hand_that_swings_is_seldom_taken_for_a_drift() -> None:
+    rng, followed, warned = random.Random(4), 0, 0
+    for _ in range(30):
+        found = told(rng, "swing", 0.0, 6.0)
+        followed += abs(found.gone) * SCALE > 1e-11
+        warned += (abs(found.speed) - 2.0 * error_of(found)) * SCALE > 1e-11
+    # 4 and 3, all of swings of 0.05 to 0.2 Hz under a slope that is a fifth wrong and stays so; a law learns its slope
+    assert followed <= 6
+    assert warned <= 4
 
 
 def swung(name: str, drift_m_per_s: float, delay: int) -> tuple[float, float, float, Any]:
