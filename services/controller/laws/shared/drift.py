@@ -56,36 +56,6 @@ def no_drift(place: float, force: float, most: float) -> Drift:
 
 
 @compiled
-def restarted(drift: Drift, place: float, force: float) -> Drift:
-    """Return what is known of the drift, where the next contact begins at this pair."""
-    return Drift(
-        slow_place=place,
-        slow_force=force,
-        speed=drift.speed,
-        square=drift.square,
-        recent=drift.recent,
-        slow_square=drift.slow_square,
-        known_s=drift.known_s,
-        gone=drift.gone,
-    )
-
-
-@compiled
-def rescaled(drift: Drift, longer: float, stronger: float) -> Drift:
-    """Return the drift in other units, in which places and forces are so many times greater."""
-    return Drift(
-        slow_place=longer * drift.slow_place,
-        slow_force=stronger * drift.slow_force,
-        speed=longer * drift.speed,
-        square=longer * longer * drift.square,
-        recent=longer * drift.recent,
-        slow_square=longer * longer * drift.slow_square,
-        known_s=drift.known_s,
-        gone=longer * drift.gone,
-    )
-
-
-@compiled
 def _error(square: float, slow_square: float, known_s: float) -> float:
     alike = min(slow_square / max(square, 1e-300), 0.95)
     alike_s = max(RECENT_S * alike / (1.0 - alike), STEADY_S)
@@ -129,16 +99,10 @@ def drifted(
     slow_square = drift.slow_square + gain * ((recent - speed) * (recent - speed) - drift.slow_square)
     sure = _share(speed, _error(square, slow_square, known_s))
     way = speed * elapsed_s + stood_s / MEAN_S * (known - force) / slope
-    return Drift(
-        slow_place=drift.slow_place + share * (place - drift.slow_place),
-        slow_force=drift.slow_force + share * (force - drift.slow_force),
-        speed=speed,
-        square=square,
-        recent=recent,
-        slow_square=slow_square,
-        known_s=min(known_s, MEAN_S),
-        gone=drift.gone + sure * way,
-    )
+    gone = drift.gone + sure * way
+    slow_place = drift.slow_place + share * (place - drift.slow_place)
+    slow_force = drift.slow_force + share * (force - drift.slow_force)
+    return Drift(slow_place, slow_force, speed, square, recent, slow_square, min(known_s, MEAN_S), gone)
 
 
 @compiled
