@@ -318,6 +318,37 @@ def test_an_observer_who_learns_is_named_and_one_who_does_not_is_not() -> None:
     assert named >= 9
 
 
+def named_as_learning(settings: dict[str, Any], number: int, fall: float) -> bool:
+    """Return whether a drawn observer, whose threshold falls by a share in each trial, is said to learn."""
+    function, draw = Psychometric.model_validate(settings["function"]), random.Random(number)
+    threshold, lapse = draw.uniform(0.04, 0.08), draw.uniform(0.0, 0.03)
+    width = (0.08 if function.axis == "linear" else 1.5) * draw.uniform(0.5, 1.5)
+    trials, source, kept = make(settings, number), random.Random(5000 + number), 1.0
+    while (level := trials.next()) is not None:
+        now = Observer(function, threshold * kept, width, lapse, 0)
+        trials.take(level, source.random() < now.share(level))
+        kept *= 1.0 - fall
+    return "the observer learns" in trials.estimate().note
+
+
+@pytest.mark.check("a hundred and eighty tracks of drawn observers")
+def test_an_observer_whose_threshold_does_not_fall_is_seldom_said_to_learn_by_any_method() -> None:
+    methods = made_observers.METHODS.values()
+    named = [named_as_learning(settings, number, 0.0) for number in range(30) for settings in methods]
+    # 5 % of 180
+    assert sum(named) <= 9
+
+
+@pytest.mark.check("tracks of observers who learn, of 40 and 80 trials")
+@pytest.mark.parametrize(("trials", "fall", "least"), [(40, 0.02, 5), (80, 0.02, 15)])
+def test_an_observer_whose_threshold_falls_is_named_the_oftener_the_longer_the_track(
+    trials: int, fall: float, least: int
+) -> None:
+    settings = {**made_observers.METHODS["QUEST+ 40"], "trials": trials}
+    # 8 and 21 of 30
+    assert sum(named_as_learning(settings, number, fall) for number in range(30)) >= least
+
+
 _FIT_BITS = """
 from made_observers import METHODS
 from observer import Observer

@@ -251,7 +251,7 @@ class SlaveState(NamedTuple):
 @compiled
 def nothing_seen() -> Seen:
     """Return what is known before the first contact."""
-    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0))
+    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0, 0.0))
 
 
 @compiled
@@ -266,6 +266,36 @@ def potential(contact: Contact, y_m: float) -> float:
     """Return the work that it took to bring the hand there from outside [J], at least -F_a^2 / 2 K."""
     force, pull = contact.stiffness_n_per_m * (y_m - contact.zero_m), contact.pull_n
     return 0.5 * (force * force - pull * pull) / contact.stiffness_n_per_m if force > -pull else 0.0
+
+
+@compiled
+def restarted(drift: Drift, place: float, force: float) -> Drift:
+    """Return what is known of the drift, where the next contact begins at this pair."""
+    return Drift(
+        slow_place=place,
+        slow_force=force,
+        speed=drift.speed,
+        square=drift.square,
+        recent=drift.recent,
+        slow_square=drift.slow_square,
+        known_s=drift.known_s,
+        gone=drift.gone,
+    )
+
+
+@compiled
+def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
+    """Return the drift in other units, in which places and forces are so many times greater."""
+    return Drift(
+        slow_place=longer * drift.slow_place,
+        slow_force=stronger * drift.slow_force,
+        speed=longer * drift.speed,
+        square=longer * longer * drift.square,
+        recent=longer * drift.recent,
+        slow_square=longer * longer * drift.slow_square,
+        known_s=drift.known_s,
+        gone=longer * drift.gone,
+    )
 
 
 @compiled
@@ -297,11 +327,11 @@ def taught(
             seen.square_m2,
             seen.product_n_m,
             seen.pull_n,
-            Drift(measured_m, -seen.pull_n, drift.speed, drift.square, drift.gone),
+            restarted(drift, measured_m, -seen.pull_n),
         )
     if not seen.known:
         pull_n = max(-force_n, 0.0)
-        here = no_drift(measured_m, force_n)
+        here = no_drift(measured_m, force_n, _FASTEST_DRIFT_M_PER_S / params.mass.position_scale)
         return Seen(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, here)
     way = abs(position_m - seen.last_m) / params.memory_m
     gain = way / (1.0 + way)
@@ -617,13 +647,7 @@ def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState)
         square_m2=longer * longer * seen.square_m2,
         product_n_m=longer * stronger * seen.product_n_m,
         pull_n=stronger * seen.pull_n,
-        drift=Drift(
-            slow_place=longer * seen.drift.slow_place,
-            slow_force=stronger * seen.drift.slow_force,
-            speed=longer * seen.drift.speed,
-            square=longer * longer * seen.drift.square,
-            gone=longer * seen.drift.gone,
-        ),
+        drift=rescaled_drift(seen.drift, longer, stronger),
     )
     mass = rescaled(old.mass, new.mass, state.mass)
     scaled = Contact(contact.stiffness_n_per_m * stronger / longer, longer * contact.zero_m, stronger * contact.pull_n)

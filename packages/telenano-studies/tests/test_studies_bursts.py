@@ -114,3 +114,30 @@ def test_a_hand_below_26_hz_gets_no_energy_from_the_device_and_one_above_does(la
     for frequency_hz in (40.0, 60.0):
         found_j = hand_at_hz(law, frequency_hz)
         assert found_j > LEAST_J if law == "wave" else -1e-3 < found_j < -1e-4
+
+
+def swung(environment: str, arm: str, stiffness: float, round_trip_ms: float, size_n: float, rate_hz: float) -> float:
+    """Return the least energy [J] that an arm which swings by size_n has put in, over a line that loses."""
+    cell = Cell(
+        law="model_mediated",
+        environment=environment,
+        hand=arm,
+        round_trip_ms=round_trip_ms,
+        stiffness_n_per_m=stiffness,
+        loss=0.25,
+    )
+    sine = [
+        (0.5 + n / (32.0 * rate_hz), size_n * math.sin(math.pi * n / 16.0)) for n in range(1, round(160.0 * rate_hz))
+    ]
+    course = course_of(cell, [(0.0, 0.0), (0.5, 0.0), *sine], 6.0)
+    return float(energies_of(course, scales_of(cell.controller())).stored_j.min())
+
+
+@pytest.mark.check("arms over lossy lines")
+def test_an_arm_that_pulls_makes_energy_on_what_holds_the_tip_and_none_on_a_wall() -> None:
+    """The guard of model_mediated limits how hard the tip presses and not how hard it pulls (docs/laws.md)."""
+    draws = [("soft", 40.0, 57.0, 2.1, 0.6), ("soft", 110.0, 56.0, 2.3, 0.7), ("ordinary", 56.0, 198.0, 1.3, 0.3)]
+    on_wall = [swung("wall", *draw) for draw in draws]
+    on_spring = [swung("spring", *draw) for draw in draws]
+    assert min(on_wall) > -4e-4
+    assert min(on_spring) < -4e-4

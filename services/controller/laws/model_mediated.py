@@ -183,15 +183,15 @@ class MasterState(NamedTuple):
 @compiled
 def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
     return MasterState(
-        mass=mass,
-        fit=unknown(params.fit),
-        model=Surface(0.0, params.fit.kappa, 0.0),
-        rendered=False,
-        store_j=0.0,
-        injected_j=0.0,
-        dissipated_j=0.0,
-        drift=no_drift(0.0, 0.0),
-        since_s=0.0,
+        mass,
+        unknown(params.fit),
+        Surface(0.0, params.fit.kappa, 0.0),
+        False,
+        0.0,
+        0.0,
+        0.0,
+        no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
+        0.0,
     )
 
 
@@ -215,9 +215,11 @@ def master_send(
     p, mass = params.mass, state.mass
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
-    active = hand.following and mass.coupled
     return state, port_signal(
-        position_m=tip_reference(p, mass), velocity_m_per_s=velocity, force_n=force, active=active
+        position_m=tip_reference(p, mass),
+        velocity_m_per_s=velocity,
+        force_n=force,
+        active=hand.following and mass.coupled,
     )
 
 
@@ -229,7 +231,7 @@ def learnt(
     place, force = signal.position_m / NANO, signal.force_n / NANO
     if signal.in_contact:
         if not fit.known:
-            return met(params.fit, place, force), no_drift(place, force)
+            return met(params.fit, place, force), no_drift(place, force, _FASTEST_NM_PER_S)
         r = root_of(place - drift.gone - fit.surface.contact_nm, fit.surface.kappa / params.fit.cantilever)
         slope = max(-gradient(fit.surface, params.fit.cantilever, r)[0], _LEAST_SLOPE)
         known = fit.surface.kappa * r * r * r - fit.surface.adhesion_nn
@@ -298,17 +300,9 @@ def master_receive(
         mass = let_go(p, mass, hand, signal)
         if fit.known and is_retracted(p, signal):
             # After arming anew the tip may meet another surface.
-            fit, drift = unknown(params.fit), no_drift(0.0, 0.0)
+            fit, drift = unknown(params.fit), no_drift(0.0, 0.0, _FASTEST_NM_PER_S)
         state = MasterState(
-            mass=mass,
-            fit=fit,
-            model=_now(fit, drift),
-            rendered=fit.known,
-            store_j=0.0,
-            injected_j=state.injected_j,
-            dissipated_j=state.dissipated_j,
-            drift=drift,
-            since_s=since_s,
+            mass, fit, _now(fit, drift), fit.known, 0.0, state.injected_j, state.dissipated_j, drift, since_s
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     goal = _now(fit, drift)
@@ -340,17 +334,7 @@ def master_receive(
         taken = params.damping_n_s_per_m * moved_m * moved_m / p.period_s
         store = min(store + taken, params.cap_j)
         dissipated += taken
-    state = MasterState(
-        mass=mass,
-        fit=fit,
-        model=model,
-        rendered=rendered,
-        store_j=store,
-        injected_j=injected,
-        dissipated_j=dissipated,
-        drift=drift,
-        since_s=since_s,
-    )
+    state = MasterState(mass, fit, model, rendered, store, injected, dissipated, drift, since_s)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -377,18 +361,16 @@ def slave_receive(
 @compiled
 def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes."""
-    mass = rescaled(old.mass, new.mass, state.mass)
-    store = min(state.store_j, new.cap_j)
     return MasterState(
-        mass=mass,
-        fit=state.fit,
-        model=state.model,
-        rendered=state.rendered,
-        store_j=store,
-        injected_j=state.injected_j,
-        dissipated_j=state.dissipated_j,
-        drift=state.drift,
-        since_s=state.since_s,
+        rescaled(old.mass, new.mass, state.mass),
+        state.fit,
+        state.model,
+        state.rendered,
+        min(state.store_j, new.cap_j),
+        state.injected_j,
+        state.dissipated_j,
+        state.drift,
+        state.since_s,
     )
 
 

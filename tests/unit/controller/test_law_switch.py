@@ -7,6 +7,7 @@ import pytest
 
 from proto.errors import RefusedError
 from proto.sequence import Arrival
+from services.controller.config import LAWS as INSTALLED
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
@@ -332,7 +333,7 @@ def test_a_setting_changes_in_a_held_contact_without_a_step_at_either_half(
 @pytest.mark.parametrize(
     ("law", "key"),
     [
-        *((law, scale) for law in LAWS for scale in ("position_scale", "force_scale")),
+        *((law, scale) for law in INSTALLED for scale in ("position_scale", "force_scale")),
         ("wave", "impedance_n_s_per_m"),
         ("model_mediated", "cantilever_stiffness_n_per_m"),
     ],

@@ -78,8 +78,7 @@ def test_surface_is_learnt_and_held(run_loop: Any, delay: int) -> None:
     model = run.masters[-1].model
     reach = np.linspace(6.45, 6.9, 8)
     for x in reach:
-        # While the hand swings, a part of the curve is taken for a drift of some 0.04 nm/s, less than its own error.
-        assert force_nn(model, K, RANGE, x) == pytest.approx(force_nn(truth, K, RANGE, x), rel=0.02, abs=2.5)
+        assert force_nn(model, K, RANGE, x) == pytest.approx(force_nn(truth, K, RANGE, x), rel=0.02, abs=0.1)
     # the hand feels what the tip will, a delay later
     shown, felt = run.shown_n[8000 : 12_000 - 2 * delay], 1e8 * run.force_n[8000 + delay : 12_000 - delay]
     assert np.abs(shown - felt).max() < 0.06

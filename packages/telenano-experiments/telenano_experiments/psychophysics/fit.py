@@ -171,20 +171,40 @@ def _little(level: float, low: float | None, high: float | None) -> str:
 
 
 def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[float, float, float]) -> str:
-    """Say that answers get better along a track, by the score of a trend beside the function that was fitted.
+    """Say that answers get better along a track, by the score of a threshold that falls evenly from trial to trial.
 
-    sum (y - p)(n - mean n) / sqrt(sum p (1 - p)(n - mean n)^2), for answers y at the shares p of trials n, is a
-    standard normal number for an observer who does not change, however the levels are chosen.
+    What the fitted threshold, width and lapse rate can take up of such a trend is taken out of it (J. Neyman's C(alpha)
+    test), so the score is a standard normal number for an observer who does not change, in many trials, however the
+    levels are chosen and though a staircase follows the one who learns.
     """
     if len(answers) < LEAST_TRIALS:
         return ""
     places = model.on_axis([level for level, _ in answers])
-    threshold, width, lapse = map(np.asarray, function)
-    shares = model.share(places, threshold, width, lapse)
-    right = np.array([correct for _, correct in answers], dtype=float)
-    order = np.arange(len(answers)) - 0.5 * (len(answers) - 1)
-    variance = float(total(shares * (1.0 - shares) * order * order))
-    score = float(total((right - shares) * order)) / math.sqrt(variance) if variance > 0.0 else 0.0
+
+    def shares(of: tuple[float, float, float]) -> Numbers:
+        return np.clip(model.share(places, *map(np.asarray, of)), 1e-6, 1.0 - 1e-6)
+
+    threshold, width, lapse = function
+    step, fitted = 0.01 * width, shares(function)
+    deviation = np.sqrt(fitted * (1.0 - fitted))
+    right = (np.array([correct for _, correct in answers], dtype=float) - fitted) / deviation
+    by_threshold = (shares((threshold - step, width, lapse)) - shares((threshold + step, width, lapse))) / deviation
+    by_width = (shares((threshold, 1.01 * width, lapse)) - shares((threshold, 0.99 * width, lapse))) / deviation
+    by_lapse = (shares((threshold, width, lapse + 0.01)) - fitted) / deviation
+    trend = by_threshold * (np.arange(len(answers)) - 0.5 * (len(answers) - 1))
+    taken: list[Numbers] = []
+    for column in (by_threshold, by_width, by_lapse, trend):
+        size, rest = float(total(column * column)), column
+        for other in taken:
+            rest = rest - float(total(rest * other)) * other
+        left = float(total(rest * rest))
+        if left <= 1e-9 * size or size == 0.0:
+            # the column is none of its own: of the trend that means that nothing can be said
+            if column is trend:
+                return ""
+            continue
+        taken.append(rest / math.sqrt(left))
+    score = float(total(taken[-1] * right))
     if score < _LEARNS:
         return ""
     return (
