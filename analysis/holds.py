@@ -567,7 +567,8 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     first, last = np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist()
     # a hand trembles now more and now less
     quarters = [session.hand_n[i:j] for i, j in pairwise(np.linspace(first, last, 5).astype(int).tolist()) if j > i]
-    own_n = max((2.0 * math.sqrt(2.0) * rms(own - float(np.cumsum(own)[-1]) / len(own)) for own in quarters), default=0.0)
+    trembling = [rms(own - float(np.cumsum(own)[-1]) / len(own)) for own in quarters]
+    own_n = 2.0 * math.sqrt(2.0) * max(trembling, default=0.0)
     if verdict.peak_to_peak_n > STRUCK_FORCES * own_n:
         return verdict
     words = f"{verdict.reason}, and the hand trembles by {own_n:.2g} N: a hand that rests would decide"

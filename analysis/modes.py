@@ -318,7 +318,7 @@ def _refined(times: Series, values: Series, poles: list[tuple[float, float]], he
 
 
 def _amplitude(times: Series, values: Series, growth: float, turn: float) -> float:
-    """Return the amplitude in the middle of a part of the stretch that a swing of a pole has there, beside a constant."""
+    """Return the amplitude that a swing of a pole has in the middle of a part of the stretch, beside a constant."""
     cosine, sine, _ = _pair(times - 0.5 * float(times[0] + times[-1]), 0.0, max(turn, 1.0))
     swell = np.exp(growth * (times - 0.5 * float(times[0] + times[-1])))
     columns = [np.ones_like(times), swell * cosine, swell * sine]

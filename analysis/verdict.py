@@ -49,8 +49,8 @@ class Verdict(NamedTuple):
     """What becomes of a motion.
 
     growth_per_s: of the mode that decides [1/s], None where nothing moves; peak_to_peak_n: of the motion that decides,
-    at its end, without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict in words;
-    rest_from_s: from when on the force is at rest, None if it never is [s].
+    at its end, without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict in
+    words; rest_from_s: from when on the force is at rest, None if it never is [s].
     """
 
     kind: Kind
@@ -103,7 +103,8 @@ def judge(
             break
         fit = fitted(tail, period_s, floor)
         if _explains(fit, hand_force_n):
-            found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step, SMALL_SHARE * hand_force_n), float(time_s[-1]), tail, noise)
+            least = (small, 1.5 * step, SMALL_SHARE * hand_force_n)
+            found = _by_modes(fit, period_s * len(tail), least, float(time_s[-1]), tail, noise)
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
             # a part in which a swing of the whole turns less than twice shows no rest of it
@@ -113,7 +114,8 @@ def judge(
             return found
         if share == 1.0:
             lasts = -LEAST_CHANGE / (period_s * len(tail))
-            swings = [mode for mode in fit.modes if mode.end_n > small and mode.frequency_hz and mode.growth_per_s > lasts]
+            large = [mode for mode in fit.modes if mode.end_n > small and mode.frequency_hz]
+            swings = [mode for mode in large if mode.growth_per_s > lasts]
     if len(values) < _WINDOWS**2:
         words = f"{len(values)} samples were taken of a motion of {float(np.ptp(values)):.2g} N"
         return Verdict("cannot_say", None, float(np.ptp(values)), noise, f"{words}: a longer hold would decide")
@@ -137,8 +139,10 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
 def _by_modes(
     fit: Fit, length_s: float, least_n: tuple[float, float, float], end_s: float, values: Series, noise_n: float
 ) -> Verdict:
-    """Judge by the modes of a stretch [s] that they explain; least_n: what is small, what
-    rounding makes, and what is small without rounding [N]."""
+    """Judge by the modes of a stretch [s] that they explain.
+
+    least_n: what is small, what rounding makes, and what is small without rounding [N].
+    """
     small_n, rounded_n, unrounded_n = least_n
     growing: list[Mode] = []
     lasting: list[Mode] = []
@@ -176,14 +180,15 @@ def _by_modes(
             left.append(mode)
         elif cycles >= 2.0 and abs(change) + _stays_within(error, rounded_n / mode.end_n) < 2.0 * LEAST_CHANGE:
             # friction makes of one swing that dies out a swing that does, less one that stays
-            stays = mode.end_n > small_n and not all(b < a * math.exp(-LEAST_CHANGE) for a, b in pairwise(mode.thirds_n))
+            falls = all(after < before * math.exp(-LEAST_CHANGE) for before, after in pairwise(mode.thirds_n))
+            stays = mode.end_n > small_n and not falls
             (lasting if stays else unsure if mode.end_n > unrounded_n else left).append(mode)
         else:
             drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * small_n / SMALL_SHARE
             # a swing within a step of the read-out may grow or die out unseen
-            least_n = unrounded_n if cycles >= 2.0 else small_n
+            rest_n = unrounded_n if cycles >= 2.0 else small_n
             is_over = is_swing or change < -2.0 * ONE_SIDED_CHANGE
-            is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= least_n
+            is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= rest_n
             (left if is_small else unsure).append(mode)
     size = max((mode.end_n for mode in fit.modes), default=0.0)
     most_n = max((mode.end_n for mode in lasting), default=0.0)

@@ -287,7 +287,7 @@ def test_a_session_after_a_kill_of_the_hand_is_told_to_its_end_with_the_kill_and
 
 
 def test_every_hold_of_the_tip_and_every_time_that_the_hand_was_let_go_is_counted_and_named(tmp_path: Path) -> None:
-    """The network is away for 60 ms in a hold of 1 N, and the force swings from then on for as long as the hold lasts."""
+    """The network is away for 60 ms in a hold of 1 N, and the force swings from then on until the hold ends."""
     swings = lambda time_s: hand_force_n(time_s - 0.02) + (0.2 if 1.6 < time_s < 2.6 and time_s % 0.2 < 0.1 else 0.0)  # noqa: E731
     given: dict[str, Any] = {
         "tip_n": swings,
