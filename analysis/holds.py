@@ -530,7 +530,7 @@ def _judged_contact(
         return part, verdict
     if verdict.kind == "limit_cycle" and parts:
         # a stall is late at most twice, at the hand and at the tip
-        late_there = session.late_in(contacts[0].start_s, part.end_s)
+        late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
         overloaded = sum(one.who == "machine" for one in late_there) > 2
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
         agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"
@@ -556,7 +556,8 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
         if verdict.kind == "stable":
             return verdict
     verdict = judge(session.tip_s[own], tip_n, session.greatest_n, rest_n, session.step_n)
-    if verdict.kind == "stable" and not session.tip.in_contact[own][-1:].all() and session.tip.in_contact[own].any():
+    undecided = verdict.kind in ("stable", "cannot_say")
+    if undecided and not session.tip.in_contact[own][-1:].all() and session.tip.in_contact[own].any():
         # a tip that has just left the surface is not at rest there
         last = own.start + int(np.flatnonzero(session.tip.in_contact[own])[-1]) + 1
         if last - own.start > 7 * (own.stop - own.start) // 8:

@@ -331,3 +331,44 @@ def test_no_swing_is_found_in_a_hold_or_in_a_scan() -> None:
     tip_n = HAND_N + swing(1.5, 4.5, 0.0, 0.5) + swing(5.3, 9.0, 0.0, 3.0)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, programme=known)
     assert [(hold.verdict, hold.frequency_hz) for hold in holds] == [("limit_cycle", None)]
+
+
+@pytest.mark.parametrize("ramp_s", [0.02, 0.1, 0.2])
+def test_a_hold_ends_where_the_hand_begins_to_leave_its_force(ramp_s: float) -> None:
+    """The tip follows the hand; the first hundredth of the way off is the hand's motion and not the loop's."""
+    hand_n = np.interp(TIME_S, [0.0, 1.0, 1.5, 4.5, 4.5 + ramp_s], [0.0, 0.0, 1.0, 1.0, 0.0])
+    hold = judge_holds(TIME_S, hand_n, TIME_S, hand_n + swing(1.5, 4.5, -2.0, 0.3), instrument())[0]
+    assert (hold.start_s, hold.end_s) == (pytest.approx(1.5, abs=2e-3), pytest.approx(4.5, abs=2e-3))
+    assert (hold.verdict, "grows" in hold.reason) == ("stable", False), hold.reason
+
+
+@pytest.mark.parametrize("rate_per_s", [0.5, 0.8])
+def test_a_swing_that_left_the_surface_is_judged_from_when_it_did_for_the_last_time(rate_per_s: float) -> None:
+    """Lifting off bounds the swing to one side, so that its mean falls back while it dies out."""
+    since_s = np.maximum(TIME_S - 1.5, 0.0)
+    free_n = HAND_N * (1.0 + 1.6 * np.exp(-rate_per_s * since_s) * np.sin(90.0 * since_s))
+    touching = (free_n > 0.0) & (TIME_S > 1.0)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, np.maximum(free_n, 0.0), instrument(touching=touching))[0]
+    assert hold.verdict == "stable", hold.reason
+    assert f"dies out by {rate_per_s:.1f}"[:-1] in hold.reason
+
+
+@pytest.mark.parametrize("growth_per_s", [1.0, 2.0])
+def test_a_tip_that_has_just_left_the_surface_is_not_at_rest_there(growth_per_s: float) -> None:
+    off_n = 1.06 * np.exp(growth_per_s * (TIME_S - 4.4))
+    touching = (TIME_S > 1.0) & ((off_n < 1.0) | (TIME_S > 4.5))
+    tip_n = np.where(touching, HAND_N - np.where(TIME_S < 4.5, off_n, 0.0), 0.0)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, np.where(TIME_S > 1.5, tip_n, HAND_N), instrument(touching=touching))[0]
+    assert hold.verdict == "diverged", hold.reason
+    assert f"grows by {growth_per_s:.0f}/s" in hold.reason
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.3])
+def test_a_tip_that_follows_a_hand_which_trembles_more_and_more_does_not_grow(gain: float) -> None:
+    rng = np.random.default_rng(3)
+    tremor = 0.02 * np.exp(1.0 * (TIME_S - 4.5)) * np.sin(56.0 * TIME_S + np.cumsum(rng.normal(0.0, 0.05, len(TIME_S))))
+    hand_n = HAND_N + np.where((TIME_S > 1.5) & (TIME_S < 4.5), tremor, 0.0)
+    planned = Programme(planned=[(1.5, 4.5, 1.0)], transit_s=0.04)
+    late_n = np.interp(TIME_S - 0.013, TIME_S, gain * (hand_n - HAND_N))
+    holds = judge_holds(TIME_S, hand_n, TIME_S, HAND_N + late_n, instrument(), planned)
+    assert all(hold.verdict in ("stable", "cannot_say") for hold in holds), holds

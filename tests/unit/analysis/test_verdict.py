@@ -187,3 +187,25 @@ def test_a_motion_between_two_forces_is_at_rest_only_in_a_read_out_that_rounds_t
     assert judge(TIME_S, values, 1.0, step_n=0.0).kind == "limit_cycle"
     if size_n < 0.3:
         assert judge(TIME_S, values, 1.0, step_n=size_n).kind == "stable"
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.3])
+def test_friction_that_stops_a_motion_neither_keeps_it_up_nor_makes_it_grow(friction: float) -> None:
+    """Its envelope goes to nothing at once, which no exponential does: A e^(-t) less a constant."""
+    time_s = np.arange(3000) * 1e-3
+    envelope = np.maximum((1.0 + friction) * np.exp(-time_s) - friction, 0.0)
+    for motion in (envelope, envelope * np.cos(60.0 * time_s)):
+        found = judge(time_s, 1.0 + 0.5 * motion, 1.0)
+        assert found.kind in ("stable", "cannot_say"), found.reason
+
+
+@pytest.mark.parametrize("place", [0.0, 0.3, 0.47])
+def test_a_swing_within_a_step_of_the_read_out_is_not_called_rest(place: float) -> None:
+    """A step of 0.07 N, and a swing that grows from 0.02 N to 0.09 N from peak to peak, or goes on."""
+    time_s, step_n = np.arange(2000) * 1e-3, 0.07
+    for growth_per_s in (0.0, 0.75):
+        size_n = (0.04 if growth_per_s else 0.045) * np.exp(growth_per_s * (time_s - 2.0))
+        bare_n = 1.0 + place * step_n + size_n * np.sin(2.0 * np.pi * 15.0 * time_s)
+        found = judge(time_s, step_n * np.round(bare_n / step_n), 1.0, step_n=step_n)
+        if np.ptp(step_n * np.round(bare_n / step_n)):
+            assert (found.kind == "stable") <= (found.peak_to_peak_n <= 0.05), (place, growth_per_s, found)
