@@ -21,10 +21,21 @@ def test_no_course_of_a_part_is_said_to_do_what_it_does_not() -> None:
     assert not found["growing called stable"].such
 
 
+# courses outside of the corpus that were once said to do what they do not: by a kink where the hand lets go, friction
+# that stops, a step of a read-out, a hand that trembles more and more, a swing or a tip that leaves the surface
+ONCE_WRONG = (20045, 20233, 21120, 21229, 21644, 22154, 22731, 24237, 25435, 25622, 42085, 42531, 42801)
+
+
+@pytest.mark.parametrize("seed", ONCE_WRONG)
+def test_a_course_that_was_once_judged_wrongly_is_not_again(seed: int) -> None:
+    said = answer(judge_course, course(seed))
+    assert not confusion.false_alarm(said) and not confusion.missed_growth(said), said
+
+
 @pytest.mark.check("judges a thousand labelled courses")
 def test_few_courses_are_judged_wrongly() -> None:
     found = shares(range(1000))
     # of 343 that settle one is 0.3 %, and of 103 that grow one is 1 %
     assert len(found["settling called a cycle or growth"].such) <= 1
     assert len(found["growing called stable"].such) <= 1
-    assert found["cannot say"].value < 0.1
+    assert found["cannot say"].value < 0.09

@@ -156,7 +156,7 @@ def test_who_vanishes_loses_it_and_the_tip_is_withdrawn_if_it_was_pressed() -> N
     assert current(pressed, VANISHED_NS) == pressed
     gone = current(pressed, VANISHED_NS + 1)
     assert (gone.holder, gone.withdraw) == (None, True)
-    assert not withdrawn(gone, VANISHED_NS + 2).withdraw
+    assert not withdrawn(gone, VANISHED_NS + 2, gone.number).withdraw
     # who has it next decides for themselves
     assert not take(gone, SECOND, VANISHED_NS + 2).withdraw
     assert not current(ended(pressed, OWNER, 1), 2 * VANISHED_NS + 2).withdraw

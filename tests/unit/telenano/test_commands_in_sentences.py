@@ -23,6 +23,7 @@ ORIGINS = {
     "analysis/summary.py: name": PLAIN,
     "analysis/summary.py: word": PLAIN,
     "services/delay_node/models/traces.py: wanted": OWN,
+    "services/delay_node/profiles.py: shlex.quote(name)": QUOTED,
     "services/launcher/run.py: again": QUOTED,
     "services/launcher/run.py: names": QUOTED,
     "services/launcher/run.py: plan.out": NAMED,
