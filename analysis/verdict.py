@@ -104,7 +104,12 @@ def judge(
         fit = fitted(tail, period_s, floor)
         if _explains(fit, hand_force_n):
             least = (small, 1.5 * step, SMALL_SHARE * hand_force_n)
-            found = _by_modes(fit, period_s * len(tail), least, float(time_s[-1]), tail, noise)
+            ends_s = (period_s * len(tail), float(time_s[-1]))
+            found = _by_modes(fit, ends_s, least, tail, noise, fit.whole and share == 1.0)
+            if found.kind == "stable" and not fit.modes and (gone_n := _gone(tail)) > ERROR_SHARE * hand_force_n:
+                # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
+                words = f"{_ON_ITS_WAY}, {gone_n:.3g} N: a hold of {4.0 * ends_s[0]:.2g} s or more would decide"
+                found = found._replace(kind="cannot_say", reason=words)
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
             # a part in which a swing of the whole turns less than twice shows no rest of it
@@ -137,12 +142,19 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
 
 
 def _by_modes(
-    fit: Fit, length_s: float, least_n: tuple[float, float, float], end_s: float, values: Series, noise_n: float
+    fit: Fit,
+    stretch_s: tuple[float, float],
+    least_n: tuple[float, float, float],
+    values: Series,
+    noise_n: float,
+    all_explained: bool,
 ) -> Verdict:
     """Judge by the modes of a stretch [s] that they explain.
 
-    least_n: what is small, what rounding makes, and what is small without rounding [N].
+    stretch_s: its length and its end [s]; least_n: what is small, what rounding makes, and what is small without
+    rounding [N]; all_explained: whether the stretch is all that there is, and nothing is left of it but noise.
     """
+    length_s, end_s = stretch_s
     small_n, rounded_n, unrounded_n = least_n
     growing: list[Mode] = []
     lasting: list[Mode] = []
@@ -178,7 +190,10 @@ def _by_modes(
             (growing if is_seen else unsure if is_near else left).append(mode)
         elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
             left.append(mode)
-        elif cycles >= 2.0 and abs(change) + _stays_within(error, rounded_n / mode.end_n) < 2.0 * LEAST_CHANGE:
+        elif (
+            cycles >= 2.0
+            and abs(change) + _stays_within(error, rounded_n / mode.end_n, all_explained) < 2.0 * LEAST_CHANGE
+        ):
             # friction makes of one swing that dies out a swing that does, less one that stays
             falls = all(after < before * math.exp(-LEAST_CHANGE) for before, after in pairwise(mode.thirds_n))
             stays = mode.end_n > small_n and not falls
@@ -220,13 +235,13 @@ def _by_modes(
     return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
 
 
-def _stays_within(error: float, rounded: float) -> float:
-    """Return within what the change of a swing is that may go on: two of its errors, and what rounding hides of it.
+def _stays_within(error: float, rounded: float, all_explained: bool) -> float:
+    """Return within what the change of a swing is that may go on: its errors, and what rounding hides of it.
 
-    A swing that has died out by just what can be told is rare beside one that goes on; one that a read-out rounds stays
-    at a size of so many steps while it dies out.
+    A swing that has died out by just what can be told is rare beside one that goes on, so that two standard errors do
+    where all of the motion is explained; one that a read-out rounds stays at a size of some steps while it dies out.
     """
-    return error * 2.0 / SURE_ERRORS + rounded / 3.0
+    return error * (2.0 / SURE_ERRORS if all_explained else 1.0) + rounded / 3.0
 
 
 def _rises(fit: Fit, mode: Mode, change: float) -> bool:
@@ -313,6 +328,14 @@ def _sizes(values: Series, noise_n: float) -> list[float]:
     """Return how far the force goes in each of eight windows [N]."""
     edges = np.linspace(0, len(values), _WINDOWS + 1).astype(int)
     return [_moved(values[first:last], noise_n) for first, last in pairwise(edges)]
+
+
+def _gone(values: Series) -> float:
+    """Return how far the force goes [N] from eighth to eighth, if it goes farther in the later half; otherwise 0."""
+    part = max(1, len(values) // _WINDOWS)
+    middle = (len(values) - part) // 2
+    first, then, last = (float(np.cumsum(values[k : k + part])[-1]) / part for k in (0, middle, len(values) - part))
+    return abs(last - first) if (last - then) * (last - first) > 0.5 * (last - first) ** 2 else 0.0
 
 
 def _recurs(sizes: list[float], small_n: float) -> bool:
