@@ -183,15 +183,15 @@ class MasterState(NamedTuple):
 @compiled
 def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
     return MasterState(
-        mass,
-        unknown(params.fit),
-        Surface(0.0, params.fit.kappa, 0.0),
-        False,
-        0.0,
-        0.0,
-        0.0,
-        no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
-        0.0,
+        mass=mass,
+        fit=unknown(params.fit),
+        model=Surface(0.0, params.fit.kappa, 0.0),
+        rendered=False,
+        store_j=0.0,
+        injected_j=0.0,
+        dissipated_j=0.0,
+        drift=no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
+        since_s=0.0,
     )
 
 
@@ -302,7 +302,15 @@ def master_receive(
             # After arming anew the tip may meet another surface.
             fit, drift = unknown(params.fit), no_drift(0.0, 0.0, _FASTEST_NM_PER_S)
         state = MasterState(
-            mass, fit, _now(fit, drift), fit.known, 0.0, state.injected_j, state.dissipated_j, drift, since_s
+            mass=mass,
+            fit=fit,
+            model=_now(fit, drift),
+            rendered=fit.known,
+            store_j=0.0,
+            injected_j=state.injected_j,
+            dissipated_j=state.dissipated_j,
+            drift=drift,
+            since_s=since_s,
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     goal = _now(fit, drift)
@@ -334,7 +342,17 @@ def master_receive(
         taken = params.damping_n_s_per_m * moved_m * moved_m / p.period_s
         store = min(store + taken, params.cap_j)
         dissipated += taken
-    state = MasterState(mass, fit, model, rendered, store, injected, dissipated, drift, since_s)
+    state = MasterState(
+        mass=mass,
+        fit=fit,
+        model=model,
+        rendered=rendered,
+        store_j=store,
+        injected_j=injected,
+        dissipated_j=dissipated,
+        drift=drift,
+        since_s=since_s,
+    )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -362,15 +380,15 @@ def slave_receive(
 def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes."""
     return MasterState(
-        rescaled(old.mass, new.mass, state.mass),
-        state.fit,
-        state.model,
-        state.rendered,
-        min(state.store_j, new.cap_j),
-        state.injected_j,
-        state.dissipated_j,
-        state.drift,
-        state.since_s,
+        mass=rescaled(old.mass, new.mass, state.mass),
+        fit=state.fit,
+        model=state.model,
+        rendered=state.rendered,
+        store_j=min(state.store_j, new.cap_j),
+        injected_j=state.injected_j,
+        dissipated_j=state.dissipated_j,
+        drift=state.drift,
+        since_s=state.since_s,
     )
 
 
