@@ -71,7 +71,9 @@ def test_a_click_just_after_a_connection_never_arms_a_tip_alone(rig: Rig) -> Non
         with browser() as chromium:
             page, other = chromium.new_page(), chromium.new_page()
             other.goto(view.observer)
-            other.wait_for_function("window.telenano?.cockpit.commands.link === 'open'")
+            # a page whose policy allows no text as code is asked, and does not wait by itself
+            is_open = "window.telenano?.cockpit.commands.link === 'open'"
+            rig.wait_until(lambda: other.evaluate(is_open), "the page of the observer")
             page.goto(view.operator)
             for _ in range(CLICKS):
                 # Anybody who sees the tip may stop it, and the page is loaded while the stop is on its way.
