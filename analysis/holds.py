@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
-from analysis.modes import LEAST_SAMPLES, rms
+from analysis.modes import LEAST_SAMPLES, centred, rms
 from analysis.swings import Swing, swings_of
 from analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
@@ -546,29 +546,29 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     What moves less than STRUCK_FORCES times as far as the hand may be the answer of a loop that is stable.
     """
     own = session.at(part.start_s, part.end_s)
-    tip_n = _without_hand(session, part.start_s, part.end_s)
-    rest_n = session.rest_n(force_n)
-    landed = own.start + _landed(session.tip.in_contact[own])
-    if landed > own.start:
-        verdict = judge(
-            session.tip_s[landed : own.stop], tip_n[landed - own.start :], session.greatest_n, rest_n, session.step_n
-        )
-        if verdict.kind == "stable":
-            return verdict
-    verdict = judge(session.tip_s[own], tip_n, session.greatest_n, rest_n, session.step_n)
-    undecided = verdict.kind in ("stable", "cannot_say")
-    if undecided and not session.tip.in_contact[own][-1:].all() and session.tip.in_contact[own].any():
+    tip_s, tip_n, touches = (
+        session.tip_s[own],
+        _without_hand(session, part.start_s, part.end_s),
+        session.tip.in_contact[own],
+    )
+
+    def judged(samples: slice) -> Verdict:
+        return judge(tip_s[samples], tip_n[samples], session.greatest_n, session.rest_n(force_n), session.step_n)
+
+    landed = _landed(touches)
+    if landed and (after := judged(slice(landed, None))).kind == "stable":
+        return after
+    verdict = judged(slice(None))
+    left = int(np.flatnonzero(touches).max(initial=-1)) + 1
+    if verdict.kind in ("stable", "cannot_say") and 7 * len(touches) // 8 < left < len(touches):
         # a tip that has just left the surface is not at rest there
-        last = own.start + int(np.flatnonzero(session.tip.in_contact[own])[-1]) + 1
-        if last - own.start > 7 * (own.stop - own.start) // 8:
-            part_n = tip_n[: last - own.start]
-            verdict = judge(session.tip_s[own.start : last], part_n, session.greatest_n, rest_n, session.step_n)
+        verdict = judged(slice(left))
     if verdict.kind not in ("diverged", "limit_cycle"):
         return verdict
     first, last = np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist()
     # a hand trembles now more and now less
-    quarters = [session.hand_n[i:j] for i, j in pairwise(np.linspace(first, last, 5).astype(int).tolist()) if j > i]
-    trembling = [rms(own - float(np.cumsum(own)[-1]) / len(own)) for own in quarters]
+    quarters = pairwise(np.linspace(first, last, 5).astype(int).tolist())
+    trembling = [rms(centred(session.hand_n[i:j])) for i, j in quarters if j > i]
     own_n = 2.0 * math.sqrt(2.0) * max(trembling, default=0.0)
     if verdict.peak_to_peak_n > STRUCK_FORCES * own_n:
         return verdict
@@ -602,10 +602,9 @@ def _without_hand(session: _Session, start_s: float, end_s: float) -> Series:
     best, left = tip_n, float(np.ptp(tip_n)) ** 2 * len(tip_n)
     for share in np.linspace(0.0, 1.0, 11).tolist():
         trembling = np.interp(session.tip_s[part] - share * session.known.transit_s, session.hand_s, session.hand_n)
-        bare = trembling - float(np.cumsum(trembling)[-1]) / len(trembling)
-        centred = tip_n - float(np.cumsum(tip_n)[-1]) / len(tip_n)
-        gain = float(np.cumsum(bare * centred)[-1]) / max(float(np.cumsum(bare * bare)[-1]), 1e-300)
-        rest = centred - min(max(gain, 0.0), 1.5) * bare
+        bare, moved = centred(trembling), centred(tip_n)
+        gain = float(np.cumsum(bare * moved)[-1]) / max(float(np.cumsum(bare * bare)[-1]), 1e-300)
+        rest = moved - min(max(gain, 0.0), 1.5) * bare
         if (own := float(np.cumsum(rest * rest)[-1])) < left:
             best, left = tip_n - min(max(gain, 0.0), 1.5) * bare, own
     return best

@@ -82,6 +82,11 @@ def rms(values: Series) -> float:
     return math.sqrt(_total(values * values) / max(1, len(values)))
 
 
+def centred(values: Series) -> Series:
+    """Return a series without its mean, which is summed in the order of the samples; shape (n,), n >= 1."""
+    return values - _total(values) / len(values)
+
+
 def noise_floor(values: Series) -> float:
     """Return the standard deviation of white noise in a series that is otherwise smooth, in bursts or in lines.
 

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from analysis.modes import LEAST_SAMPLES, Fit, Mode, fitted, noise_floor, rms
+from analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, noise_floor, rms
 
 Series = npt.NDArray[np.float64]
 Kind = Literal["stable", "limit_cycle", "diverged", "contact_lost", "guarded", "no_data", "cannot_say"]
@@ -130,7 +130,7 @@ def judge(
 def _explains(fit: Fit, hand_force_n: float) -> bool:
     """Return whether modes leave of the whole motion, and of its last quarter, noise alone or a small share."""
     for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
-        moved = rms(fit.motion[part] - float(np.cumsum(fit.motion[part])[-1]) / len(fit.motion[part]))
+        moved = rms(centred(fit.motion[part]))
         noise = max(1.5 * fit.noise_n, ERROR_SHARE * hand_force_n if fit.whole else 0.0)
         seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + noise)
         if any(mode.end_n > seen_n for mode in fit.modes):
@@ -177,7 +177,7 @@ def _by_modes(
         # of a swing that is seen once the growth has to be as clear on either side
         least = LEAST_CHANGE if cycles >= 2.0 else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
         if change - error > least:
-            # what grows is seen over what is left, and in each part of the stretch more
+            # what grows is seen over what is left, and in each part of the stretch more, unless its fit leaves no doubt
             rises = not is_swing or change > 6.0 * error or _rises(fit, mode, change)
             # what has been seen for two swings is said to go on for a stretch more
             own = values[-max(2, math.ceil(len(values) * min(1.0, max(cycles, 1.0) / change))) :]
@@ -201,9 +201,9 @@ def _by_modes(
         else:
             drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * small_n / SMALL_SHARE
             # a swing within a step of the read-out may grow or die out unseen
-            rest_n = unrounded_n if cycles >= 2.0 else small_n
+            within_n = unrounded_n if cycles >= 2.0 else small_n
             is_over = is_swing or change < -2.0 * ONE_SIDED_CHANGE
-            is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= rest_n
+            is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= within_n
             (left if is_small else unsure).append(mode)
     size = max((mode.end_n for mode in fit.modes), default=0.0)
     most_n = max((mode.end_n for mode in lasting), default=0.0)

@@ -31,7 +31,7 @@ _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
 # A node looks at its deadline again after so many messages, so that a flood cannot hold a loop.
 _BATCH = 256
-# A message has two frames. Of one with more so many are read in a turn, and those of the first turn are refused.
+# A message has two frames. Of one with more, at most this number is read in a turn, and the first turn's are refused.
 _MOST_FRAMES = 1000
 # A reader expects more messages after so many.
 _FEW = 3
