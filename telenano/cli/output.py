@@ -3,13 +3,11 @@
 import contextlib
 import errno
 import json
-import linecache
 import os
 import re
 import shlex
 import shutil
 import sys
-import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -26,6 +24,7 @@ from services.runtime.untrusted.printable import printable
 from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.cli.tables import rows_table, summary_tables
+from telenano.cli.terminal import STREAMS
 
 _PIPE_COLUMNS = 140
 # This is what a person can do where a rig does not reach its rate.
@@ -80,18 +79,10 @@ def print_error(text: str, *, as_json: bool, **facts: Any) -> None:
 def system_error_text(error: OSError) -> str:
     """Return in words what the system refused."""
     reason = error.strerror or str(error)
-    if error.filename is not None:
-        return f"{error.filename}: {reason}"
-    if error.errno not in _WRITE_ERRORS:
-        return reason
-    # Files are written by the modules beneath; what prints is a library of terminals, a command, or a line that does.
-    writer, line = "", ""
-    for frame, number in traceback.walk_tb(error.__traceback__):
-        writer = str(frame.f_globals.get("__name__", ""))
-        line = linecache.getline(frame.f_code.co_filename, number, frame.f_globals)
-    prints = writer.partition(".")[0] in ("click", "rich", "typer") or writer.startswith("telenano.cli.")
-    prints = prints or bool(re.search(r"\bstdout\.|\bprint\((?!.*\bfile=)", line))
-    return f"{'standard output' if prints else 'a file'} cannot be written: {reason}"
+    # Standard output and standard error have their names in their errors (`telenano.cli.terminal`).
+    if error.filename in STREAMS.values() or (error.filename is None and error.errno in _WRITE_ERRORS):
+        return f"{error.filename or 'a file'} cannot be written: {reason}"
+    return reason if error.filename is None else f"{error.filename}: {reason}"
 
 
 def usage_text(error: Any) -> str:

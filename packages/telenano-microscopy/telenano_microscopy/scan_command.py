@@ -151,7 +151,8 @@ def _scan_live(
     if image.partial:
         document["partial"] = image.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted(said, image.partial)
+    # an image that has not begun does not know how many lines it is to have
+    _exit_if_interrupted(said, image.partial if count else "no lines")
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
 

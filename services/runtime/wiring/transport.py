@@ -9,7 +9,7 @@ in a thread that comes behind the loop, and the kernel limits how much that is.
 import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import zmq
 
@@ -49,9 +49,32 @@ _SECOND_THREAD, _SECOND_THREAD_NAME = 2, "ZMQbg/IO/1"
 _CHECK_NS = 400_000_000
 
 
-def open_context(*, serves_network: bool) -> "zmq.Context[zmq.Socket[bytes]]":
+class BusContext(zmq.Context["zmq.Socket[bytes]"]):
+    """A context whose end closes every socket of it, also one that an interruption kept from being closed by its owner.
+
+    The context of the library knows its sockets by weak references. Where the garbage collector ends the generator that
+    has the context, as in a process that exits, it has cleared them before, and the end waits for those sockets.
+    """
+
+    # The library takes an attribute that its class does not have for an option of ZeroMQ.
+    opened: "Sequence[zmq.Socket[bytes]]" = ()
+
+    def socket(self, *arguments: Any, **options: Any) -> "zmq.Socket[bytes]":
+        """Open a socket as the library does, and keep it until it is closed."""
+        self.opened = [socket for socket in self.opened if not socket.closed]
+        self.opened.append(super().socket(*arguments, **options))
+        return self.opened[-1]
+
+    def destroy(self, linger: int | None = None) -> None:
+        """Close every socket and end the context; each sends what it has left as long as its own LINGER permits."""
+        for socket in self.opened:
+            socket.close(linger)
+        super().destroy(linger)
+
+
+def open_context(*, serves_network: bool) -> BusContext:
     """Return a ZeroMQ context, with a thread of its own for endpoints that other machines can reach."""
-    return zmq.Context(io_threads=2 if serves_network else 1)
+    return BusContext(io_threads=2 if serves_network else 1)
 
 
 class EstopInlet(Subscriber):

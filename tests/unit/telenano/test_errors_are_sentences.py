@@ -178,6 +178,11 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
 
 _PRINTS = {
     "print('a row' * 9999)": "standard output",
+    "print('a row'); sys.stdout.flush()": "standard output",
+    "from rich.console import Console; Console().print('a row')": "standard output",
+    "from rich.console import Console; Console(file=open('/dev/full', 'w')).print('a row')": "a file",
+    "from telenano.cli.output import console; console().print('a row')": "standard output",
+    "import click; click.echo('a row')": "standard output",
     "sys.stdout.write('a row' * 9999)": "standard output",
     "print('a row' * 9999, file=open('/dev/full', 'w'))": "a file",
     "open('/dev/full', 'w').write('a row' * 9999)": "a file",
@@ -190,7 +195,8 @@ def test_what_a_package_prints_is_standard_output_and_what_it_writes_is_a_file(
     line: str, said: str, tmp_path: Path
 ) -> None:
     (tmp_path / "some_package.py").write_text(f"import sys\n\n\ndef run():\n    {line}\n")
-    code = "from telenano.cli import output\nimport some_package as some\nwith output.report_errors(False): some.run()"
+    code = "from telenano.cli import output, terminal\nterminal.install()\nimport some_package as some\n"
+    code += "with output.report_errors(False): some.run()"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     with FULL.open("w") as full:
         out = full if said == "standard output" else subprocess.DEVNULL
