@@ -59,6 +59,12 @@ FAULTS = {
     "garbage at every endpoint that is open to others": "refused and counted; no process ends, the loops keep 95 % of "
     "their rate, and an emergency stop comes through",
     "a frame of 1 GB announced": "that connection is closed, no memory is taken",
+    **{
+        f"{node}, an end of the link, stands still for {seconds} s": "hand let go, tip holds, then withdraws; nothing "
+        "that waited is obeyed, and nobody is started again"
+        for node in ("delay_node@master", "controller@slave")
+        for seconds in (30, 300)
+    },
     "the cable is pulled for 5 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the line becomes 1 Mbit/s in a session": "named with its queue; samples are left out until the queue is gone",

@@ -5,6 +5,7 @@ the link it has the delay of each message. All of it is endurance: the same in v
 whether the machine was busy, is in `tests/replay/test_virtual_stalls.py`.
 """
 
+import contextlib
 import math
 import os
 import signal
@@ -81,7 +82,11 @@ class Session:
         path = folder / "stalls.yaml"
         path.write_text(yaml.safe_dump(scenario))
         self.rig.start("--round-trip-ms", str(2.0 * link_ms), scenario=str(path), rate=())
-        self.rig.wait_until(self.rig.running, "a running session")
+        try:
+            self.rig.wait_until(self.rig.running, "a running session")
+        except BaseException:
+            self.rig.close()
+            raise
         time.sleep(1.0)
 
     def stall(self, node: str, duration_s: float, process_id: int | None = None) -> None:
@@ -194,8 +199,9 @@ def test_a_process_that_was_stopped_obeys_nothing_old(tmp_path: Path) -> None:
 def test_each_process_of_a_rig_with_a_page_stands_still_for_a_moment(tmp_path: Path) -> None:
     """The recorder and the page's server as well; what they keep back is no matter of hand and tip."""
     session = Session(tmp_path, "wave", 20.0)
-    view = View(session.rig.environment)
-    try:
+    with contextlib.ExitStack() as open_parts:
+        open_parts.callback(session.rig.close)
+        view = open_parts.enter_context(contextlib.closing(View(session.rig.environment)))
         # two swings of the hand that nothing disturbs
         time.sleep(2.0)
         for node in (*NODES, RECORDER, PAGE):
@@ -205,9 +211,6 @@ def test_each_process_of_a_rig_with_a_page_stands_still_for_a_moment(tmp_path: P
         with urllib.request.urlopen(view.observer, timeout=PATIENCE_S) as answer:
             assert answer.status == 200
         found = session.end()
-    finally:
-        view.close()
-        session.rig.close()
     check(found)
     record(
         "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms",

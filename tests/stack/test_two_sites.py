@@ -1,6 +1,8 @@
 """Two machines with a cable between them: the experiment, who is let in, and what happens when things go wrong."""
 
+import contextlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -215,6 +217,17 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoSites]:
         yield found
     finally:
         found.close()
+
+
+def process_of(site: Site, node: str) -> int:
+    """Give the process of a node of a site."""
+    name = f"services.{node.partition('@')[0]}"
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            words = entry.read_bytes().decode().split("\0")
+            if name in words and str(site.out / "scenario.yaml") in words:
+                return int(entry.parent.name)
+    raise AssertionError(f"{node} does not run")
 
 
 def take_up_again(rig: TwoSites) -> None:
@@ -502,6 +515,40 @@ def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, sec
         f"the cable is pulled for {seconds} s",
         f"hand off after {hand_s * 1e3:.0f} ms, tip held after {hold_s * 1e3:.0f} ms, withdrawn after "
         f"{gone_s * 1e3:.0f} ms; received again {back_s:.1f} s after the cable was back",
+    )
+
+
+@pytest.mark.parametrize("seconds", [30, pytest.param(300, marks=pytest.mark.endurance)])
+@pytest.mark.parametrize("node", ["delay_node@master", "controller@slave"])
+def test_an_end_of_the_link_that_stands_still_leaves_both_sides_safe_and_comes_back(
+    rig: TwoSites, node: str, seconds: int
+) -> None:
+    """A process that is stopped keeps its sockets and its keys: what waited in them meanwhile may not be obeyed."""
+    if rig.master.process is None:
+        rig.start("--duration", "1200")
+    take_up_again(rig)
+    site = rig.master if node.endswith("@master") else rig.slave
+    process_id = process_of(site, node)
+    fault = Fault(rig)
+    os.kill(process_id, signal.SIGSTOP)
+    time.sleep(seconds)
+    os.kill(process_id, signal.SIGCONT)
+    back_ns = time.time_ns()
+    rig.wait_until(lambda: first_received_s(rig, back_ns) is not None, "messages of the slave's site again")
+    back_s = first_received_s(rig, back_ns)
+    # No device goes on by what waited.
+    modes = {mode for at_s, mode in fault.changes(rig.slave, "afm/state") if at_s > 2.0}
+    take_up_again(rig)
+    hand_s, (hold_s, gone_s) = fault.hand_off_s(), fault.tip_s()
+    assert 0.0 <= hand_s < 1.0
+    assert 0.0 <= hold_s < 1.0
+    assert hold_s < gone_s < 2.0
+    assert modes <= {"retracted"}
+    assert process_of(site, node) == process_id
+    record(
+        f"{node}, an end of the link, stands still for {seconds} s",
+        f"hand off after {hand_s * 1e3:.0f} ms, tip held after {hold_s * 1e3:.0f} ms, withdrawn after "
+        f"{gone_s * 1e3:.0f} ms; received again {back_s:.1f} s after it went on, armed and both follow",
     )
 
 
