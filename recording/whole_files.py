@@ -28,6 +28,8 @@ LOCK_WAIT_S = 1.0
 _RETRY_S = 0.005
 # Windows has no such module, and no processes of a rig.
 fcntl = optional_module("fcntl")
+# There is no room, or none of it can be written.
+WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 # A temporary name is that of a process, so that its threads write one after the other.
 _one_thread = threading.Lock()
 _SUFFIX = ".part"
@@ -233,7 +235,7 @@ def _move_into(part: Path, path: Path) -> None:
 def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
     """Yield the temporary path of a result, after what killed processes have left of it was removed.
 
-    An OSError names `named` instead of the temporary path.
+    An OSError names `named` instead of the temporary path, and where there is no room for what is written as well.
     """
     if not replace and os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
@@ -246,7 +248,10 @@ def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
         yield part
     except OSError as error:
         beginning = str(part)
-        if isinstance(error.filename, str) and error.filename.startswith(beginning):
+        if error.filename is None and error.errno in WRITE_ERRORS:
+            # A write has no path in its error, as an opening has.
+            error.filename = str(named)
+        elif isinstance(error.filename, str) and error.filename.startswith(beginning):
             error.filename = f"{named}{error.filename.removeprefix(beginning)}"
         raise
     finally:

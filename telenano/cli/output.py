@@ -1,7 +1,6 @@
 """Output of commands: errors as sentences and exit codes, results as JSON or tables."""
 
 import contextlib
-import errno
 import json
 import os
 import re
@@ -19,7 +18,7 @@ from rich.segment import Segment
 from analysis.intervals import with_error
 from presets.plugins import known_problems
 from proto.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
-from recording.whole_files import new_folder
+from recording.whole_files import WRITE_ERRORS, new_folder
 from services.runtime.untrusted.printable import printable
 from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
@@ -29,7 +28,6 @@ from telenano.cli.terminal import STREAMS
 _PIPE_COLUMNS = 140
 # This is what a person can do where a rig does not reach its rate.
 NO_ROOM = "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
-_WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 @contextlib.contextmanager
@@ -80,7 +78,7 @@ def system_error_text(error: OSError) -> str:
     """Return in words what the system refused."""
     reason = error.strerror or str(error)
     # Standard output and standard error have their names in their errors (`telenano.cli.terminal`).
-    if error.filename in STREAMS.values() or (error.filename is None and error.errno in _WRITE_ERRORS):
+    if error.filename in STREAMS.values() or (error.filename is None and error.errno in WRITE_ERRORS):
         return f"{error.filename or 'a file'} cannot be written: {reason}"
     return reason if error.filename is None else f"{error.filename}: {reason}"
 

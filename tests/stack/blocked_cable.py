@@ -1,11 +1,12 @@
 """UDP blocked between two machines, both ways or one: what becomes of the tip, cell by cell, in network namespaces.
 
-    python tests/stack/blocked_cable.py blocked.jsonl [--pairs] [--cells N] [--only TEXT] [--show]
+    python tests/stack/blocked_cable.py blocked.jsonl [--pairs] [--cells N] [--only TEXT] [--times N] [--show]
 
 runs `fig12` at both sites over the cable of tun_cable.py once for each cell of the table that is not in the file yet,
 in an order drawn from a seed, so that a part of the table is a fair sample of it, and prints what is there by round
 trip and loss, with `--show` session by session. `--pairs` takes cells in which every two values that can meet, such as
-1 kHz and 2 % loss, meet at least twice. A session in which the cable itself was late is no measurement, is counted, and
+1 kHz and 2 % loss, meet at least twice. With `--times` each cell is run so often, each time
+with another seed of its losses. A session in which the cable itself was late is no measurement, is counted, and
 is run again the next time. It needs root.
 
 The tip may stand still for a deadline of 50 ms and a round trip, and a lost packet of TCP for a round trip more.
@@ -149,19 +150,19 @@ def main() -> int:
     parser.add_argument("--pairs", action="store_true", help="few cells in which every two values meet twice")
     parser.add_argument("--cells", type=int, default=1000, help="most sessions to run now")
     parser.add_argument("--only", default="", help="run cells whose name has this text")
+    parser.add_argument("--times", type=int, default=1, help="sessions of each cell")
     parser.add_argument("--show", action="store_true", help="run nothing, and show each session")
     given = parser.parse_args()
     if (reason := why_not()) and not given.show:
         sys.stderr.write(f"{reason}\n")
         return 1
     given.table.touch()
-    known = {Cell(**row["cell"]) for row in _good(given.table)}
-    wanted = [
-        cell for cell in (pairwise() if given.pairs else cells()) if cell not in known and given.only in cell.name
-    ]
-    for cell in [] if given.show else wanted[: given.cells]:
+    known = Counter(Cell(**row["cell"]) for row in _good(given.table))
+    chosen = [cell for cell in (pairwise() if given.pairs else cells()) if given.only in cell.name]
+    wanted = [(cell, seed) for cell in chosen for seed in range(known[cell] + 1, given.times + 1)]
+    for cell, seed in [] if given.show else wanted[: given.cells]:
         with tempfile.TemporaryDirectory() as folder:
-            row = run(cell, Path(folder))
+            row = run(cell, Path(folder), seed=seed)
         with given.table.open("a") as out:
             out.write(json.dumps(row) + "\n")
         sys.stderr.write(f"{cell.name}: {row['verdict']}, {row['tip']}, {row['distorted']}\n")

@@ -35,6 +35,8 @@ FAULTS = {
     "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
     "the recording is removed while it is written": "reported; the recording goes on in another file",
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
+    "the disk for an image, a curve or a recording of a running rig is full": "the command ends with 1 and names the "
+    "place; no image or curve is left half written, the tip is withdrawn, the rig goes on",
     "the folder of sockets is full while a page has the hand": "the page keeps it, others are refused with the path; "
     "the loop, `status` and an emergency stop go on",
     "a law of a package never returns": "its process is ended after 1.5 s of processor time, hand let go; restarted",

@@ -43,29 +43,43 @@ table ip filter {{
 
 
 class RoutedCable(Cable):
-    """Two sites, each behind a router of its own, and the machine of the relay between the routers."""
+    """Two sites, each behind a router of its own, and the machine of the relay between the routers.
 
-    def __init__(self, *, strict: bool = False) -> None:
+    `beside` is the cable of another rig, whose relay serves this one as well.
+    """
+
+    def __init__(self, *, strict: bool = False, beside: "RoutedCable | None" = None) -> None:
         token = secrets.token_hex(3)
-        self.names = {"master": f"tnm{token}", "slave": f"tns{token}", "relay": f"tnr{token}"}
+        self.number = 0 if beside is None else beside.number + 1
+        outside, self.relay = OUTSIDE, RELAY
+        if self.number:
+            # networks for measurements between machines (RFC 2544)
+            nets = {site: f"198.{18 + place}.{self.number}" for place, site in enumerate(OUTSIDE)}
+            outside, self.relay = ({site: f"{net}.{end}" for site, net in nets.items()} for end in (1, 2))
+        self.names = {"master": f"tnm{token}", "slave": f"tns{token}"}
         self.routers = {site: f"tn{site[0]}g{token}" for site in OUTSIDE}
-        for name in (*self.names.values(), *self.routers.values()):
+        # what goes with this cable
+        self.own = [*self.names.values(), *self.routers.values()]
+        if beside is None:
+            self.own.append(f"tnr{token}")
+        self.names["relay"] = self.own[-1] if beside is None else beside.names["relay"]
+        for name in self.own:
             _ip("netns", "add", name)
             _ip("-n", name, "link", "set", "lo", "up")
         self.ends = dict.fromkeys(OUTSIDE, "lan")
         for site, router in self.routers.items():
             _wire(self.names[site], "lan", router, "lan")
-            _wire(router, "wan", self.names["relay"], f"to_{site}")
+            _wire(router, "wan", self.names["relay"], f"to_{site}{self.number}")
             for name, device, address in (
                 (self.names[site], "lan", f"{INSIDE[site]}.2/24"),
                 (router, "lan", f"{INSIDE[site]}.1/24"),
-                (router, "wan", f"{OUTSIDE[site]}/24"),
-                (self.names["relay"], f"to_{site}", f"{RELAY[site]}/24"),
+                (router, "wan", f"{outside[site]}/24"),
+                (self.names["relay"], f"to_{site}{self.number}", f"{self.relay[site]}/24"),
             ):
                 _ip("-n", name, "addr", "add", address, "dev", device)
                 _ip("-n", name, "link", "set", device, "up")
             _ip("-n", self.names[site], "route", "add", "default", "via", f"{INSIDE[site]}.1")
-            _ip("-n", router, "route", "add", "default", "via", RELAY[site])
+            _ip("-n", router, "route", "add", "default", "via", self.relay[site])
             rules = _ROUTER.format(how=" fully-random" if strict else "")
             subprocess.run(["ip", "netns", "exec", router, "nft", "-f", "-"], input=rules, text=True, check=True)
         for name in (*self.routers.values(), self.names["relay"]):
@@ -74,8 +88,7 @@ class RoutedCable(Cable):
             )
 
     def close(self) -> None:
-        super().close()
-        for name in self.routers.values():
+        for name in self.own:
             subprocess.run(["ip", "netns", "del", name], capture_output=True)
 
 
@@ -84,20 +97,26 @@ def _wire(one: str, device: str, other: str, other_device: str) -> None:
 
 
 class RelayedSites(TwoSites):
-    """Both machines, and the relay, which lists their keys and knows nothing else."""
+    """Both machines, and the relay, which lists their keys and knows nothing else.
 
-    def __init__(self, folder: Path, *, strict: bool = False, **link: object) -> None:
-        super().__init__(folder, cable=RoutedCable(strict=strict), **link)
-        self.relay_keys = Keyring(folder / "keys-relay")
-        public = self.relay_keys.create("relay").public.decode()
+    `beside` is another rig, whose relay serves this one as well.
+    """
+
+    def __init__(
+        self, folder: Path, *, strict: bool = False, beside: "RelayedSites | None" = None, **link: object
+    ) -> None:
+        self.cable: RoutedCable
+        super().__init__(folder, cable=RoutedCable(strict=strict, beside=beside and beside.cable), **link)
+        self.relay_keys = beside.relay_keys if beside else Keyring(folder / "keys-relay")
+        self.relay_public = beside.relay_public if beside else self.relay_keys.create("relay").public.decode()
         for site in self.sites:
             document = yaml.safe_load(site.site_file.read_text())
             # The relay has an address on the side of each site here; elsewhere it has one.
-            document["relay"] = f"{RELAY[site.name]}:{PORT}"
+            document["relay"] = f"{self.cable.relay[site.name]}:{PORT}"
             site.site_file = folder / f"{site.name}.yaml"
             site.site_file.write_text(yaml.safe_dump(document))
-            site.keyring.allow("relay", public, ["relay"])
-            self.relay_keys.allow(f"lab_{site.name}", self.keys[site.name], ["relay"])
+            site.keyring.allow("relay", self.relay_public, ["relay"])
+            self.relay_keys.allow(f"lab_{site.name}_{self.cable.number}", self.keys[site.name], ["relay"])
         self.relay: subprocess.Popen[str] | None = None
         self.relay_log = folder / "relay.txt"
 

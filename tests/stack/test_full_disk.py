@@ -1,5 +1,6 @@
-"""A recording that is removed while it is written, and then a disk that fills up: a rig on a disk of two megabytes."""
+"""A recording that is removed, and disks that are full: that of a rig, and that of what a live command has measured."""
 
+import contextlib
 import os
 import re
 import subprocess
@@ -11,21 +12,25 @@ from ledger import record
 from stack_rig import Rig
 
 
+@contextlib.contextmanager
+def disk_of(folder: Path, size: str) -> Iterator[Path]:
+    """Yield a folder that is a small disk of its own."""
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("a disk of its own (tmpfs) cannot be mounted here: it needs root")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
 @pytest.fixture
 def small(tmp_path: Path) -> Iterator[Rig]:
     """Return a rig whose folder is on a small disk of its own."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("a disk of its own (tmpfs) cannot be mounted here: it needs root")
-    rig = Rig(tmp_path)
-    rig.out = disk / "out"
-    try:
+    with disk_of(tmp_path / "disk", "2m") as disk, contextlib.closing(Rig(tmp_path)) as rig:
+        rig.out = disk / "out"
         yield rig
-    finally:
-        rig.close()
-        subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
 def test_a_removed_recording_and_a_full_disk_are_reported_and_what_was_recorded_is_summarised(small: Rig) -> None:
@@ -73,3 +78,32 @@ def test_a_removed_recording_and_a_full_disk_are_reported_and_what_was_recorded_
     record("the recorder is killed in a session", f"summary of both parts, {pause_s:.1f} s between them stated")
     record("the recording is removed while it is written", "reported; went on in session_2.mcap")
     record("the disk of the recording is full", "rig went on; reported; summary of what was recorded, exit code 1")
+
+
+# A command that takes something of a running rig, and where its results go.
+LIVE = {
+    "image": ("scan", "--live", "--json", "--pixels", "8", "--size", "20", "--lines", "2", "--out"),
+    "curve": ("curve", "--live", "--json", "--out"),
+    "recording.mcap": ("record", "--duration", "3", "--json", "--out"),
+}
+
+
+def test_live_commands_whose_results_have_no_room_name_the_place_and_leave_the_rig_as_it_was(rig: Rig) -> None:
+    rig.start(scenario="image")
+    rig.wait_until(rig.running, "the session")
+    with disk_of(rig.folder / "disk", "64k") as disk:
+        (disk / "filler").write_bytes(b"\0" * 65_536)
+        for name, words in LIVE.items():
+            done = rig.telenano(*words, str(disk / name), patience_s=120.0)
+            assert done.returncode == 1, (words, done.stdout, done.stderr)
+            assert str(disk / name) in done.stderr and "No space left on device" in done.stderr, done.stderr
+            assert "Traceback" not in done.stderr
+            # a recording keeps what there was room for
+            assert {path.name for path in disk.iterdir()} - {"recording.mcap"} == {"filler"}
+            rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "a program that is over")
+    rig.wait_until(lambda: rig.telenano("status", "--duration", "2").returncode == 0, "a rig without a problem")
+    record(
+        "the disk for an image, a curve or a recording of a running rig is full",
+        "each ended with 1 and named the place; no image or curve was left half written, the tip was withdrawn, the "
+        "rig went on",
+    )

@@ -17,6 +17,7 @@ import pytest
 import spec_client
 import zmq
 import zmq.auth.thread
+from telenano_conformance import examination
 from telenano_conformance.answers_of_client import AnswersOfClient
 from telenano_conformance.commands_of_client import LATCH, CommandsOfClient
 from telenano_conformance.examination import Keys, examine
@@ -566,6 +567,33 @@ def test_a_flood_ends_with_the_examination_and_is_named(kind: str, tmp_path: Pat
     # one second of reading, with what judges the rest
     assert spent_s < 3.0
     assert grown < 20e6
+
+
+def test_no_more_of_a_client_waits_than_the_mark_says(tmp_path: Path) -> None:
+    """ZeroMQ keeps what is not read yet in memory, with a mark of nought all of it."""
+    address = f"ipc://{tmp_path}/client"
+    with zmq.Context() as context:
+        client = context.socket(zmq.PUB)
+        client.set_hwm(0)
+        client.bind(address)
+        reader, monitor = examination._reader(context, address, None)
+        end_s = time.monotonic() + 30.0
+        while not reader.poll(10) and time.monotonic() < end_s:
+            client.send(b"first")
+        for _ in range(5 * examination._MOST_WAITING):
+            client.send(bytes(10_000))
+        # the time in which all of it would be handed over; what the client still has then goes with it
+        time.sleep(1.0)
+        client.close(linger=0)
+        waiting = 0
+        while reader.poll(200):
+            reader.recv()
+            waiting += 1
+        reader.disable_monitor()
+        for each in (reader, monitor):
+            each.close(linger=0)
+    # what the kernel keeps of the connection comes beside it
+    assert 0 < waiting < 1.5 * examination._MOST_WAITING
 
 
 def test_what_a_client_makes_up_fills_no_memory() -> None:

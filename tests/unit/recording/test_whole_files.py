@@ -1,10 +1,12 @@
 """Results under their name only when they are whole."""
 
+import errno
 import os
 import platform
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -116,6 +118,20 @@ def test_an_error_names_the_result_and_not_its_temporary_name(tmp_path: Path) ->
         (part / "c").write_text("")
     assert other.value.filename == str(tmp_path / "b" / "c")
     assert names(tmp_path) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("writing", [whole_file, whole_folder, whole_results])
+def test_a_write_that_has_no_room_names_the_result(writing: Any, tmp_path: Path) -> None:
+    """The system names what cannot be opened, and not what cannot be written."""
+    full = os.open("/dev/full", os.O_WRONLY)
+    with pytest.raises(OSError, match="No space left") as refused, writing(tmp_path / "result"):
+        os.write(full, b"x")
+    assert refused.value.filename == str(tmp_path / "result")
+    with pytest.raises(OSError, match="refused") as refused, writing(tmp_path / "result"):
+        raise ConnectionRefusedError(errno.ECONNREFUSED, "refused")
+    os.close(full)
+    assert refused.value.filename is None
 
 
 def test_a_device_is_written_to_and_not_replaced_and_a_link_is_followed(tmp_path: Path) -> None:
