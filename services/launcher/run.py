@@ -258,6 +258,18 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     return replace(outcome, recordings=(whole,))
 
 
+@contextlib.contextmanager
+def report_later(outcome: Outcome, plan: Plan) -> Iterator[None]:
+    """Let an interruption of what follows a session say how its report is made; RigError has it."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        if not (outcome.ran and outcome.recordings):
+            raise
+        again = f"telenano report {shlex.join(map(str, outcome.recordings))} --out {plan.out}"
+        raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
+
+
 def report_of(
     outcome: Outcome, plan: Plan, show: Callable[[str], None], options: FigureOptions = ON_SCREEN
 ) -> dict[str, Any] | None:
@@ -281,15 +293,13 @@ def report_of(
     from analysis.report import write_report
 
     try:
-        return write_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
+        with report_later(outcome, plan):
+            return write_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
     except RecordingError:
         # The failure of the rig is the cause, and is reported.
         if outcome.failure:
             return None
         raise
-    except KeyboardInterrupt as error:
-        again = f"telenano report {names} --out {plan.out}"
-        raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
 
 
 def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:

@@ -1,4 +1,4 @@
-"""The wall clock of a machine is set by an hour in mid-session: no node notices, because none asks it."""
+"""The wall clock of a machine is set by an hour or a second in mid-session: no node notices, because none asks it."""
 
 import re
 import time
@@ -29,7 +29,7 @@ def rigs() -> Iterator[list[VirtualRig]]:
         rig.close()
 
 
-@pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S])
+@pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S, 1.0, -1.0])
 def test_a_step_of_the_wall_clock_changes_no_message_of_a_session(
     step_s: float, rigs: list[VirtualRig], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,15 @@ from services.launcher.fan_out import fan_out
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.rigs import own_rig
-from services.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
+from services.launcher.run import (
+    Outcome,
+    default_folder,
+    report_later,
+    report_of,
+    reserved_folder,
+    run_rig,
+    with_far_recording,
+)
 from services.runtime.security.keyring import Keyring
 from services.runtime.settings.config import ALLOW_CODE_VARIABLE
 from services.signals import interrupts
@@ -113,12 +121,13 @@ def _run(
         view,
     ):
         outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors)
-    _restore_default_signals()
-    outcome = with_far_recording(outcome, plan, view.show)
-    try:
-        return outcome, report_of(outcome, plan, view.show, options), plan
-    except ReportError as error:
-        fail_with_summary(error, str(plan.out), as_json=as_json)
+    with report_later(outcome, plan):
+        _restore_default_signals()
+        outcome = with_far_recording(outcome, plan, view.show)
+        try:
+            return outcome, report_of(outcome, plan, view.show, options), plan
+        except ReportError as error:
+            fail_with_summary(error, str(plan.out), as_json=as_json)
 
 
 def _warn(request: UpRequest, plan: Plan) -> None:
