@@ -59,6 +59,17 @@ class Outcome:
     missing: tuple[str, ...] = ()
     bad_start: bool = False
 
+    @contextlib.contextmanager
+    def report_later(self, plan: Plan) -> Iterator[None]:
+        """Let an interruption of what follows a session say how its report is made; RigError has it."""
+        try:
+            yield
+        except KeyboardInterrupt as error:
+            if not (self.ran and self.recordings):
+                raise
+            again = f"telenano report {shlex.join(map(str, self.recordings))} --out {plan.out}"
+            raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
+
 
 def default_folder(scenario: str, now: datetime) -> Path:
     """Return the folder of a session that none was named for: scenario and local time."""
@@ -258,18 +269,6 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     return replace(outcome, recordings=(whole,))
 
 
-@contextlib.contextmanager
-def report_later(outcome: Outcome, plan: Plan) -> Iterator[None]:
-    """Let an interruption of what follows a session say how its report is made; RigError has it."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        if not (outcome.ran and outcome.recordings):
-            raise
-        again = f"telenano report {shlex.join(map(str, outcome.recordings))} --out {plan.out}"
-        raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
-
-
 def report_of(
     outcome: Outcome, plan: Plan, show: Callable[[str], None], options: FigureOptions = ON_SCREEN
 ) -> dict[str, Any] | None:
@@ -293,7 +292,7 @@ def report_of(
     from analysis.report import write_report
 
     try:
-        with report_later(outcome, plan):
+        with outcome.report_later(plan):
             return write_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
     except RecordingError:
         # The failure of the rig is the cause, and is reported.

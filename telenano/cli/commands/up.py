@@ -17,15 +17,7 @@ from services.launcher.fan_out import fan_out
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.rigs import own_rig
-from services.launcher.run import (
-    Outcome,
-    default_folder,
-    report_later,
-    report_of,
-    reserved_folder,
-    run_rig,
-    with_far_recording,
-)
+from services.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from services.runtime.security.keyring import Keyring
 from services.runtime.settings.config import ALLOW_CODE_VARIABLE
 from services.signals import interrupts
@@ -121,7 +113,7 @@ def _run(
         view,
     ):
         outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors)
-    with report_later(outcome, plan):
+    with outcome.report_later(plan):
         _restore_default_signals()
         outcome = with_far_recording(outcome, plan, view.show)
         try:

@@ -14,7 +14,7 @@ from recording.writer import RecordingWriter
 from services.launcher import run as up
 from services.launcher.external_recording import holds_command
 from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.run import Outcome, make_rig, outcome_of, report_later, report_of, run_rig
+from services.launcher.run import Outcome, make_rig, outcome_of, report_of, run_rig
 from services.launcher.session import SessionNode
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
@@ -180,7 +180,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
         report_of(ran, plan, reported.append)
     # before the report is begun, as by one signal of many, it is said as well
     for outcome, error in ((ran, RigError), (Outcome("", True, False, (), "", {}), KeyboardInterrupt)):
-        with pytest.raises(error), report_later(outcome, plan):
+        with pytest.raises(error), outcome.report_later(plan):
             raise KeyboardInterrupt
 
 
