@@ -93,7 +93,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
 
     from services.afm_node.config import AfmConfig
     from services.afm_node.programs.settings import requested
-    from telenano_assembly.virtual import VirtualInstrument
+    from telenano_microscopy.virtual_instrument import VirtualInstrument
 
     given = flag_overrides(overrides)
     lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}

@@ -8,7 +8,7 @@ from proto.instrument import MOST_TEXT
 from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.guarded import Step, line_fields, particle_fields
 from services.afm_node.programs.runner import Report
-from telenano_assembly.virtual import VirtualInstrument
+from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 NAME = "assembly.mcap"
 _INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"

@@ -23,7 +23,7 @@ from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places
 from telenano_assembly.plan import Point, Task, UnreachableError, planned, require_room
 from telenano_assembly.recording import AssemblyRecorder
-from telenano_assembly.virtual import VirtualInstrument
+from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 Array = npt.NDArray[np.float64]
 
