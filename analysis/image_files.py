@@ -66,7 +66,8 @@ def images_of_lines(image: "LiveImage", count: int) -> dict[str, Image]:
         ("lateral", "Lateral force", "N", image.trace_n[:count]),
         ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
     ):
-        if np.isfinite(values).all():
+        # A tip that taps is not held back along the line.
+        if np.isfinite(values).all() and not (name.startswith("lateral") and "amplitude" in images):
             images[name] = named(title, unit, values)
     return images
 

@@ -18,7 +18,6 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from proto.errors import ConfigError
-from services.afm_node.programs.program_settings import stated
 from services.runtime.settings.config import bounds_of
 from services.runtime.settings.option import Option
 from telenano.cli.completion import law_names, node_names, scenario_keys, scenario_names
@@ -203,27 +202,20 @@ def _parameter(option: ModelOption) -> inspect.Parameter:
 
 
 def _help(option: ModelOption) -> str:
-    """Return what a field is, its bounds and its defaults, in the unit of the option."""
-    about, simulated = stated(option.about)
+    """Return what a field is, its bounds and its default, in the unit of the option."""
+    about, default = option.about.description or "", option.about.default
     words = [about.replace(f"[{option.unit.si}]", f"[{option.unit.name}]").rstrip(".")]
     # many descriptions say the bounds themselves
     if (bounds := _bounds(option)) and bounds not in about:
         words.append(bounds)
-    bus = option.about.default
     if option.default is not None:
         words = [words[0].partition("; default:")[0], *words[1:], f"default: {option.default}"]
     elif option.own is not None:
         # text that is read has its default in the words of the option
-        default = option.own.written or ("" if option.own.read or not _is_shown(bus) else _written(option, bus))
-        words += [f"default: {default}"] if default else []
-    elif not _is_shown(bus):
-        pass
-    elif simulated == bus:
-        words.append(f"default: {_written(option, bus)}")
-    else:
-        each = simulated.items() if isinstance(simulated, Mapping) else [("", simulated)]
-        shown = ", ".join(_written(option, value) + (f" in {mode}" if mode else "") for mode, value in each)
-        words.append(f"default: {shown}; with --live {_written(option, bus)}")
+        shown = option.own.written or ("" if option.own.read or not _is_shown(default) else _written(option, default))
+        words += [f"default: {shown}"] if shown else []
+    elif _is_shown(default):
+        words.append(f"default: {_written(option, default)}")
     return "; ".join(words) + "."
 
 

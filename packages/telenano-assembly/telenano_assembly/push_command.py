@@ -90,10 +90,10 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
     from telenano_microscopy.particle_bench import DISTURBED, bench
+    from telenano_microscopy.virtual_instrument import VirtualInstrument
 
     from services.afm_node.config import AfmConfig
     from services.afm_node.programs.settings import requested
-    from telenano_assembly.virtual import VirtualInstrument
 
     given = flag_overrides(overrides)
     lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}

@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+from telenano_microscopy.virtual_instrument import VirtualInstrument
+
 from proto import TOPICS, encode
 from proto.instrument import MOST_TEXT
 from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.guarded import Step, line_fields, particle_fields
 from services.afm_node.programs.runner import Report
-from telenano_assembly.virtual import VirtualInstrument
 
 NAME = "assembly.mcap"
 _INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"

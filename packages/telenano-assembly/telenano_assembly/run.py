@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from proto.messages import Scalar
 from services.afm_node.config import AfmConfig
@@ -23,7 +24,6 @@ from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places
 from telenano_assembly.plan import Point, Task, UnreachableError, planned, require_room
 from telenano_assembly.recording import AssemblyRecorder
-from telenano_assembly.virtual import VirtualInstrument
 
 Array = npt.NDArray[np.float64]
 

@@ -88,7 +88,7 @@ def curve(
                 found = _live(site_file, CurveSettings(**given), given, finish, as_json=as_json)
             else:
                 with progress("curve", 2 * points, shown=not as_json) as show:
-                    s = CurveSettings.in_simulated_time(**given)
+                    s = CurveSettings(**given)
                     found = curves.force_curve(
                         config, s.start_m, s.load_n, points, s.speed_m_per_s,
                         dynamic=model is CurveModel.DYNAMIC, progress=show,

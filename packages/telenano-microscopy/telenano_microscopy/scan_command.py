@@ -22,7 +22,6 @@ from telenano.cli.sample_options import (
 )
 from telenano.extend.commands import (
     DEFAULT_SITE_FILE,
-    ConfigError,
     JsonOption,
     SiteFileOption,
     flag_overrides,
@@ -33,12 +32,9 @@ from telenano.extend.commands import (
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
     from proto.messages import Scalar
     from telenano.extend.images import Image
-    from telenano_microscopy.scan import ScanResult
+    from telenano_microscopy.simulated_image import SimulatedImage
 
 # fields of the model for which the command has options of its own
 _OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "--size", "depth_m": "--size"}
@@ -69,7 +65,7 @@ def scan(
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
     with report_errors(as_json):
-        mode = given.get("mode") or (ScanSettings() if live else ScanSettings.in_simulated_time()).mode
+        mode = given.get("mode") or ("contact" if live else "tapping")
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
         if live and size is not None:
@@ -81,19 +77,20 @@ def scan(
             refuse_foreign(foreign)
             _scan_live(out, site_file, ScanSettings(**given), given, as_json=as_json)
             return
-        if foreign_here := [option for option, field in (("--x", "x_m"), ("--y", "y_m")) if given.get(field)]:
-            raise ConfigError(f"{', '.join(foreign_here)}: only with --live: otherwise the whole sample is imaged")
-        import telenano_microscopy.scan as scans
         from services.afm_node.config import AfmConfig
         from telenano.extend.images import write_images
+        from telenano_microscopy.simulated_image import take_image
 
         sample = sample_config(name, size, channel, settings)
-        config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
-        request = ScanSettings.in_simulated_time(**given)
-        noise = scans.Noise(temperature, seed)
-        surface = sample.build()
+        model = "dynamic" if mode == "tapping" else "quasi_static"
+        keys_of_afm = [f"model={model}", f"disturbances.seed={seed}"]
+        if temperature:
+            keys_of_afm += ["disturbances.thermal.enabled=true", f"disturbances.thermal.temperature_k={temperature}"]
+        config = validate(AfmConfig, flag_overrides([*keys_of_afm, *(afm or ())]), "--afm")
+        config = config.model_copy(update={"sample": sample})
+        keys: dict[str, Scalar] = {"scan.mode": mode, **{f"scan.{key}": value for key, value in given.items()}}
         with interrupts.finishing() as finish, results_in(out) as folder:
-            with progress("lines", request.lines, shown=not as_json, counted=True) as show:
+            with progress("lines", given.get("lines", ScanSettings().lines), shown=not as_json, counted=True) as show:
 
                 def advanced(n: int, of: int) -> bool:
                     if n == of:
@@ -101,26 +98,24 @@ def scan(
                     show(n)
                     return True
 
-                result = scans.scan(surface, request, config, advanced, noise)
+                found = take_image(config, keys, advanced)
             finish()
-            said = _say_if_interrupted(result.partial)
-            files = write_images(folder, _images(result, mode), mode, sample=sample.name)
+            said = _say_if_interrupted(found.lines.partial)
+            files = write_images(folder, _images(found), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
-        "lines": len(result.trace),
-        "pixels": request.pixels,
-        "simulated_s": result.simulated_s,
-        "rms_error_m": result.rms_error_m,
-        "correlation": result.correlation,
-        "gain_per_s": result.gain_per_s,
-        "proportional": result.proportional,
+        "lines": found.lines.finished,
+        "pixels": given.get("pixels", ScanSettings().pixels),
+        "simulated_s": found.simulated_s,
+        "rms_error_m": found.rms_error_m,
+        "correlation": found.correlation,
         "files": [str(out / name) for name in files],
     }
-    if result.partial:
-        document["partial"] = result.partial
+    if found.lines.partial:
+        document["partial"] = found.lines.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted(said, result.partial)
+    _exit_if_interrupted(said, found.lines.partial)
 
 
 def _scan_live(
@@ -172,34 +167,15 @@ def _exit_if_interrupted(said: bool, partial: str) -> None:
         raise typer.Exit(interrupts.exit_code())
 
 
-def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
-    """Return the channels that the mode has, and what the tip sees of the sample."""
-    from telenano.extend.images import Image
-    from telenano_microscopy.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, LATERAL, PHASE
+def _images(found: "SimulatedImage") -> "dict[str, Image]":
+    """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
+    from telenano.extend.images import Image, images_of_lines
 
-    width, depth = result.width_m, result.depth_m
-
-    def image(title: str, unit: str, values: "npt.NDArray[np.float64]") -> Image:
-        return Image(title, unit, values, width, depth, result.partial)
-
-    trace, back = result.trace, result.retrace
-    height = result.height_m
-    # Both ways use one level, because their difference is the lag of the tip.
-    level_m = float(trace[:, :, HEIGHT].mean() - height.mean())
-    images = {
-        "height": image("Height", "m", height),
-        "retrace": image("Height retrace", "m", back[:, :, HEIGHT] - level_m),
-        "truth": image("Surface as the tip sees it", "m", result.truth_m),
-    }
-    if mode == "contact":
-        return images | {
-            "force": image("Force", "N", trace[:, :, FORCE]),
-            "lateral": image("Lateral force", "N", trace[:, :, LATERAL]),
-            "lateral_retrace": image("Lateral force retrace", "N", back[:, :, LATERAL]),
-        }
-    return images | {
-        "amplitude": image("Amplitude", "m", trace[:, :, AMPLITUDE]),
-        "phase": image("Phase", "rad", trace[:, :, PHASE]),
-        "dissipated": image("Dissipated energy in a period", "J", trace[:, :, DISSIPATED]),
-        "peak": image("Peak force", "N", trace[:, :, FORCE]),
-    }
+    lines, count = found.lines, found.lines.finished
+    images = images_of_lines(lines, count)
+    level_m, depth_m = float(found.truth_m[:count].mean()), lines.depth_m * count / len(lines.trace_m)
+    for name in ("height", "retrace"):
+        images[name] = images[name]._replace(values=images[name].values + level_m)
+    title = "Surface as the tip sees it"
+    images["truth"] = Image(title, "m", found.truth_m[:count], lines.width_m, depth_m, lines.partial)
+    return images

@@ -7,7 +7,7 @@ from pydantic import Field
 from proto.errors import RefusedError
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
-from services.afm_node.programs.program_settings import Force, ProgramSettings, Speed, by_rate
+from services.afm_node.programs.program_settings import Force, ProgramSettings, Speed
 
 # phases, in order
 RISE, DOWN, UP, DONE = range(4)
@@ -20,7 +20,7 @@ class CurveSettings(ProgramSettings):
         20e-9, ge=1e-12, le=1e-3, description="Way above the rest point at which it begins and ends [m]."
     )
     load_n: Force = Field(20e-9, description="Force at which it turns [N].")
-    speed_m_per_s: Speed = by_rate(50e-9, 200e-9, "Speed of the base [m/s].")
+    speed_m_per_s: Speed = Field(50e-9, description="Speed of the base [m/s].")
 
 
 class CurvePlan(NamedTuple):

@@ -1,4 +1,4 @@
-"""The feedback of an image, proportional and integral: one law on the bus and in simulated time, and its stability.
+"""The feedback of an image, proportional and integral, and its stability.
 
 The error e is a length [m], positive where the base is to go towards the sample: the amplitude of a tapping tip above
 its set-point, or the deflection in contact below its own. After each period T the base x goes to
@@ -25,7 +25,7 @@ A reading that has part of the last move is further from it. The amplitude of a 
 moves where attraction or a high Q bends its curve: of tips of 40 N/m and Q from 100 to 1000 the first that swung on had
 two thirds of these gains. So in tapping mode gains are refused that would be unstable when 1.5 times as great.
 
-A feedback that acts in every period of the drive meets another limit first: amplitude and phase answer together, as
+A feedback that acts as often as the drive meets another limit first: amplitude and phase answer together, as
 K / (s^2 + 2 s b + K) with b = pi f / Q and a K that the sample decides. With it s^3 + 2 b s^2 + K (1 + Kp) s + K Ki is
 stable (Routh), whatever K, for
 

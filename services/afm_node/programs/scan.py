@@ -1,11 +1,9 @@
-"""An image taken by the node: a raster of the stage and the feedback that holds force or amplitude, one step a period.
+"""An image taken by the instrument: a raster of the stage, and feedback that holds force or amplitude each period.
 
 The feedback (`feedback`) acts on the deflection that is missing to the set-point, or in tapping mode on the amplitude
 above its own. What the base does is the picture, height = -x_s, up to a constant. On a tip of stiffness k over a
 contact of stiffness c the loop closes k + c over c times as slowly as on a rigid sample. The amplitude follows within
 Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
-
-`ScanSettings` describes an image wherever it is taken: by the node, and in simulated time.
 """
 
 import math
@@ -32,7 +30,7 @@ from services.afm_node.programs.program import (
     Wanted,
     way_to_surface,
 )
-from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed, by_rate
+from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
 
 Array = npt.NDArray[np.float64]
 
@@ -45,33 +43,24 @@ GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
 class ScanSettings(ProgramSettings):
     """An image with a constant force, or with a constant amplitude of a vibrating tip."""
 
-    mode: Literal["contact", "tapping"] = by_rate(
+    mode: Literal["contact", "tapping"] = Field(
         "contact",
-        "tapping",
-        "contact: the force is held; tapping: the amplitude, on the bus with afm_node.model dynamic.",
+        description="contact: the force is held; tapping: the amplitude, which needs afm_node.model dynamic.",
     )
     width_m: Length | None = Field(None, description="Length of a line [m]; default: the whole sample.")
     depth_m: Length | None = Field(None, description="From the first line to the last [m]; default: the whole sample.")
     x_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
     y_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
-    pixels: int = by_rate(64, 128, "Pixels of a line.", ge=2, le=4096)
-    lines: int = by_rate(64, 128, "Lines of the image.", ge=1, le=4096)
-    dwell_s: float = by_rate(4e-3, 1e-3, "Time on each pixel, each way [s].", gt=0.0, le=10.0)
+    pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line.")
+    lines: int = Field(64, ge=1, le=4096, description="Lines of the image.")
+    dwell_s: float = Field(4e-3, gt=0.0, le=10.0, description="Time on each pixel, each way [s].")
     setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
     amplitude_m: float = Field(20e-9, ge=1e-12, le=1e-3, description="Amplitude without a sample, in tapping mode [m].")
     setpoint_share: float = Field(0.8, ge=0.05, lt=1.0, description="Share of that amplitude that is held.")
-    gain_per_s: float = by_rate(
-        400.0,
-        {"tapping": 5000.0, "contact": 12_500.0},
-        "Integral gain of the feedback [1/s].",
-        gt=0.0,
-        le=1e7,
-    )
-    proportional: float = by_rate(
-        0.0, {"tapping": 1.0, "contact": 0.0}, "Proportional gain of the feedback, no unit.", ge=0.0, le=100.0
-    )
-    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach on the bus [m/s].")
-    settle_s: float = by_rate(0.2, 0.03, "Time for the force to settle before the first line [s].", ge=0.0, le=60.0)
+    gain_per_s: float = Field(400.0, gt=0.0, le=1e7, description="Integral gain of the feedback [1/s].")
+    proportional: float = Field(0.0, ge=0.0, le=100.0, description="Proportional gain of the feedback, no unit.")
+    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
+    settle_s: float = Field(0.2, ge=0.0, le=60.0, description="Time for the force to settle before the first line [s].")
 
     @property
     def free_amplitude_m(self) -> float:

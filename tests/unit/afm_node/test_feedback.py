@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from telenano_microscopy.imaging import Feedback, regulated
 
 from services.afm_node.programs.feedback import (
     carried_out,
@@ -19,7 +18,7 @@ from services.afm_node.programs.feedback import (
 )
 
 NAMES = ("--gain", "--proportional")
-# no lag at all, that of Table 2 in a millisecond, a high Q, and one of simulated time: a period of the drive
+# no lag at all, that of Table 2 in a millisecond, a high Q, and that of a period of the drive
 LAGS = (None, 0.0, remaining(1e-3, 150e3, 100.0), remaining(1e-3, 150e3, 1000.0), remaining(1.0 / 150e3, 150e3, 100.0))
 
 
@@ -99,11 +98,12 @@ def test_an_impossible_gain_is_named_with_what_would_be_right(gain: float, propo
 
 def limited(proportional: float, surface: Callable[[int], float], steps: int) -> list[tuple[float, float]]:
     """Give base and error of a rigid sample followed at 2 nm a step within -50 and 50 nm."""
-    feedback = Feedback(0.0, 400.0, proportional, 2e-6, -50e-9, 50e-9)
     base = part = error = 0.0
     found = []
     for n in range(steps):
-        base, part = regulated(feedback, base, part, error, 1e-3)
+        wanted, part = feedback_step(base, part, error, 0.4, proportional)
+        held = min(max(wanted, base - 2e-9, -50e-9), base + 2e-9, 50e-9)
+        base, part = held, carried_out(part, wanted - held)
         error = surface(n) - base
         found.append((base, error))
     return found

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from telenano_assembly.virtual import VirtualInstrument
+from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig

