@@ -90,19 +90,29 @@ def test_bursts_into_a_half_whose_instrument_is_late_make_no_energy(
     assert force[1100:].mean() == pytest.approx(1.0, abs=0.08)
 
 
-@pytest.mark.parametrize(("law", "least_j"), [("passivity", -2.41e-3), ("model_mediated", -89e-3)])
-def test_beyond_the_limit_of_a_late_instrument_energy_comes_out_and_below_it_none(
-    tmp_path: Path, law: str, least_j: float
-) -> None:
+def stated_j(law: str, late: int, tip_j: Any) -> float:
+    """Return the most [J] that docs/laws.md says a law makes: what it was granted, and the steps not accounted for yet.
+
+    Those are one step and as many more as the instrument is periods late: the work that the tip did in any so many.
+    """
+    params = cell_of(law, 1.0).controller().params()
+    granted_j = (2.0 if law == "passivity" else 1.0) * params.start_j
+    return float(granted_j + (tip_j[late + 1 :] - tip_j[: -late - 1]).max())
+
+
+@pytest.mark.parametrize("law", ["passivity", "model_mediated"])
+def test_beyond_the_limit_of_a_late_instrument_energy_comes_out_and_below_it_none(tmp_path: Path, law: str) -> None:
     late, points = 4, ((0.02, 0.0), (0.2, 1.0))
     limit = cell_of(law, 1.0).controller().stiffness_limit_n_per_m(late)
     assert limit is not None
-    lowest = []
+    lowest, stated = [], []
     for stiffness in (0.9 * limit, 200.0):
         cell = cell_of(law, stiffness)
         course = course_of(tmp_path / f"{stiffness:g}", cell, points, 1.5, late_ns=late * PERIOD_NS)
-        lowest.append(float(energies_of(course, scales_of(cell.controller())).stored_j.min()))
+        energies = energies_of(course, scales_of(cell.controller()))
+        lowest.append(float(energies.stored_j.min()))
+        stated.append(stated_j(law, late, energies.tip_j))
         # the warning is about what happens, and only that
         assert (cell.controller().stiffness_doubts(stiffness, late * PERIOD_S) == "") is (stiffness < limit)
     assert lowest[0] > -1e-5
-    assert lowest[1] == pytest.approx(least_j, rel=0.05, abs=0.0)
+    assert -stated[1] < lowest[1] < -1e-5

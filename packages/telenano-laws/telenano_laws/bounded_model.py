@@ -77,6 +77,8 @@ Drift = drift.Drift
 drifted = drift.drifted
 error_of = drift.error_of
 no_drift = drift.no_drift
+rescaled_drift = drift.rescaled_drift
+restarted = drift.restarted
 _FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
 # the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
 _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
@@ -266,36 +268,6 @@ def potential(contact: Contact, y_m: float) -> float:
     """Return the work that it took to bring the hand there from outside [J], at least -F_a^2 / 2 K."""
     force, pull = contact.stiffness_n_per_m * (y_m - contact.zero_m), contact.pull_n
     return 0.5 * (force * force - pull * pull) / contact.stiffness_n_per_m if force > -pull else 0.0
-
-
-@compiled
-def restarted(drift: Drift, place: float, force: float) -> Drift:
-    """Return what is known of the drift, where the next contact begins at this pair."""
-    return Drift(
-        slow_place=place,
-        slow_force=force,
-        speed=drift.speed,
-        square=drift.square,
-        recent=drift.recent,
-        slow_square=drift.slow_square,
-        known_s=drift.known_s,
-        gone=drift.gone,
-    )
-
-
-@compiled
-def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
-    """Return the drift in other units, in which places and forces are so many times greater."""
-    return Drift(
-        slow_place=longer * drift.slow_place,
-        slow_force=stronger * drift.slow_force,
-        speed=longer * drift.speed,
-        square=longer * longer * drift.square,
-        recent=longer * drift.recent,
-        slow_square=longer * longer * drift.slow_square,
-        known_s=drift.known_s,
-        gone=longer * drift.gone,
-    )
 
 
 @compiled

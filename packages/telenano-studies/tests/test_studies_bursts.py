@@ -1,6 +1,7 @@
 """Bursts: signals that a link lets out together, in lockstep, are borne by every slave half that closes a loop."""
 
 import math
+import random
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from telenano_studies.loops.cells import (
     settle_ticks,
 )
 
+from services.controller.laws.model_mediated import ModelMediatedConfig
 from services.controller.laws.shared.virtual_mass import FOLLOWED_M
 from services.delay_node.config import parse_settings
 from studies.loops.link import Schedule, schedule_from
@@ -71,10 +73,10 @@ AT_LIMIT = {"wave": 175.0, "passivity": 315.0, "model_mediated": 157.0}
 def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     law: str, apart_us: int, stiffness: float | None, pause_ms: int
 ) -> None:
-    # `model_mediated` lets the hand go in a pause of more than 50 ms, and what the tip then does no hand has paid
+    # `model_mediated` lets the hand go in a pause of more than 50 ms, while the tip is still pressed
     least_j = {"wave": -8e-6, "passivity": LEAST_J, "model_mediated": -2e-4}
     if stiffness is None or stiffness > 100.0:
-        least_j = {"wave": -1.8e-5, "passivity": LEAST_J, "model_mediated": -6e-4}
+        least_j = {"wave": -1.8e-5, "passivity": LEAST_J, "model_mediated": -2e-4}
     stiffness = stiffness or AT_LIMIT[law]
     # as a node gets them that waits for them: at 80 N/m, 20 us apart, wave made -21 mJ and passivity -11 mJ, and
     # model_mediated -60 mJ after pauses of 240 ms
@@ -116,28 +118,37 @@ def test_a_hand_below_26_hz_gets_no_energy_from_the_device_and_one_above_does(la
         assert found_j > LEAST_J if law == "wave" else -1e-3 < found_j < -1e-4
 
 
-def swung(environment: str, arm: str, stiffness: float, round_trip_ms: float, size_n: float, rate_hz: float) -> float:
-    """Return the least energy [J] that an arm which swings by size_n has put in, over a line that loses."""
+def swung(seed: int) -> tuple[float, float]:
+    """Return the least energy [J] of a drawn arm on what holds the tip, and the most that the tip took unpaid [J]."""
+    draw = random.Random(f"{seed} pulls")
     cell = Cell(
         law="model_mediated",
-        environment=environment,
-        hand=arm,
-        round_trip_ms=round_trip_ms,
-        stiffness_n_per_m=stiffness,
-        loss=0.25,
+        environment="spring",
+        hand=draw.choice(("soft", "ordinary", "stiff")),
+        round_trip_ms=draw.uniform(0.0, 200.0),
+        stiffness_n_per_m=math.exp(draw.uniform(math.log(20.0), math.log(157.0))),
+        loss=draw.uniform(0.05, 0.4),
+        seed=seed,
     )
+    size_n, rate_hz = math.exp(draw.uniform(math.log(0.3), math.log(4.0))), math.exp(draw.uniform(-2.3, 0.7))
+    mean_n = draw.uniform(-1.0, 1.0) * size_n
     sine = [
-        (0.5 + n / (32.0 * rate_hz), size_n * math.sin(math.pi * n / 16.0)) for n in range(1, round(160.0 * rate_hz))
+        (0.5 + n / (32.0 * rate_hz), mean_n * min(n / 32.0, 1.0) + size_n * math.sin(math.pi * n / 16.0))
+        for n in range(1, round(200.0 * rate_hz))
     ]
-    course = course_of(cell, [(0.0, 0.0), (0.5, 0.0), *sine], 6.0)
-    return float(energies_of(course, scales_of(cell.controller())).stored_j.min())
+    course = course_of(cell, [(0.0, 0.0), (0.5, 0.0), *sine], 7.0)
+    energies = energies_of(course, scales_of(cell.controller()))
+    # the hand's work as the law counts it: the force of a sample acted over the way to it
+    worked_j = np.cumsum(course.hand_force_n[1:] * np.diff(course.hand_position_m))
+    unpaid = energies.tip_j[1:] - np.maximum.accumulate(np.maximum(worked_j, 0.0))
+    return float(energies.stored_j.min()), float(unpaid.max())
 
 
 @pytest.mark.check("arms over lossy lines")
-def test_an_arm_that_pulls_makes_energy_on_what_holds_the_tip_and_none_on_a_wall() -> None:
-    """The guard of model_mediated limits how hard the tip presses and not how hard it pulls (docs/laws.md)."""
-    draws = [("soft", 40.0, 57.0, 2.1, 0.6), ("soft", 110.0, 56.0, 2.3, 0.7), ("ordinary", 56.0, 198.0, 1.3, 0.3)]
-    on_wall = [swung("wall", *draw) for draw in draws]
-    on_spring = [swung("spring", *draw) for draw in draws]
-    assert min(on_wall) > -4e-4
-    assert min(on_spring) < -4e-4
+def test_an_arm_that_pulls_on_what_holds_the_tip_gets_no_more_than_is_stated() -> None:
+    """Before the tip paid for what it pulls, 12 of 24 arms made more than 0.4 mJ and one 823 mJ."""
+    found = [swung(seed) for seed in range(12)]
+    start_j = ModelMediatedConfig().start_energy_j
+    assert max(unpaid for _, unpaid in found) < start_j + 1e-6
+    # what the hand has taken back out of the model while the tip was still pressed is more than E_0 in some draws
+    assert min(least for least, _ in found) > -1e-3

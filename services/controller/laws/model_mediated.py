@@ -23,6 +23,14 @@ The slave follows the reference it receives, but presses no harder than the hand
 at most (F_g - F_s) / B_g with F_g = max(F_m, 0) + F_0, at the hand's scale, so a model that is wrong, or a surface
 that has moved, costs accuracy and not the tip. The guard is a damper to the environment; it is passive.
 
+The guard does not limit how hard the tip pulls, so the work of the tip is paid as well. The hand sends what it has
+worked at its device, A = sum F_m dx_m, and the tip takes no more than E_0 and A as it was heard last:
+
+    sum F_s dx_s <= E_0 + max A,   where F d + K d^2 / 2 is paid for a step d, with the stiffest K that the guard bears.
+
+The hand takes back of A no more than the master stores. So hand and tip together get at most E_0 and that, however the
+hand pulls and whatever holds the tip.
+
 What it does not promise: F_m = alpha_f F_s while the model is being learnt, and on a surface that changes faster than a
 round trip.
 """
@@ -31,6 +39,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
+from services.controller.energy import Port, opened, with_outflow
 from services.controller.law import (
     EnergyAccount,
     HandSample,
@@ -43,9 +52,7 @@ from services.controller.law import (
     the_hands_force,
 )
 from services.controller.laws.shared.drift import Drift, drifted, error_of, no_drift
-from services.controller.laws.shared.pass_through import SlaveState
 from services.controller.laws.shared.pass_through import slave_send as slave_send
-from services.controller.laws.shared.pass_through import slave_start as slave_start
 from services.controller.laws.shared.surface import (
     KAPPA_UNIT,
     NANO,
@@ -61,24 +68,31 @@ from services.controller.laws.shared.surface import (
     unknown,
 )
 from services.controller.laws.shared.virtual_mass import (
+    HandPort,
     Mass,
     MassConfig,
     MassParams,
     at_rest,
     followed,
+    has_arrived,
     is_coupled,
     is_retracted,
+    kept_near,
     let_go,
     moved,
+    paid_stretch,
     periods_in,
+    port_at,
     rescaled,
     resumed,
     stiffness_limit_n_per_m,
     tip_reference,
+    worked,
 )
 from services.controller.ranges import (
     ContactNPerM15,
     DampingNSPerM,
+    EnergyJ,
     EnergyOrNoneJ,
     ForceOrNoneN,
     ForceRateNPerS,
@@ -107,6 +121,9 @@ class ModelMediatedParams(NamedTuple):
     cap_j: float
     guard_n_s_per_m: float
     margin_n: float
+    stiffest_n_per_m: float
+    start_j: float
+    tip_cap_j: float
 
 
 class ModelMediatedConfig(MassConfig):
@@ -128,6 +145,12 @@ class ModelMediatedConfig(MassConfig):
     )
     energy_cap_j: EnergyOrNoneJ = Field(
         default=5e-3, description="Most energy kept from the damper for updates, at the hand's scale [J]"
+    )
+    start_energy_j: EnergyJ = Field(
+        default=2e-4, description="Energy that the tip may take at each arming before the hand has worked E_0 [J]"
+    )
+    tip_energy_cap_j: EnergyJ = Field(
+        default=5e-2, description="Most energy kept of the hand's work for the tip, at the hand's scale [J]"
     )
     guard_damping_n_s_per_m: DampingNSPerM = Field(
         default=30.0, description="Damper B_g of the slave's force guard, at the hand's scale [N s/m]"
@@ -154,6 +177,9 @@ class ModelMediatedConfig(MassConfig):
             cap_j=self.energy_cap_j,
             guard_n_s_per_m=self.guard_damping_n_s_per_m,
             margin_n=self.force_margin_n,
+            stiffest_n_per_m=2.0 * self.guard_damping_n_s_per_m / period_s,
+            start_j=min(self.start_energy_j, self.tip_energy_cap_j),
+            tip_cap_j=self.tip_energy_cap_j,
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
@@ -178,6 +204,21 @@ class MasterState(NamedTuple):
     dissipated_j: float
     drift: Drift
     since_s: float
+    port: HandPort
+
+
+class SlaveState(NamedTuple):
+    """The reference of the base [m], the tip's port, whose energy is what the tip may still take [J], and more.
+
+    received_j: the hand's work as it was heard of last; granted_j: what the tip was granted by all armings [J];
+    coupled: the base was led by the hand.
+    """
+
+    position_m: float
+    port: Port
+    received_j: float
+    granted_j: float
+    coupled: bool
 
 
 @compiled
@@ -192,6 +233,7 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
         dissipated_j=0.0,
         drift=no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
         since_s=0.0,
+        port=port_at(mass.position_m),
     )
 
 
@@ -211,7 +253,7 @@ def master_resume(params: ModelMediatedParams, hand: HandSample, tip_reference_m
 def master_send(
     params: ModelMediatedParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return the slave's reference and the hand's force, which the slave does not exceed."""
+    """Return the slave's reference, the hand's force, which the slave does not exceed, and what the hand has worked."""
     p, mass = params.mass, state.mass
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
@@ -219,6 +261,7 @@ def master_send(
         position_m=tip_reference(p, mass),
         velocity_m_per_s=velocity,
         force_n=force,
+        energy_j=state.port.credit_j,
         active=hand.following and mass.coupled,
     )
 
@@ -293,6 +336,7 @@ def master_receive(
     coupled = is_coupled(p, signal)
     mass, fit, model, rendered = state.mass, state.fit, state.model, state.rendered
     drift, since_s = state.drift, state.since_s + dt
+    port = worked(state.port, hand, hand.following and mass.coupled)
     if coupled and signal.silence_s < 0.5 * p.period_s:
         fit, drift = learnt(params, fit, drift, signal, since_s)
         since_s = 0.0
@@ -311,6 +355,7 @@ def master_receive(
             dissipated_j=state.dissipated_j,
             drift=drift,
             since_s=since_s,
+            port=port,
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     goal = _now(fit, drift)
@@ -336,7 +381,7 @@ def master_receive(
             injected += used
             force = model_nn * NANO * p.force_scale
         before = mass.position_m
-        mass = moved(p, mass, hand.force_n - force)
+        mass = kept_near(mass, moved(p, mass, hand.force_n - force), hand.position_m)
         # The mean velocity never overstates the energy that the damper dissipated.
         moved_m = mass.position_m - before
         taken = params.damping_n_s_per_m * moved_m * moved_m / p.period_s
@@ -352,28 +397,59 @@ def master_receive(
         dissipated_j=dissipated,
         drift=drift,
         since_s=since_s,
+        port=port,
     )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: ModelMediatedParams, tip: TipMeasurement) -> SlaveState:
+    """Start at the position of the base, with nothing granted until a hand is heard of."""
+    return SlaveState(tip.base_position_m, opened(0.0, 0.0), 0.0, 0.0, False)
+
+
+@compiled
+def _left(params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement) -> SlaveState:
+    """Take what the sample got since the last step from what the tip may still take, and add what the hand has worked.
+
+    A tip that has to be armed begins with E_0.
+    """
+    p = params.mass
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    left, granted, received = state.port.energy_j, state.granted_j, state.received_j
+    if state.coupled and tip.following:
+        left = with_outflow(state.port, here, force).energy_j
+    if signal.silence_s <= p.silence_limit_s:
+        left = min(left + signal.energy_j - received, params.tip_cap_j) if granted > 0.0 else 0.0
+        received = signal.energy_j
+        if granted == 0.0 or not (tip.following or tip.in_contact):
+            left, granted = params.start_j, granted + max(params.start_j - left, 0.0)
+    return SlaveState(state.position_m, Port(here, force, left), received, granted, state.coupled)
 
 
 @compiled
 def slave_receive(
     params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Follow the reference, towards the sample no faster than the force guard allows.
+    """Follow the reference, towards the sample no faster than the guard allows, and no further than the hand has paid.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
-    p = params.mass
-    if not tip.following:
-        return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
-    if not is_coupled(p, signal):
-        return state, SlaveReference(state.position_m, True)
-    allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - p.force_scale * tip.force_n
-    reach = allowed / params.guard_n_s_per_m * p.period_s
-    start = followed(p, state.position_m, tip)
-    base = start + min(signal.position_m - start, p.position_scale * reach)
-    return SlaveState(base), SlaveReference(base, True)
+    p, state = params.mass, _left(params, state, signal, tip)
+    base = state.position_m if tip.following else signal.position_m
+    coupled = is_coupled(p, signal) and tip.following
+    if coupled:
+        force, k = state.port.force_n, params.stiffest_n_per_m
+        allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - force
+        reach = allowed / params.guard_n_s_per_m * p.period_s
+        start = followed(p, state.position_m, tip)
+        base = start + min(signal.position_m - start, p.position_scale * reach)
+        way = (base - tip.base_position_m) / p.position_scale
+        paid, _ = paid_stretch(force / k, way, k, max(state.port.energy_j, 0.0))
+        # Back through the air is free, and the way to where an arming has sent the base is none of the law's.
+        if paid != way and (tip.in_contact or way > 0.0) and has_arrived(p, state.position_m, tip):
+            base = tip.base_position_m + p.position_scale * paid
+    return SlaveState(base, state.port, state.received_j, state.granted_j, coupled), SlaveReference(base, True)
 
 
 @compiled
@@ -389,7 +465,23 @@ def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterStat
         dissipated_j=state.dissipated_j,
         drift=state.drift,
         since_s=state.since_s,
+        port=state.port,
     )
+
+
+@compiled
+def slave_retune(old: ModelMediatedParams, new: ModelMediatedParams, state: SlaveState) -> SlaveState:
+    """Keep the tip's port, which is at the hand's scale, with no more to take than the new cap."""
+    place = state.port.position_m * old.mass.position_scale / new.mass.position_scale
+    force = state.port.force_n * new.mass.force_scale / old.mass.force_scale
+    port = Port(place, force, min(state.port.energy_j, new.tip_cap_j))
+    return SlaveState(state.position_m, port, state.received_j, state.granted_j, state.coupled)
+
+
+@compiled
+def slave_energy_account(params: ModelMediatedParams, state: SlaveState) -> EnergyAccount:
+    """Return what the tip may still take, and what it was granted."""
+    return EnergyAccount(max(state.port.energy_j, 0.0), 0.0, state.granted_j)
 
 
 @compiled
@@ -407,6 +499,7 @@ def sample_drift(params: ModelMediatedParams, state: MasterState) -> tuple[float
 MODEL_MEDIATED = law_of(
     __name__,
     ModelMediatedConfig,
+    uses_energy=True,
     local_loop=True,
     link_loop=False,
     must_know=("cantilever_stiffness_n_per_m",),

@@ -95,6 +95,7 @@ from services.controller.laws.shared.virtual_mass import (
     kept_near,
     let_go,
     moved,
+    paid_stretch,
     periods_in,
     placed,
     port_at,
@@ -446,22 +447,6 @@ def _standing(params: PassivityParams, position_m: float, tip: TipMeasurement, a
         account=account,
         coupled=False,
     )
-
-
-@compiled
-def paid_stretch(
-    stretch_m: float, motion_m: float, stiffness_n_per_m: float, remaining_j: float
-) -> tuple[float, float]:
-    """Limit a motion [m] of the coupling's end to the energy left; return it with the work [J] done on the channel.
-
-    The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
-    """
-    force, k = stiffness_n_per_m * stretch_m, stiffness_n_per_m
-    out = force * motion_m + 0.5 * k * motion_m * motion_m
-    if out <= remaining_j:
-        return motion_m, -out
-    root = math.sqrt(force * force + 2.0 * k * max(remaining_j, 0.0))
-    return (math.copysign(root, motion_m) - force) / k, -remaining_j
 
 
 @compiled

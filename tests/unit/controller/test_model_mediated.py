@@ -1,5 +1,6 @@
 """The model-mediated law: it learns the surface, changes it safely, and guards the tip."""
 
+import random
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from services.controller.laws.model_mediated import (
     master_send,
     master_start,
     retune,
+    slave_energy_account,
     slave_receive,
+    slave_retune,
     slave_start,
     updated,
 )
@@ -123,6 +126,77 @@ def test_guard_presses_no_harder_than_the_hand() -> None:
         moved = tip._replace(force_n=force, base_position_m=state.position_m)
         state, _ = slave_receive(PARAMS, state, signal, moved, T)
     assert force == pytest.approx(1e-8, rel=1e-6, abs=0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tip_never_takes_more_than_the_hand_has_worked(run_loop: Any, seed: int) -> None:
+    """A hand that pulled felt nothing of a spring, and the tip took the energy of it from nowhere."""
+    draw = random.Random(seed)
+    stiffness, delay, size = draw.uniform(5.0, 150.0), draw.randrange(10, 150), draw.uniform(0.5, 3.0)
+    mean, rate = draw.uniform(-1.0, 1.0) * size, draw.uniform(4e-3, 8e-3)
+    run = run_loop(
+        "model_mediated",
+        lambda n: mean + size * np.sin(rate * n),
+        lambda x: stiffness * x,
+        1600,
+        lambda n: delay,
+        lambda n: -1 if n % 5 == 0 else delay,
+    )
+    assert (run.left_j <= PARAMS.start_j + np.maximum.accumulate(run.entered_j) + 1e-9).all()
+
+
+def listening(tip: TipMeasurement, signal: Any) -> Any:
+    """Return the state of a slave half that has heard of the hand once."""
+    return slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, T)[0]
+
+
+def test_a_tip_with_nothing_left_stays_and_may_always_give_way() -> None:
+    pulled = TipMeasurement(-5e-9, -2e-8, 0.0, False, True, True, 0.0)
+    signal = NO_SIGNAL._replace(position_m=-6e-9, energy_j=3e-3, active=True, silence_s=0.0)
+    state = listening(pulled, signal)
+    assert slave_energy_account(PARAMS, state) == (PARAMS.start_j, 0.0, PARAMS.start_j)
+    spent = state._replace(port=state.port._replace(energy_j=-1e-4), position_m=-5e-9)
+    assert slave_receive(PARAMS, spent, signal, pulled, T)[1].position_m == -5e-9
+    assert slave_receive(PARAMS, spent, signal._replace(position_m=-4e-9), pulled, T)[1].position_m > -5e-9
+    in_air = pulled._replace(force_n=0.0, in_contact=False)
+    assert slave_receive(PARAMS, spent, signal, in_air, T)[1].position_m == pytest.approx(-6e-9, rel=1e-9, abs=0.0)
+    # what the hand works from now on is paid for, and what it takes back is taken back
+    paid = slave_receive(PARAMS, spent, signal._replace(energy_j=4e-3), pulled, T)[0]
+    assert paid.port.energy_j == pytest.approx(9e-4, rel=1e-9, abs=0.0)
+    assert (
+        slave_receive(PARAMS, spent, signal._replace(energy_j=2e-3), pulled, T)[0].port.energy_j < spent.port.energy_j
+    )
+
+
+def test_each_arming_grants_the_tip_what_it_lacks_and_no_more() -> None:
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, False, True, 0.0)
+    signal = NO_SIGNAL._replace(active=True, silence_s=0.0)
+    state = listening(tip, signal)
+    state = state._replace(port=state.port._replace(energy_j=0.25 * PARAMS.start_j))
+    for _ in range(3):
+        state, _ = slave_receive(PARAMS, state, signal, tip._replace(following=False), T)
+    assert state.port.energy_j == PARAMS.start_j
+    assert state.granted_j == pytest.approx(1.75 * PARAMS.start_j, rel=1e-9, abs=0.0)
+
+
+def test_other_scales_keep_the_port_of_the_tip_and_a_lower_cap_cuts_what_is_left() -> None:
+    tip = TipMeasurement(3e-9, 1e-8, 0.0, False, True, True, 0.0)
+    state = listening(tip, NO_SIGNAL._replace(active=True, silence_s=0.0))
+    new = ModelMediatedConfig(position_scale=3e-6, force_scale=5e7, tip_energy_cap_j=1e-4).to_params(T)
+    port = slave_retune(PARAMS, new, state).port
+    assert port.position_m == pytest.approx(1e-3, rel=1e-9, abs=0.0)
+    assert port.force_n == pytest.approx(0.5, rel=1e-9, abs=0.0)
+    assert port.energy_j == 1e-4
+
+
+def test_the_reference_stops_ahead_of_a_device_that_is_stuck() -> None:
+    state, hand = master_start(PARAMS, HandSample(0.0, 0.0, -2.0, True)), HandSample(0.0, 0.0, -2.0, True)
+    answer = NO_SIGNAL._replace(active=True, silence_s=0.0)
+    for _ in range(2000):
+        state, reference = master_receive(PARAMS, state, hand, answer, T)
+    assert reference.position_m == -2e-3
+    # and the hand has not worked at a device that stands
+    assert master_send(PARAMS, state, hand, T)[1].energy_j == 0.0
 
 
 def test_guard_takes_long_gaps_without_pressing_through() -> None:

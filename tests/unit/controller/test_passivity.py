@@ -18,12 +18,12 @@ from services.controller.laws.passivity import (
     master_send,
     master_start,
     paid_motion,
-    paid_stretch,
     retune,
     slave_receive,
     slave_send,
     slave_start,
 )
+from services.controller.laws.shared.virtual_mass import paid_stretch
 
 T = 1e-3
 PARAMS = PassivityConfig().to_params(T)

@@ -20,7 +20,6 @@ from services.controller.laws.passivity import (
     opened,
     opened_anew,
     paid_motion,
-    paid_stretch,
     received_anew,
     retune,
     shared_out,
@@ -29,7 +28,7 @@ from services.controller.laws.passivity import (
     slave_start,
     taken,
 )
-from services.controller.laws.shared.virtual_mass import HandPort, Mass, moved
+from services.controller.laws.shared.virtual_mass import HandPort, Mass, moved, paid_stretch
 
 T = 1e-3
 SHIPPED = PassivityConfig().to_params(T)

@@ -10,6 +10,7 @@ product whose passivity the laws are about. The discretisation is exact for forc
 exact energy.
 """
 
+import math
 from typing import Any, NamedTuple
 
 from pydantic import Field
@@ -263,3 +264,19 @@ def put_in(port: HandPort, into_j: float, all_j: float) -> HandPort:
 def placed(mass: Mass, position_m: float, velocity_m_per_s: float) -> Mass:
     """Set position and velocity of the mass; offset and coupling stay."""
     return Mass(position_m, velocity_m_per_s, mass.tip_offset_m, mass.coupled)
+
+
+@compiled
+def paid_stretch(
+    stretch_m: float, motion_m: float, stiffness_n_per_m: float, remaining_j: float
+) -> tuple[float, float]:
+    """Limit a motion [m] of the coupling's end to the energy left; return it with the work [J] done on the channel.
+
+    The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
+    """
+    force, k = stiffness_n_per_m * stretch_m, stiffness_n_per_m
+    out = force * motion_m + 0.5 * k * motion_m * motion_m
+    if out <= remaining_j:
+        return motion_m, -out
+    root = math.sqrt(force * force + 2.0 * k * max(remaining_j, 0.0))
+    return (math.copysign(root, motion_m) - force) / k, -remaining_j
