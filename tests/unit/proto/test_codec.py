@@ -344,6 +344,9 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
         ("session/control", {"parameters": {"gain": None}}, "schema", "parameters.gain"),
         ("session/control", {"parameters": {b"gain": 1.0}}, "schema", "parameters"),
         ("session/event", {"text": "x" * 4097}, "schema", "text"),
+        ("session/event", {"id": "twice\n"}, "schema", "id"),
+        ("session/event", {"level": "fatal"}, "schema", "level"),
+        ("session/event", {"data": {"age_s": math.inf}}, "schema", "data.age_s"),
     ],
 )
 def test_a_wrong_field_is_named(topic: str, change: dict[Any, Any], reason: str, named: str) -> None:
