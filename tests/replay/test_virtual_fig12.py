@@ -1,4 +1,4 @@
-"""What the README says of Fig. 12 over a delay, on the nodes in virtual time; `tests/stack/test_fig12.py` has it live.
+"""What the README says of Fig. 12 over a delay, on the nodes in virtual time.
 
 No machine holds these loops up, so each session is judged without a condition.
 """

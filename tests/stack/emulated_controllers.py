@@ -1,7 +1,5 @@
 """Emulated AFM controllers with their guards, as processes of their own: what the live tests drive and break."""
 
-import os
-import signal
 import socket
 import subprocess
 import sys
@@ -34,8 +32,8 @@ class Emulated:
         self.port, self.guard_port = free_port(), free_port()
         known = f"presets/scenarios/{scenario}.yaml"
         chosen = known if (ROOT / known).exists() else scenario
-        self._served = ("--port", str(self.port), *options, "--scenario", chosen)
-        self.server = self._start("simulate", *self._served, "--calibration", str(self.file))
+        served = ("--port", str(self.port), *options, "--scenario", chosen)
+        self.server = self._start("simulate", *served, "--calibration", str(self.file))
         self._wait(self.port)
         document = yaml.safe_load(self.file.read_text())
         document["network"]["port"] = self.guard_port
@@ -45,18 +43,6 @@ class Emulated:
         to = ("--controller", f"127.0.0.1:{self.port}", "--port", str(self.guard_port))
         self.guard = self._start("guard", "--calibration", str(self.file), *to)
         self._wait(self.guard_port)
-
-    def restart(self) -> None:
-        """Start the controller again after it was killed; its tip is away from the sample then."""
-        self.server.wait()
-        self.server = self._start("simulate", *self._served)
-        self._wait(self.port)
-
-    def freeze(self) -> None:
-        os.kill(self.server.pid, signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        os.kill(self.server.pid, signal.SIGCONT)
 
     def _start(self, what: str, *arguments: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", "telenano", "device", what, self.name, *arguments]
@@ -80,18 +66,6 @@ class Emulated:
     def z_m(self) -> float:
         raise NotImplementedError
 
-    @property
-    def retracted(self) -> bool:
-        raise NotImplementedError
-
-    def move_from_outside(self) -> None:
-        """Move the tip once, as somebody else's program does."""
-        raise NotImplementedError
-
-    def refuse(self) -> None:
-        """Bring the controller into a state in which it does not do what the rig asks for."""
-        raise NotImplementedError
-
     def close(self) -> None:
         for process in (self.guard, self.server):
             process.kill()
@@ -105,28 +79,8 @@ class Gwyscope(Emulated):
 
     def __init__(self, folder: Path, scenario: str) -> None:
         super().__init__(folder, scenario)
-        self._connect()
-
-    def _connect(self) -> None:
         self._line = socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S)
         self._incoming = Incoming(gwyscope_wire.cut)
-
-    def restart(self) -> None:
-        self._line.close()
-        super().restart()
-        self._connect()
-
-    @property
-    def retracted(self) -> bool:
-        return self.z_m == 0.0
-
-    def move_from_outside(self) -> None:
-        self.ask(todo="set_feedback", feedback=False, zpiezo=1.5e-6)
-
-    def refuse(self) -> None:
-        # The server has no refusals: a feedback that is on moves z away from where the rig has sent it.
-        self.ask(todo="set", pid_i=1e-2, pid_setpoint=-1e-2)
-        self.ask(todo="set_feedback", feedback=True)
 
     def ask(self, **message: Any) -> dict[str, Any]:
         """Ask the server itself, as another program would."""
@@ -152,22 +106,6 @@ class Nanonis(Emulated):
     def __init__(self, folder: Path, scenario: str, *options: str) -> None:
         super().__init__(folder, scenario, "--log-port", str(free_port()), *options)
         self.client = NanonisClient("127.0.0.1", self.port + 1)
-
-    def restart(self) -> None:
-        self.client.close()
-        super().restart()
-        self.client = NanonisClient("127.0.0.1", self.port + 1)
-
-    @property
-    def retracted(self) -> bool:
-        return self.z_m > 4.99e-7
-
-    def move_from_outside(self) -> None:
-        self.client.call("ZCtrl.ZPosSet", 4e-7)
-
-    def refuse(self) -> None:
-        # with its z-controller on, it refuses to set z
-        self.client.call("ZCtrl.OnOffSet", 1)
 
     @property
     def z_m(self) -> float:

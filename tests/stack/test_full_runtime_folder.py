@@ -11,8 +11,8 @@ import machine
 import pytest
 from browser_page import View
 from ledger import record
+from page_client import Client
 from stack_rig import Rig
-from test_lease_attacks import Client
 
 pytestmark = [pytest.mark.stack, pytest.mark.timeout(300)]
 # A holder of whom nothing was heard for a second would have lost the hand [s].

@@ -7,6 +7,7 @@ import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from typing import Any
+from unittest.mock import patch
 
 import msgpack
 import numpy as np
@@ -17,9 +18,9 @@ from processor_time import ratio_of_costs
 from wire_contract import examples, schema_of
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, accept, decode, decode_header, encode, read_header
-from proto.codec import _TYPED, MAX_PLAIN_BYTES, MOST_BYTES
+from proto.codec import _TYPED, MAX_PLAIN_BYTES, MOST_BYTES, header_check
 from proto.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
-from proto.typed import typed_form
+from proto.typed import TypedForm, typed_form
 
 TOPIC = st.sampled_from(list(TOPICS))
 GOLDEN = {topic: [encode(message) for message in examples(row).values()] for topic, row in TOPICS.items()}
@@ -41,9 +42,40 @@ def outcome(topic: str, payload: bytes, read: Callable[[str, bytes], Message] = 
     return result
 
 
+def _typed_forms() -> Iterator[tuple[str, TypedForm]]:
+    """Yield the fast way of each topic that has one, which knows the texts of the golden messages."""
+    for topic in _TYPED:
+        model = TOPICS[topic].model
+        form = typed_form(model, MOST_BYTES[model])
+        if form is not None:
+            for payload in GOLDEN[topic]:
+                form.note(decode(topic, payload))
+            yield topic, form
+
+
+FORMS = dict(_typed_forms())
+
+
+def check_fast_ways(topic: str, payload: bytes, result: Message | WireError) -> None:
+    """Check that what is read without the declared model, header or fields, is what that model reads."""
+    if topic not in TOPICS:
+        return
+    header = header_check(topic)(payload)
+    if header is not None:
+        assert isinstance(result, Message)
+        assert header == (result.seq, result.t_ns, result.src)
+    found = FORMS[topic].read(payload) if topic in FORMS else None
+    if found is not None:
+        with patch.dict("proto.codec._TYPED", clear=True):
+            declared = accept(topic, payload)
+        assert declared == found
+        assert encode(declared) == encode(found)
+
+
 def check(topic: str, payload: bytes) -> None:
     """Decode; a message that came out must have one encoding, which gives it back, and is accepted in its ranges."""
     result = outcome(topic, payload)
+    check_fast_ways(topic, payload, result)
     if isinstance(result, Message):
         accepted = outcome(topic, payload, accept)
         canonical = encode(result)
@@ -61,6 +93,7 @@ def fields_of(topic: str, case: str = "ordinary") -> dict[str, Any]:
 def refused(topic: str, payload: bytes) -> WireError:
     with pytest.raises(WireError) as caught:
         decode(topic, payload)
+    check_fast_ways(topic, payload, caught.value)
     return caught.value
 
 
@@ -311,6 +344,9 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
         ("session/control", {"parameters": {"gain": None}}, "schema", "parameters.gain"),
         ("session/control", {"parameters": {b"gain": 1.0}}, "schema", "parameters"),
         ("session/event", {"text": "x" * 4097}, "schema", "text"),
+        ("session/event", {"id": "twice\n"}, "schema", "id"),
+        ("session/event", {"level": "fatal"}, "schema", "level"),
+        ("session/event", {"data": {"age_s": math.inf}}, "schema", "data.age_s"),
     ],
 )
 def test_a_wrong_field_is_named(topic: str, change: dict[Any, Any], reason: str, named: str) -> None:

@@ -1,4 +1,3 @@
-import io
 import json
 import re
 import subprocess
@@ -8,17 +7,15 @@ from pathlib import Path
 
 import command_page
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
 from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import RigError
 from services.runtime.wiring.main import node_kind, parse_arguments, run_node
-from telenano.cli.lazy_commands import FIRST_COMMANDS, LAZY_COMMANDS, load
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
+from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app
-from telenano.cli.tables import rows_table
 
 RUNNER = CliRunner()
 
@@ -57,12 +54,6 @@ def test_results_go_below_out_where_no_folder_is_given() -> None:
     assert "telenano compare" in places
 
 
-def test_arguments_and_bounded_numbers_are_named_by_their_metavars() -> None:
-    assert "{FILE}..." in run("bag", "merge", "--help")[1]
-    assert "<x>=0>" not in run("up", "--help")[1]
-    assert "--port N " in run("view", "--help")[1]
-
-
 @pytest.mark.parametrize("path", sorted(COMMANDS))
 def test_every_command_answers_help(path: str) -> None:
     code, out, _ = run(*path.split()[1:], "--help")
@@ -85,20 +76,6 @@ def test_help_lists_every_command_once() -> None:
     assert [name for name in listed if name in (*LAZY_COMMANDS, *OF_PACKAGES)] == [
         name for names in HEADINGS.values() for name in names
     ]
-
-
-def test_help_lists_first_what_a_new_user_needs() -> None:
-    code, text, _ = run("--help")
-    assert code == 0
-    assert "`telenano --help-all` lists the other commands as well." in text
-    listed = re.findall(r"^  ([a-z]\S*)  +[A-Z]", text, re.MULTILINE)
-    assert sorted(listed) == sorted(FIRST_COMMANDS) and len(listed) <= 16
-
-    code, text, _ = run("up", "--help")
-    first, more = text.split("More options:")
-    assert code == 0
-    assert len(re.findall(r"^  --", first, re.MULTILINE)) == 10
-    assert "--attach" in more and "--help" in more
 
 
 def test_version_names_telenano_and_what_extends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,16 +220,6 @@ def test_a_bridge_without_a_rig_says_so_and_fails() -> None:
     assert "token=" not in out
     assert "no rig of this site file runs on this machine yet; waiting for one" in err
     assert "nothing was received" in err
-
-
-def test_units_in_brackets_are_in_the_tables() -> None:
-    out = run("topic", "info", "afm/state")[1]
-    assert "deadline [s]" in out
-    assert "declared rate [Hz]" in out
-    console = Console(width=80, file=io.StringIO())
-    console.print(rows_table([{"age [s]": 1.0}], title="x [s]"))
-    assert "age [s]" in console.file.getvalue()  # type: ignore[attr-defined]
-    assert "x [s]" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_a_recorder_without_a_rig_says_that_its_file_is_empty(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.provenance import plugin_facts
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
-from telenano.doctor.report import checks_of_packages, extensions
+from telenano.doctor.report import checks_of_packages
 from telenano.extend.exports import write_recording
 from telenano.extend.images import Image, write_images
 from telenano.extend.messages import example, recorded
@@ -182,14 +182,6 @@ def test_checks_of_packages_are_findings_and_one_that_fails_is_one_too(make: Any
     assert any("bad of the package checker" in text for text in plugins.known_problems())
 
 
-@pytest.mark.parametrize("kind", ["checks", "exports", "images", "readers", "steps", "tasks"])
-def test_an_entry_of_any_kind_that_leads_to_nothing_is_told_with_its_package(make: Any, kind: str) -> None:
-    make("hollow", {}, {kind: "lost = hollow:lost"})
-    (finding,) = extensions()
-    assert finding.level == "warning"
-    assert "lost of the package hollow 1.2 cannot be used: AttributeError" in finding.found
-
-
 def test_an_entry_that_has_to_be_a_function_and_is_none_is_told_with_its_package(make: Any, tmp_path: Path) -> None:
     make(
         "numeral",
@@ -202,13 +194,6 @@ def test_an_entry_that_has_to_be_a_function_and_is_none_is_told_with_its_package
     recording = write_recording(tmp_path / "recorded", [recorded("session/event", example("session/event"), 10**18)])
     with pytest.raises(ConfigError, match=problem):
         export_recording(recording, tmp_path / "x", "three")
-
-
-def test_a_driver_that_cannot_be_used_is_told_though_no_section_names_it(make: Any) -> None:
-    make("sick", {"device.py": "raise RuntimeError('no licence')"}, {"devices": "sick = sick.device:DEVICE"})
-    (finding,) = extensions()
-    assert (finding.name, finding.level) == ("laws and devices", "warning")
-    assert "sick of the package sick" in finding.found and "no licence" in finding.found
 
 
 def test_a_format_of_a_package_exports_a_recording_and_one_that_is_missing_is_named(
