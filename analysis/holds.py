@@ -27,7 +27,7 @@ import numpy.typing as npt
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.modes import LEAST_SAMPLES, centred, rms
 from analysis.swings import Swing, swings_of
-from analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
+from analysis.verdict import ERROR_SHARE, LEAST_TURNS, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
 Series = npt.NDArray[np.float64]
 FactKind = Literal[
@@ -514,11 +514,14 @@ def _judged_contact(
     parts: list[Episode] = []
     for one in contacts:
         late = [each.span_s(session.known.transit_s) for each in session.late_in(one.start_s, one.end_s)]
-        spans = outside((one.start_s, one.end_s), late) if late else [(one.start_s, one.end_s)]
-        parts += [one._replace(start_s=start, end_s=end) for start, end in spans]
+        parts += [one._replace(start_s=start, end_s=end) for start, end in outside((one.start_s, one.end_s), late, 0.0)]
     part = max(parts or contacts, key=lambda each: each.end_s - each.start_s)
-    undisturbed = bool(parts) and part.end_s - part.start_s >= SHORTEST_HOLD_S
     verdict = _judge_motion(session, part, force_n)
+    longest = max(contacts, key=lambda each: each.end_s - each.start_s)
+    if verdict.kind == "cannot_say" and longest != part:
+        # what dies out although it is disturbed does so
+        whole = _judge_motion(session, longest, force_n)
+        part, verdict = (longest, whole) if whole.kind == "stable" else (part, verdict)
     late_words = _late_words(session.late_in(contacts[0].start_s, contacts[-1].end_s))
     causes = [*dict.fromkeys(one.why for one in contacts if one.why)] + ([late_words] if late_words else [])
     if verdict.kind == "stable" and causes:
@@ -526,12 +529,12 @@ def _judged_contact(
             if other is not part and 2.0 * (other.end_s - other.start_s) > part.end_s - part.start_s:
                 again = _judge_motion(session, other, force_n)
                 verdict = again._replace(kind="cannot_say") if again.kind == "diverged" else verdict
-    if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and undisturbed):
+    if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and parts):
         return part, verdict
     if verdict.kind == "limit_cycle" and parts:
         # a stall is late at most twice, at the hand and at the tip
         late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
-        overloaded = sum(one.who == "machine" for one in late_there) > 2
+        overloaded = sum(one.who == "machine" for one in late_there) > LEAST_TURNS
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
         agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"
         if agrees or not overloaded or part.start_s == contacts[0].start_s:
@@ -555,13 +558,12 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     def judged(samples: slice) -> Verdict:
         return judge(tip_s[samples], tip_n[samples], session.greatest_n, session.rest_n(force_n), session.step_n)
 
-    landed = _landed(touches)
-    if landed and (after := judged(slice(landed, None))).kind == "stable":
-        return after
-    verdict = judged(slice(None))
+    # what a tip does that has landed is its motion, unless that of the whole is milder
+    verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
+    verdict = max(verdicts, key=lambda one: _WORST_FIRST.index(one.kind))
     left = int(np.flatnonzero(touches).max(initial=-1)) + 1
-    if verdict.kind in ("stable", "cannot_say") and 7 * len(touches) // 8 < left < len(touches):
-        # a tip that has just left the surface is not at rest there
+    if verdict.kind in ("stable", "cannot_say") and left < len(touches):
+        # a tip that has left the surface is not at rest there
         verdict = judged(slice(left))
     if verdict.kind not in ("diverged", "limit_cycle"):
         return verdict
@@ -580,11 +582,11 @@ def _landed(in_contact: npt.NDArray[np.bool_]) -> int:
     """Return the sample since which a tip touches that left the surface before; 0 where it may leave it again.
 
     The surface bounds a swing that leaves it, which is then no sum of exponentials. The last contact is taken for the
-    end of that if it is longer than twice each one before.
+    end of that if it is LEAST_TURNS times as long as each one before.
     """
     edges = np.flatnonzero(np.diff(in_contact, prepend=False, append=False)).reshape(-1, 2)
     lengths = np.diff(edges, axis=1).ravel().tolist()
-    is_last = len(lengths) > 1 and edges[-1, 1] == len(in_contact) and lengths[-1] > 2 * max(lengths[:-1])
+    is_last = len(lengths) > 1 and edges[-1, 1] == len(in_contact) and lengths[-1] > LEAST_TURNS * max(lengths[:-1])
     return int(edges[-1, 0]) if is_last and lengths[-1] >= LEAST_SAMPLES else 0
 
 
@@ -743,12 +745,14 @@ def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -
     return spans
 
 
-def outside(stretch: tuple[float, float], spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the parts [s] of a stretch that are in none of the spans and last for at least SHORTEST_HOLD_S."""
+def outside(
+    stretch: tuple[float, float], spans: Sequence[tuple[float, float]], least_s: float = SHORTEST_HOLD_S
+) -> list[tuple[float, float]]:
+    """Return the parts [s] of a stretch that are in none of the spans and last for at least so long [s]."""
     parts = [stretch]
     for from_s, to_s in spans:
         cut = [part for start, end in parts for part in ((start, min(end, from_s)), (max(start, to_s), end))]
-        parts = [(start, end) for start, end in cut if end - start >= SHORTEST_HOLD_S]
+        parts = [(start, end) for start, end in cut if end > start and end - start >= least_s]
     return parts
 
 
