@@ -30,6 +30,7 @@ from analysis.swings import Swing, swings_of
 from analysis.verdict import ERROR_SHARE, LEAST_TURNS, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
 Series = npt.NDArray[np.float64]
+Span = tuple[float, float]
 FactKind = Literal[
     "arrived_late",
     "struck",
@@ -469,11 +470,13 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     first, verdict = _judged_contact(session, contacts, episodes, force)
     if away is not None:
         verdict = _guarded(session, away, verdict, first)
-    elif first is not None and verdict.kind == "stable" and not session.tip.in_contact[_last(session, first)].any():
-        off = session.at(first.start_s, first.end_s)
-        left_s = float(session.tip_s[off][session.tip.in_contact[off]].max(initial=first.start_s))
-        words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
-        verdict = verdict._replace(kind="contact_lost", reason=words)
+    elif first is not None and verdict.kind == "stable":
+        own = session.at(first.start_s, first.end_s)
+        left_s = float(session.tip_s[own][session.tip.in_contact[own]].max(initial=first.start_s))
+        # away for the last eighth
+        if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
+            words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
+            verdict = verdict._replace(kind="contact_lost", reason=words)
     found = Hold(start, end, force, *verdict[:5])
     if first is not None:
         rests = verdict.kind == "stable" and verdict.rest_from_s is not None
@@ -522,7 +525,8 @@ def _judged_contact(
         # what dies out although it is disturbed does so
         whole = _judge_motion(session, longest, force_n)
         part, verdict = (longest, whole) if whole.kind == "stable" else (part, verdict)
-    late_words = _late_words(session.late_in(contacts[0].start_s, contacts[-1].end_s))
+    late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
+    late_words = _late_words(late_there)
     causes = [*dict.fromkeys(one.why for one in contacts if one.why)] + ([late_words] if late_words else [])
     if verdict.kind == "stable" and causes:
         for other in parts:
@@ -533,7 +537,6 @@ def _judged_contact(
         return part, verdict
     if verdict.kind == "limit_cycle" and parts:
         # a stall is late at most twice, at the hand and at the tip
-        late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
         overloaded = sum(one.who == "machine" for one in late_there) > LEAST_TURNS
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
         agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"
@@ -549,14 +552,11 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     What moves less than STRUCK_FORCES times as far as the hand may be the answer of a loop that is stable.
     """
     own = session.at(part.start_s, part.end_s)
-    tip_s, tip_n, touches = (
-        session.tip_s[own],
-        _without_hand(session, part.start_s, part.end_s),
-        session.tip.in_contact[own],
-    )
+    tip_s, touches = session.tip_s[own], session.tip.in_contact[own]
+    tip_n, rest_n = _without_hand(session, part.start_s, part.end_s), session.rest_n(force_n)
 
     def judged(samples: slice) -> Verdict:
-        return judge(tip_s[samples], tip_n[samples], session.greatest_n, session.rest_n(force_n), session.step_n)
+        return judge(tip_s[samples], tip_n[samples], session.greatest_n, rest_n, session.step_n)
 
     # what a tip does that has landed is its motion, unless that of the whole is milder
     verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
@@ -650,11 +650,6 @@ def _guard_s(session: _Session, away: Episode) -> float:
     )
 
 
-def _last(session: _Session, one: Episode) -> slice:
-    """Return the samples of the last eighth of an episode."""
-    return session.at(one.end_s - 0.125 * (one.end_s - one.start_s), one.end_s)
-
-
 def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s: float, rest_n: Series) -> list[Fact]:
     """Return what else is true of a hold; before_s: the end of the one before [s]; rest_n: the tip's force at rest."""
     start, end, force = hold[:3]
@@ -720,14 +715,12 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
     if found.kind not in ("diverged", "guarded"):
         # The last turn says what becomes of a swing of a few turns that the models do not fit.
-        left_n = float(
-            np.ptp(session.tip_n[session.at(max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz), at_s)])
-        )
+        last_s = max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz)
+        left_n = float(np.ptp(session.tip_n[session.at(last_s, at_s)]))
         dies_out = left_n < 0.5 * swing.peak_to_peak_n
         reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")
-        found = found._replace(
-            kind="stable" if dies_out else "limit_cycle", peak_to_peak_n=swing.peak_to_peak_n, reason=reason
-        )
+        kind: Kind = "stable" if dies_out else "limit_cycle"
+        found = found._replace(kind=kind, peak_to_peak_n=swing.peak_to_peak_n, reason=reason)
     return Hold(swing.start_s, swing.end_s, force, *found[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz)
 
 
@@ -745,9 +738,7 @@ def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -
     return spans
 
 
-def outside(
-    stretch: tuple[float, float], spans: Sequence[tuple[float, float]], least_s: float = SHORTEST_HOLD_S
-) -> list[tuple[float, float]]:
+def outside(stretch: Span, spans: Sequence[Span], least_s: float = SHORTEST_HOLD_S) -> list[Span]:
     """Return the parts [s] of a stretch that are in none of the spans and last for at least so long [s]."""
     parts = [stretch]
     for from_s, to_s in spans:

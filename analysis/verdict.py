@@ -83,11 +83,10 @@ def judge(
     if not hand_force_n > 0.0:
         raise ValueError(f"the hand's force in a hold is {hand_force_n} N, it must be > 0 N")
     finite = np.isfinite(force_n)
+    size = float(np.ptp(force_n[finite])) if finite.any() else 0.0
     if not finite.all():
-        size = float(np.ptp(force_n[finite])) if finite.any() else 0.0
         return Verdict("diverged", None, size, 0.0, "the force is no number from some time on")
     if len(time_s) < LEAST_SAMPLES:
-        size = float(np.ptp(force_n)) if len(force_n) else 0.0
         words = f"{len(time_s)} samples were taken of it: {LEAST_SAMPLES} or more would decide"
         return Verdict("cannot_say", None, size, 0.0, words)
     values, period_s = _even(time_s, force_n)
@@ -96,8 +95,7 @@ def judge(
     small, floor = max(SMALL_SHARE * hand_force_n, 1.5 * step), _FLOOR_SHARE * hand_force_n
     noise = max(noise_floor(values), step / math.sqrt(12.0))
     if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
-        most_n = ERROR_SHARE * hand_force_n
-        words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {most_n:.2g} N"
+        words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {ERROR_SHARE * hand_force_n:.2g} N"
         return Verdict("cannot_say", None, 0.0, noise, f"{words} would decide")
     swings: list[Mode] = []
     doubt: Verdict | None = None
@@ -108,8 +106,7 @@ def judge(
         fit = fitted(tail, period_s, floor)
         if share == 1.0:
             lasts = -LEAST_CHANGE / (period_s * len(tail))
-            large = [mode for mode in fit.modes if mode.end_n > small and mode.frequency_hz]
-            swings = [mode for mode in large if mode.growth_per_s > lasts]
+            swings = [one for one in fit.modes if one.end_n > small and one.frequency_hz and one.growth_per_s > lasts]
         if _explains(fit, hand_force_n):
             least = (small, 1.5 * step, SMALL_SHARE * hand_force_n)
             ends_s = (period_s * len(tail), float(time_s[-1]))
@@ -139,8 +136,8 @@ def judge(
 
 def _is_at_rest(found: Verdict, doubt: Verdict, fit: Fit) -> bool:
     """Return whether a last part is at rest that would show a motion of the size that was in doubt."""
-    line_n = 2.0 * SURE_ERRORS * math.sqrt(2.0 / len(fit.left)) * rms(fit.left)
-    return found.kind == "stable" and found.rest_from_s is not None and doubt.peak_to_peak_n > line_n
+    shown_n = 2.0 * SURE_ERRORS * math.sqrt(2.0 / len(fit.left)) * rms(fit.left)
+    return found.kind == "stable" and found.rest_from_s is not None and doubt.peak_to_peak_n > shown_n
 
 
 def _explains(fit: Fit, hand_force_n: float) -> bool:
@@ -149,10 +146,9 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
         moved = rms(centred(fit.motion[part]))
         noise = max(1.5 * fit.noise_n, ERROR_SHARE * hand_force_n if fit.whole else 0.0)
         seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + noise)
-        if any(mode.end_n > seen_n for mode in fit.modes):
-            # large modes that cancel are no motion
-            return False
-        if rms(fit.left[part]) > max(noise, _LEFT_SHARE * moved, _LEFT_SHARE**2 * SMALL_SHARE * hand_force_n):
+        left_n = max(noise, _LEFT_SHARE * moved, _LEFT_SHARE**2 * SMALL_SHARE * hand_force_n)
+        # large modes that cancel are no motion
+        if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
             return False
     return True
 
@@ -242,14 +238,14 @@ def _by_modes(
     rate = max((mode.growth_per_s for mode in left if mode.end_n > 0.0), default=None)
     rest_s = end_s - length_s + max((_until(mode, small_n) for mode in left), default=0.0)
     rest_from_s = min(rest_s, end_s) if size <= small_n else None
+    words = f"at rest but for {size:.2g} N from peak to peak"
     if size <= _FLOOR_SHARE * small_n / SMALL_SHARE or rate is None:
-        return Verdict("stable", rate, size, noise_n, "at rest", rest_from_s)
-    if rate < 0.0:
-        return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}", rest_from_s)
-    if size > small_n:
+        words = "at rest"
+    elif rate < 0.0:
+        words = f"the motion dies out by {-rate:.3g}/s{_left(size)}"
+    elif size > small_n:
         words = f"nothing swings, and the force goes on by {size:.2g} N to one side"
-        return Verdict("stable", rate, size, noise_n, words, None)
-    return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
+    return Verdict("stable", rate, size, noise_n, words, rest_from_s)
 
 
 def _rises(fit: Fit, mode: Mode, change: float) -> bool:
@@ -299,9 +295,8 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
     grows, falls = all(after > before for before, after in steps), all(after < before for before, after in steps)
     size, rate = sizes[-1], slope / window_s
     if grows and slope * _WINDOWS > LEAST_CHANGE and size * math.exp(min(slope * _WINDOWS, 50.0)) > small:
-        return Verdict(
-            "diverged", rate, size, noise_n, f"a motion of {size:.3g} N from peak to peak grows by {rate:.3g}/s"
-        )
+        words = f"a motion of {size:.3g} N from peak to peak grows by {rate:.3g}/s"
+        return Verdict("diverged", rate, size, noise_n, words)
     if max(sizes[-2:]) <= small and not _recurs(sizes, small):
         last = max((k for k, own in enumerate(sizes) if own > small), default=-1)
         rest = end_s - (_WINDOWS - 1 - last) * window_s

@@ -15,7 +15,6 @@ NO_THRESHOLDS = {"LEAST_SAMPLES", "LONGEST_STEP_S", "REPORTED_WITHIN_S"}
 # numbers in comparisons that are no thresholds, by module and function
 NO_DECISION = {
     ("verdict", "judge"): {2: "eight windows of eight samples"},
-    ("verdict", "_explains"): {2: "the share of a share"},
     ("verdict", "_by_modes"): {
         0.5: "half a turn is a swing, and half of a size is of its order",
         2.0: "half of an amplitude from peak to peak by its root, and either side of a change",
@@ -33,6 +32,7 @@ NO_DECISION = {
     ("verdict", "_even"): {1e-6: "rounding of time stamps"},
     ("holds", "_stood"): {3.0: "medians of a course without its ramps"},
     ("holds", "judge_holds"): {0.5: "the larger part of a hold"},
+    ("holds", "_judge_hold"): {0.125: "the last part of an episode that is looked at alone"},
     ("holds", "_late"): {99.0: "what is usual on an uneven link"},
     ("holds", "_judged_contact"): {2.0: "half as long as the longest part"},
     ("holds", "_judge_swing"): {0.5: "half of a size is of its order"},
