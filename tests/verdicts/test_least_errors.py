@@ -13,7 +13,7 @@ def alone_in_white_noise() -> Plan:
         drawn = plan(seed)
         turns = drawn.length_s * drawn.frequency_hz if drawn.truth == "goes_on" else 0.0
         alone = len(drawn.modes) == 1 and not drawn.random_excitation_n and len(stretches(drawn)) == 1
-        if drawn.motion == "sustained" and drawn.noise == "white" and alone and 10.0 < turns and drawn.length_s < 2.0:
+        if drawn.motion == "sustained" and drawn.noise == "white" and alone and turns > 10.0 and drawn.length_s < 2.0:
             return drawn
     raise AssertionError("no such plan")
 
