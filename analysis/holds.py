@@ -27,9 +27,10 @@ import numpy.typing as npt
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.modes import LEAST_SAMPLES, centred, rms
 from analysis.swings import Swing, swings_of
-from analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
+from analysis.verdict import ERROR_SHARE, LEAST_TURNS, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
 Series = npt.NDArray[np.float64]
+Span = tuple[float, float]
 FactKind = Literal[
     "arrived_late",
     "struck",
@@ -469,11 +470,13 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     first, verdict = _judged_contact(session, contacts, episodes, force)
     if away is not None:
         verdict = _guarded(session, away, verdict, first)
-    elif first is not None and verdict.kind == "stable" and not session.tip.in_contact[_last(session, first)].any():
-        off = session.at(first.start_s, first.end_s)
-        left_s = float(session.tip_s[off][session.tip.in_contact[off]].max(initial=first.start_s))
-        words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
-        verdict = verdict._replace(kind="contact_lost", reason=words)
+    elif first is not None and verdict.kind == "stable":
+        own = session.at(first.start_s, first.end_s)
+        left_s = float(session.tip_s[own][session.tip.in_contact[own]].max(initial=first.start_s))
+        # away for the last eighth
+        if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
+            words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
+            verdict = verdict._replace(kind="contact_lost", reason=words)
     found = Hold(start, end, force, *verdict[:5])
     if first is not None:
         rests = verdict.kind == "stable" and verdict.rest_from_s is not None
@@ -514,24 +517,27 @@ def _judged_contact(
     parts: list[Episode] = []
     for one in contacts:
         late = [each.span_s(session.known.transit_s) for each in session.late_in(one.start_s, one.end_s)]
-        spans = outside((one.start_s, one.end_s), late) if late else [(one.start_s, one.end_s)]
-        parts += [one._replace(start_s=start, end_s=end) for start, end in spans]
+        parts += [one._replace(start_s=start, end_s=end) for start, end in outside((one.start_s, one.end_s), late, 0.0)]
     part = max(parts or contacts, key=lambda each: each.end_s - each.start_s)
-    undisturbed = bool(parts) and part.end_s - part.start_s >= SHORTEST_HOLD_S
     verdict = _judge_motion(session, part, force_n)
-    late_words = _late_words(session.late_in(contacts[0].start_s, contacts[-1].end_s))
+    longest = max(contacts, key=lambda each: each.end_s - each.start_s)
+    if verdict.kind == "cannot_say" and longest != part:
+        # what dies out although it is disturbed does so
+        whole = _judge_motion(session, longest, force_n)
+        part, verdict = (longest, whole) if whole.kind == "stable" else (part, verdict)
+    late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
+    late_words = _late_words(late_there)
     causes = [*dict.fromkeys(one.why for one in contacts if one.why)] + ([late_words] if late_words else [])
     if verdict.kind == "stable" and causes:
         for other in parts:
             if other is not part and 2.0 * (other.end_s - other.start_s) > part.end_s - part.start_s:
                 again = _judge_motion(session, other, force_n)
                 verdict = again._replace(kind="cannot_say") if again.kind == "diverged" else verdict
-    if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and undisturbed):
+    if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and parts):
         return part, verdict
     if verdict.kind == "limit_cycle" and parts:
         # a stall is late at most twice, at the hand and at the tip
-        late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
-        overloaded = sum(one.who == "machine" for one in late_there) > 2
+        overloaded = sum(one.who == "machine" for one in late_there) > LEAST_TURNS
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
         agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"
         if agrees or not overloaded or part.start_s == contacts[0].start_s:
@@ -546,22 +552,18 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     What moves less than STRUCK_FORCES times as far as the hand may be the answer of a loop that is stable.
     """
     own = session.at(part.start_s, part.end_s)
-    tip_s, tip_n, touches = (
-        session.tip_s[own],
-        _without_hand(session, part.start_s, part.end_s),
-        session.tip.in_contact[own],
-    )
+    tip_s, touches = session.tip_s[own], session.tip.in_contact[own]
+    tip_n, rest_n = _without_hand(session, part.start_s, part.end_s), session.rest_n(force_n)
 
     def judged(samples: slice) -> Verdict:
-        return judge(tip_s[samples], tip_n[samples], session.greatest_n, session.rest_n(force_n), session.step_n)
+        return judge(tip_s[samples], tip_n[samples], session.greatest_n, rest_n, session.step_n)
 
-    landed = _landed(touches)
-    if landed and (after := judged(slice(landed, None))).kind == "stable":
-        return after
-    verdict = judged(slice(None))
+    # what a tip does that has landed is its motion, unless that of the whole is milder
+    verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
+    verdict = max(verdicts, key=lambda one: _WORST_FIRST.index(one.kind))
     left = int(np.flatnonzero(touches).max(initial=-1)) + 1
-    if verdict.kind in ("stable", "cannot_say") and 7 * len(touches) // 8 < left < len(touches):
-        # a tip that has just left the surface is not at rest there
+    if verdict.kind in ("stable", "cannot_say") and left < len(touches):
+        # a tip that has left the surface is not at rest there
         verdict = judged(slice(left))
     if verdict.kind not in ("diverged", "limit_cycle"):
         return verdict
@@ -580,11 +582,11 @@ def _landed(in_contact: npt.NDArray[np.bool_]) -> int:
     """Return the sample since which a tip touches that left the surface before; 0 where it may leave it again.
 
     The surface bounds a swing that leaves it, which is then no sum of exponentials. The last contact is taken for the
-    end of that if it is longer than twice each one before.
+    end of that if it is LEAST_TURNS times as long as each one before.
     """
     edges = np.flatnonzero(np.diff(in_contact, prepend=False, append=False)).reshape(-1, 2)
     lengths = np.diff(edges, axis=1).ravel().tolist()
-    is_last = len(lengths) > 1 and edges[-1, 1] == len(in_contact) and lengths[-1] > 2 * max(lengths[:-1])
+    is_last = len(lengths) > 1 and edges[-1, 1] == len(in_contact) and lengths[-1] > LEAST_TURNS * max(lengths[:-1])
     return int(edges[-1, 0]) if is_last and lengths[-1] >= LEAST_SAMPLES else 0
 
 
@@ -646,11 +648,6 @@ def _guard_s(session: _Session, away: Episode) -> float:
     return next(
         (guard.time_s for guard in reversed(session.known.guards) if guard.time_s <= session.tip_s[0]), away.start_s
     )
-
-
-def _last(session: _Session, one: Episode) -> slice:
-    """Return the samples of the last eighth of an episode."""
-    return session.at(one.end_s - 0.125 * (one.end_s - one.start_s), one.end_s)
 
 
 def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s: float, rest_n: Series) -> list[Fact]:
@@ -718,14 +715,12 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
     if found.kind not in ("diverged", "guarded"):
         # The last turn says what becomes of a swing of a few turns that the models do not fit.
-        left_n = float(
-            np.ptp(session.tip_n[session.at(max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz), at_s)])
-        )
+        last_s = max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz)
+        left_n = float(np.ptp(session.tip_n[session.at(last_s, at_s)]))
         dies_out = left_n < 0.5 * swing.peak_to_peak_n
         reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")
-        found = found._replace(
-            kind="stable" if dies_out else "limit_cycle", peak_to_peak_n=swing.peak_to_peak_n, reason=reason
-        )
+        kind: Kind = "stable" if dies_out else "limit_cycle"
+        found = found._replace(kind=kind, peak_to_peak_n=swing.peak_to_peak_n, reason=reason)
     return Hold(swing.start_s, swing.end_s, force, *found[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz)
 
 
@@ -743,12 +738,12 @@ def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -
     return spans
 
 
-def outside(stretch: tuple[float, float], spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the parts [s] of a stretch that are in none of the spans and last for at least SHORTEST_HOLD_S."""
+def outside(stretch: Span, spans: Sequence[Span], least_s: float = SHORTEST_HOLD_S) -> list[Span]:
+    """Return the parts [s] of a stretch that are in none of the spans and last for at least so long [s]."""
     parts = [stretch]
     for from_s, to_s in spans:
         cut = [part for start, end in parts for part in ((start, min(end, from_s)), (max(start, to_s), end))]
-        parts = [(start, end) for start, end in cut if end - start >= SHORTEST_HOLD_S]
+        parts = [(start, end) for start, end in cut if end > start and end - start >= least_s]
     return parts
 
 

@@ -32,12 +32,15 @@ LEAST_CHANGE = 0.15
 ONE_SIDED_CHANGE = 1.5
 # standard errors of a growth [1]: chance exceeds them to one side once in 160 times
 SURE_ERRORS = 2.5
-# what modes may leave of a motion, as a share of its root mean square [1]: the wall of a contact leaves a tenth
-LEFT_SHARE = 0.2
+# turns [1], or times: what is seen less often may be chance
+LEAST_TURNS = 2.0
 # what an instrument may err by, as a share of the hand's force [1]: drift in a hold, noise, two calibrations, and as a
 # share of a hold: samples that it lacks
 ERROR_SHARE = 0.1
 
+# what modes may leave of a motion, as a share of its root mean square [1]: the wall of a contact leaves a tenth, and
+# the instrument errs by as much
+_LEFT_SHARE = 2.0 * ERROR_SHARE
 # below this share of the hand's force [1] there are rounding errors
 _FLOOR_SHARE = 1e-7
 _ON_ITS_WAY = "the force was on its way"
@@ -80,11 +83,10 @@ def judge(
     if not hand_force_n > 0.0:
         raise ValueError(f"the hand's force in a hold is {hand_force_n} N, it must be > 0 N")
     finite = np.isfinite(force_n)
+    size = float(np.ptp(force_n[finite])) if finite.any() else 0.0
     if not finite.all():
-        size = float(np.ptp(force_n[finite])) if finite.any() else 0.0
         return Verdict("diverged", None, size, 0.0, "the force is no number from some time on")
     if len(time_s) < LEAST_SAMPLES:
-        size = float(np.ptp(force_n)) if len(force_n) else 0.0
         words = f"{len(time_s)} samples were taken of it: {LEAST_SAMPLES} or more would decide"
         return Verdict("cannot_say", None, size, 0.0, words)
     values, period_s = _even(time_s, force_n)
@@ -93,19 +95,22 @@ def judge(
     small, floor = max(SMALL_SHARE * hand_force_n, 1.5 * step), _FLOOR_SHARE * hand_force_n
     noise = max(noise_floor(values), step / math.sqrt(12.0))
     if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
-        most_n = ERROR_SHARE * hand_force_n
-        words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {most_n:.2g} N"
+        words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {ERROR_SHARE * hand_force_n:.2g} N"
         return Verdict("cannot_say", None, 0.0, noise, f"{words} would decide")
     swings: list[Mode] = []
+    doubt: Verdict | None = None
     for share in _TAILS:
         tail = values[len(values) - round(share * len(values)) :]
         if len(tail) < LEAST_SAMPLES:
             break
         fit = fitted(tail, period_s, floor)
+        if share == 1.0:
+            lasts = -LEAST_CHANGE / (period_s * len(tail))
+            swings = [one for one in fit.modes if one.end_n > small and one.frequency_hz and one.growth_per_s > lasts]
         if _explains(fit, hand_force_n):
             least = (small, 1.5 * step, SMALL_SHARE * hand_force_n)
             ends_s = (period_s * len(tail), float(time_s[-1]))
-            found = _by_modes(fit, ends_s, least, tail, noise, fit.whole and share == 1.0)
+            found = _by_modes(fit, ends_s, least, tail, noise)
             if found.kind == "stable" and not fit.modes and (gone_n := _gone(tail)) > ERROR_SHARE * hand_force_n:
                 # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
                 words = f"{_ON_ITS_WAY}, {gone_n:.3g} N: a hold of {4.0 * ends_s[0]:.2g} s or more would decide"
@@ -113,18 +118,26 @@ def judge(
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
             # a part in which a swing of the whole turns less than twice shows no rest of it
-            hidden = any(mode.frequency_hz * period_s * len(tail) < 2.0 for mode in swings)
+            hidden = any(mode.frequency_hz * period_s * len(tail) < LEAST_TURNS for mode in swings)
             if found.kind == "stable" and share < 1.0 and (hidden or _recurs(_sizes(values, noise), small)):
                 break
-            return found
-        if share == 1.0:
-            lasts = -LEAST_CHANGE / (period_s * len(tail))
-            large = [mode for mode in fit.modes if mode.end_n > small and mode.frequency_hz]
-            swings = [mode for mode in large if mode.growth_per_s > lasts]
+            if found.kind != "cannot_say" and (doubt is None or _is_at_rest(found, doubt, fit)):
+                return found
+            doubt = doubt or found
+            if doubt.reason.startswith(_ON_ITS_WAY):
+                break
+    if doubt is not None:
+        return doubt
     if len(values) < _WINDOWS**2:
         words = f"{len(values)} samples were taken of a motion of {float(np.ptp(values)):.2g} N"
         return Verdict("cannot_say", None, float(np.ptp(values)), noise, f"{words}: a longer hold would decide")
     return _by_windows(values, period_s, noise, small, float(time_s[-1]))
+
+
+def _is_at_rest(found: Verdict, doubt: Verdict, fit: Fit) -> bool:
+    """Return whether a last part is at rest that would show a motion of the size that was in doubt."""
+    shown_n = 2.0 * SURE_ERRORS * math.sqrt(2.0 / len(fit.left)) * rms(fit.left)
+    return found.kind == "stable" and found.rest_from_s is not None and doubt.peak_to_peak_n > shown_n
 
 
 def _explains(fit: Fit, hand_force_n: float) -> bool:
@@ -133,10 +146,9 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
         moved = rms(centred(fit.motion[part]))
         noise = max(1.5 * fit.noise_n, ERROR_SHARE * hand_force_n if fit.whole else 0.0)
         seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + noise)
-        if any(mode.end_n > seen_n for mode in fit.modes):
-            # large modes that cancel are no motion
-            return False
-        if rms(fit.left[part]) > max(noise, LEFT_SHARE * moved, LEFT_SHARE**2 * SMALL_SHARE * hand_force_n):
+        left_n = max(noise, _LEFT_SHARE * moved, _LEFT_SHARE**2 * SMALL_SHARE * hand_force_n)
+        # large modes that cancel are no motion
+        if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
             return False
     return True
 
@@ -147,12 +159,11 @@ def _by_modes(
     least_n: tuple[float, float, float],
     values: Series,
     noise_n: float,
-    all_explained: bool,
 ) -> Verdict:
     """Judge by the modes of a stretch [s] that they explain.
 
     stretch_s: its length and its end [s]; least_n: what is small, what rounding makes, and what is small without
-    rounding [N]; all_explained: whether the stretch is all that there is, and nothing is left of it but noise.
+    rounding [N].
     """
     length_s, end_s = stretch_s
     small_n, rounded_n, unrounded_n = least_n
@@ -168,31 +179,33 @@ def _by_modes(
             continue
         change, error = mode.growth_per_s * length_s, SURE_ERRORS * mode.error_per_s * length_s
         # of a growth there is to see what is over what is left
-        seen = min(1.0, math.log(max(mode.end_n / max(SURE_ERRORS * left_n, 1e-300), 1.0)) / max(change, 1e-9))
-        cycles = mode.frequency_hz * length_s * (seen if change > 0.0 else 1.0)
+        seen = math.log(max(mode.end_n / max(SURE_ERRORS * left_n, 1e-300), 1.0))
+        cycles = mode.frequency_hz * length_s * (min(seen / change, 1.0) if change > seen else 1.0)
         is_swing = cycles >= 0.5
         if 0.0 < mode.frequency_hz * length_s < 0.5:
             # less than half a swing looks like an exponential: what counts is how far it goes in either half
             change, error = 2.0 * math.log(max(mode.end_n, 1e-300) / max(mode.begin_n, 1e-300)), 0.0
         # of a swing that is seen once the growth has to be as clear on either side
-        least = LEAST_CHANGE if cycles >= 2.0 else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
+        least = LEAST_CHANGE if cycles >= LEAST_TURNS else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
+        falls_by = LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE
         if change - error > least:
-            # what grows is seen over what is left, and in each part of the stretch more, unless its fit leaves no doubt
-            rises = not is_swing or change > 6.0 * error or _rises(fit, mode, change)
+            # what grows is seen over what is left, and more in each part of the stretch if it turns often enough
+            rises = seen > least and (cycles < LEAST_TURNS or _rises(fit, mode, change))
             # what has been seen for two swings is said to go on for a stretch more
             own = values[-max(2, math.ceil(len(values) * min(1.0, max(cycles, 1.0) / change))) :]
             # in the time of its growth, or of a turn that is seen, it goes as far as more than half of what it is
             end_n = min(mode.end_n, 2.0 * float(np.ptp(own)))
-            reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= 2.0 else 1.0) > small_n
+            reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= LEAST_TURNS else 1.0) > small_n
             is_seen = rises and reaches and end_n > max(2.0 * SURE_ERRORS * left_n, rounded_n)
             # what may only just be seen is not said to be at rest
             is_near = end_n > small_n or (rises and reaches and is_swing and end_n > rounded_n)
             (growing if is_seen else unsure if is_near else left).append(mode)
-        elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
+        elif change + (error if error > LEAST_CHANGE else 0.0) < -falls_by:
             left.append(mode)
         elif (
-            cycles >= 2.0
-            and abs(change) + _stays_within(error, rounded_n / mode.end_n, all_explained) < 2.0 * LEAST_CHANGE
+            cycles >= LEAST_TURNS
+            and abs(change) + error + rounded_n / mode.end_n / 3.0 < 2.0 * LEAST_CHANGE
+            and -change < max(error, _LEFT_SHARE * LEAST_CHANGE)
         ):
             # friction makes of one swing that dies out a swing that does, less one that stays
             falls = all(after < before * math.exp(-LEAST_CHANGE) for before, after in pairwise(mode.thirds_n))
@@ -201,7 +214,7 @@ def _by_modes(
         else:
             drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * small_n / SMALL_SHARE
             # a swing within a step of the read-out may grow or die out unseen
-            within_n = unrounded_n if cycles >= 2.0 else small_n
+            within_n = unrounded_n if cycles >= LEAST_TURNS else small_n
             is_over = is_swing or change < -2.0 * ONE_SIDED_CHANGE
             is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= within_n
             (left if is_small else unsure).append(mode)
@@ -225,28 +238,19 @@ def _by_modes(
     rate = max((mode.growth_per_s for mode in left if mode.end_n > 0.0), default=None)
     rest_s = end_s - length_s + max((_until(mode, small_n) for mode in left), default=0.0)
     rest_from_s = min(rest_s, end_s) if size <= small_n else None
+    words = f"at rest but for {size:.2g} N from peak to peak"
     if size <= _FLOOR_SHARE * small_n / SMALL_SHARE or rate is None:
-        return Verdict("stable", rate, size, noise_n, "at rest", rest_from_s)
-    if rate < 0.0:
-        return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}", rest_from_s)
-    if size > small_n:
+        words = "at rest"
+    elif rate < 0.0:
+        words = f"the motion dies out by {-rate:.3g}/s{_left(size)}"
+    elif size > small_n:
         words = f"nothing swings, and the force goes on by {size:.2g} N to one side"
-        return Verdict("stable", rate, size, noise_n, words, None)
-    return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
-
-
-def _stays_within(error: float, rounded: float, all_explained: bool) -> float:
-    """Return within what the change of a swing is that may go on: its errors, and what rounding hides of it.
-
-    A swing that has died out by just what can be told is rare beside one that goes on, so that two standard errors do
-    where all of the motion is explained; one that a read-out rounds stays at a size of some steps while it dies out.
-    """
-    return error * (2.0 / SURE_ERRORS if all_explained else 1.0) + rounded / 3.0
+    return Verdict("stable", rate, size, noise_n, words, rest_from_s)
 
 
 def _rises(fit: Fit, mode: Mode, change: float) -> bool:
     """Return whether a line grows from each third of a stretch to the next by half of what its fit says."""
-    least_n = max(SURE_ERRORS * rms(fit.left) * math.sqrt(12.0 / len(fit.left)), LEFT_SHARE**2 * mode.thirds_n[-1])
+    least_n = max(SURE_ERRORS * rms(fit.left) * math.sqrt(12.0 / len(fit.left)), _LEFT_SHARE**2 * mode.thirds_n[-1])
     factor = math.exp(change / 6.0)
     return all(after >= before * factor or before <= least_n for before, after in pairwise(mode.thirds_n))
 
@@ -291,9 +295,8 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
     grows, falls = all(after > before for before, after in steps), all(after < before for before, after in steps)
     size, rate = sizes[-1], slope / window_s
     if grows and slope * _WINDOWS > LEAST_CHANGE and size * math.exp(min(slope * _WINDOWS, 50.0)) > small:
-        return Verdict(
-            "diverged", rate, size, noise_n, f"a motion of {size:.3g} N from peak to peak grows by {rate:.3g}/s"
-        )
+        words = f"a motion of {size:.3g} N from peak to peak grows by {rate:.3g}/s"
+        return Verdict("diverged", rate, size, noise_n, words)
     if max(sizes[-2:]) <= small and not _recurs(sizes, small):
         last = max((k for k, own in enumerate(sizes) if own > small), default=-1)
         rest = end_s - (_WINDOWS - 1 - last) * window_s
@@ -340,7 +343,7 @@ def _gone(values: Series) -> float:
 
 def _recurs(sizes: list[float], small_n: float) -> bool:
     """Return whether a motion began at least twice after a rest, as a cycle of snaps does, and a landing does not."""
-    return sum(before <= small_n and after > 2.0 * small_n for before, after in pairwise(sizes)) >= 2
+    return sum(before <= small_n and after > 2.0 * small_n for before, after in pairwise(sizes)) >= LEAST_TURNS
 
 
 def _moved(values: Series, noise_n: float) -> float:
