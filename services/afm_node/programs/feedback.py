@@ -91,36 +91,19 @@ def integral_share(gain_per_s: float, proportional: float, period_s: float, lag:
     return min(gain_per_s * dt, greatest)
 
 
-def number_fault(gain_per_s: float, proportional: float, names: tuple[str, str]) -> str:
-    """Return which of two gains is impossible anywhere, and what would be right; empty for none.
-
-    Args:
-        gain_per_s: The integral gain [1/s].
-        proportional: The proportional gain.
-        names: The names of the integral and of the proportional gain, as the user knows them; the second is empty where
-            there is none.
-    """
-    if not (math.isfinite(gain_per_s) and gain_per_s > 0.0):
-        return f"{names[0]} = {gain_per_s:g} must be positive and finite [1/s]"
-    if not (math.isfinite(proportional) and proportional >= 0.0):
-        return f"{names[1]} = {proportional:g} must be 0 or more, and finite"
-    return ""
-
-
 def gain_fault(
     gain_per_s: float, proportional: float, period_s: float, lag: float | None, names: tuple[str, str]
 ) -> str:
     """Return which gain is impossible in a loop, and what would be right; empty for none.
 
     Args:
-        gain_per_s: The integral gain [1/s].
-        proportional: The proportional gain.
+        gain_per_s: The integral gain [1/s], positive and finite, as the model of the program has it.
+        proportional: The proportional gain, 0 or more, and finite.
         period_s: The period of the feedback [s].
         lag: The lag, as in `most_integral_share`.
-        names: The names of the gains, as in `number_fault`.
+        names: The names of the integral and of the proportional gain, as the user knows them; the second is empty where
+            there is none.
     """
-    if fault := number_fault(gain_per_s, proportional, names):
-        return fault
     loop = f"in {'contact' if lag is None else 'tapping'} mode at {1.0 / period_s:g} Hz"
     margin = CONTACT_MARGIN if lag is None else TAPPING_MARGIN
     greatest = 1.0 if lag is None else 1.0 / (1.0 - lag) / margin

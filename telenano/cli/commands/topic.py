@@ -97,15 +97,11 @@ def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         name, _ = known_name(topic)
         row = TOPICS[name]
-        from telenano.cli.rig_graph import edges
-
-        readers = sorted({edge.reader for edge in edges() if edge.topic == name})
         facts: dict[str, Any] = {
             "topic": name,
             "message": row.model.__name__,
             "version": row.model.version,
             "publishers": list(row.publishers),
-            "readers in the loop": readers,
             "declared rate [Hz]": row.rate_hz,
             "deadline [s]": row.deadline_s,
             "delivery": row.delivery,

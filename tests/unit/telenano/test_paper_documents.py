@@ -7,9 +7,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from rig_graph import edges
 
 from proto.nodes import name_of
-from telenano.cli.rig_graph import edges
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
