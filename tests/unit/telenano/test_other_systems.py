@@ -78,7 +78,7 @@ def test_a_node_on_another_system_runs_without_real_time(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("hidden", "arguments", "text"),
     [
-        ("numba", ["scan", "--out", "never"], "numba is not installed: pip install "),
+        ("numba", ["scan", "--out", "never"], "afm_node.model: dynamic needs numba: pip install "),
     ],
 )
 def test_a_bare_installation_says_what_to_add(hidden: str, arguments: list[str], text: str) -> None:

@@ -20,7 +20,6 @@ from services.afm_node.physics.contact.contact_table import table_force
 from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
 from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
 from services.afm_node.physics.contact.tip_sample import branch_force
-from services.afm_node.physics.sample.made_samples import SampleConfig
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
@@ -155,7 +154,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             progress("fig8", n, of)
             return True
 
-        config = AfmConfig.model_validate({"model": "dynamic", "sample": SampleConfig().model_dump()})
+        config = AfmConfig.model_validate({"model": "dynamic", "sample": {"name": "dots"}})
         keys: dict[str, str | int] = {"scan.mode": "tapping", "scan.pixels": pixels, "scan.lines": pixels}
         image = take_image(config, keys, shown)
         page.heading("Fig. 8, InAs dots on 150 x 150 nm², tapping mode")
