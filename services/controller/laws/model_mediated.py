@@ -28,8 +28,8 @@ worked at its device, A = sum F_m dx_m, and the tip takes no more than E_0 and A
 
     sum F_s dx_s <= E_0 + max A,   where F d + K d^2 / 2 is paid for a step d, with the stiffest K that the guard bears.
 
-The hand takes back of A no more than the master stores. So hand and tip together get at most E_0 and that, however the
-hand pulls and whatever holds the tip.
+The hand takes back of A no more than the master stores, and by this account hand and tip together get at most E_0 and
+that, however the hand pulls and whatever holds the tip. docs/laws.md has two orders that are beyond it.
 
 What it does not promise: F_m = alpha_f F_s while the model is being learnt, and on a surface that changes faster than a
 round trip.
