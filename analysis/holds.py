@@ -522,7 +522,7 @@ def _judged_contact(
     verdict = _judge_motion(session, part, force_n)
     longest = max(contacts, key=lambda each: each.end_s - each.start_s)
     if verdict.kind == "cannot_say" and longest != part:
-        # what dies out although it is disturbed does so
+        # A motion that dies out while it is disturbed dies out without that as well.
         whole = _judge_motion(session, longest, force_n)
         part, verdict = (longest, whole) if whole.kind == "stable" else (part, verdict)
     late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
@@ -558,7 +558,7 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     def judged(samples: slice) -> Verdict:
         return judge(tip_s[samples], tip_n[samples], session.greatest_n, rest_n, session.step_n)
 
-    # what a tip does that has landed is its motion, unless that of the whole is milder
+    # The motion since a tip has landed is judged, and the whole one, and the milder verdict counts.
     verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
     verdict = max(verdicts, key=lambda one: _WORST_FIRST.index(one.kind))
     left = int(np.flatnonzero(touches).max(initial=-1)) + 1
@@ -739,7 +739,7 @@ def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -
 
 
 def outside(stretch: Span, spans: Sequence[Span], least_s: float = SHORTEST_HOLD_S) -> list[Span]:
-    """Return the parts [s] of a stretch that are in none of the spans and last for at least so long [s]."""
+    """Return the parts [s] of a stretch that are in none of the spans and last for at least `least_s`."""
     parts = [stretch]
     for from_s, to_s in spans:
         cut = [part for start, end in parts for part in ((start, min(end, from_s)), (max(start, to_s), end))]

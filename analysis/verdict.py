@@ -189,7 +189,7 @@ def _by_modes(
         least = LEAST_CHANGE if cycles >= LEAST_TURNS else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
         falls_by = LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE
         if change - error > least:
-            # what grows is seen over what is left, and more in each part of the stretch if it turns often enough
+            # A growth is seen over the residue, and from each part to the next if it turns often enough.
             rises = seen > least and (cycles < LEAST_TURNS or _rises(fit, mode, change))
             # what has been seen for two swings is said to go on for a stretch more
             own = values[-max(2, math.ceil(len(values) * min(1.0, max(cycles, 1.0) / change))) :]

@@ -36,7 +36,7 @@ from services.viz_node import live
 
 # far beyond what any of these loops needs, and before the limit of a test [s]
 PATIENCE_S = 60.0
-# what a loop that waits for a time waits here [s]
+# A loop that waits for a time is given this much of it here [s].
 SHORT_S = 0.05
 
 

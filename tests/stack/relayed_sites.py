@@ -58,7 +58,7 @@ class RoutedCable(Cable):
             outside, self.relay = ({site: f"{net}.{end}" for site, net in nets.items()} for end in (1, 2))
         self.names = {"master": f"tnm{token}", "slave": f"tns{token}"}
         self.routers = {site: f"tn{site[0]}g{token}" for site in OUTSIDE}
-        # what goes with this cable
+        # These namespaces are removed with this cable.
         self.own = [*self.names.values(), *self.routers.values()]
         if beside is None:
             self.own.append(f"tnr{token}")

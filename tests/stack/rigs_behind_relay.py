@@ -31,7 +31,7 @@ class Carried(NamedTuple):
 
 
 def carried(count: int, rate_hz: float, seconds: float) -> Carried:
-    """Run so many rigs over one relay, all of them for a time [s] at once."""
+    """Run `count` rigs over one relay, all of them for a time [s] at once."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as opened:
         rigs: list[RelayedSites] = []
         for number in range(count):

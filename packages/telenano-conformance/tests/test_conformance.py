@@ -592,7 +592,7 @@ def test_no_more_of_a_client_waits_than_the_mark_says(tmp_path: Path) -> None:
         reader.disable_monitor()
         for each in (reader, monitor):
             each.close(linger=0)
-    # what the kernel keeps of the connection comes beside it
+    # The buffers of the kernel hold some messages beside those of the mark.
     assert 0 < waiting < 1.5 * examination._MOST_WAITING
 
 

@@ -70,12 +70,12 @@ def scan(
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
         if live and size is not None:
             given |= {"width_m": size * 1e-9, "depth_m": size * 1e-9}
-        validated(ScanSettings, given, _OWN)
+        wanted = validated(ScanSettings, given, _OWN)
         if live:
             foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
                        "--temperature": temperature}  # fmt: skip
             refuse_foreign(foreign)
-            _scan_live(out, site_file, ScanSettings(**given), given, as_json=as_json)
+            _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
         from services.afm_node.config import AfmConfig
         from telenano.extend.images import write_images
@@ -86,11 +86,13 @@ def scan(
         keys_of_afm = [f"model={model}", f"disturbances.seed={seed}"]
         if temperature:
             keys_of_afm += ["disturbances.thermal.enabled=true", f"disturbances.thermal.temperature_k={temperature}"]
-        config = validate(AfmConfig, flag_overrides([*keys_of_afm, *(afm or ())]), "--afm")
-        config = config.model_copy(update={"sample": sample})
+        section = flag_overrides([*keys_of_afm, *(afm or ())])
+        # The instrument judges the sample as well, such as whether its base clears what lies there.
+        section["sample"] = sample.model_dump(mode="json", exclude_unset=True)
+        config = validate(AfmConfig, section, "--afm")
         keys: dict[str, Scalar] = {"scan.mode": mode, **{f"scan.{key}": value for key, value in given.items()}}
         with interrupts.finishing() as finish, results_in(out) as folder:
-            with progress("lines", given.get("lines", ScanSettings().lines), shown=not as_json, counted=True) as show:
+            with progress("lines", wanted.lines, shown=not as_json, counted=True) as show:
 
                 def advanced(n: int, of: int) -> bool:
                     if n == of:
@@ -106,7 +108,7 @@ def scan(
         "sample": sample.name,
         "mode": mode,
         "lines": found.lines.finished,
-        "pixels": given.get("pixels", ScanSettings().pixels),
+        "pixels": wanted.pixels,
         "simulated_s": found.simulated_s,
         "rms_error_m": found.rms_error_m,
         "correlation": found.correlation,

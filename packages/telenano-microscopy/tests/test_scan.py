@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from telenano_microscopy.force_curve import force_curve
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
+from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
@@ -43,10 +44,16 @@ def test_an_image_ends_when_it_is_asked_to_and_keeps_its_lines() -> None:
     assert part.simulated_s < whole.simulated_s
 
 
-def test_a_signal_before_the_first_line_leaves_nothing_and_later_keeps_what_is_finished() -> None:
-    def interrupted(n: int, of: int) -> bool:
+def test_a_signal_before_the_first_line_leaves_nothing_and_later_keeps_what_is_finished(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*_: Any) -> bool:
         raise KeyboardInterrupt
 
+    with monkeypatch.context() as early:
+        early.setattr(VirtualInstrument, "run", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            image(GRATING, SOFT, pixels=8, lines=3, dwell_s=2e-3)
     assert image(GRATING, SOFT, interrupted, pixels=8, lines=3, dwell_s=2e-3).lines.finished == 1
 
 

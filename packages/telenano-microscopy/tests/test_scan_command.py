@@ -24,6 +24,7 @@ RUNNER = CliRunner()
         (("--live", "--mode", "contact", "--setpoint", "2e6"), "--setpoint = 2e+06 must be above -1e+06 to 1e+06 [nN]"),
         (("--dwell", "0"), "--dwell = 0 must be above 0 to 10000 [ms]"),
         (("--pixels", "1"), "--pixels = 1 must be 2 to 4096"),
+        (("--set", "particles.count=3"), "does not clear the highest particle"),
     ],
 )
 def test_an_impossible_gain_is_refused_by_the_name_of_its_option(

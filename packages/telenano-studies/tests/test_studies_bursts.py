@@ -150,5 +150,5 @@ def test_an_arm_that_pulls_on_what_holds_the_tip_gets_no_more_than_is_stated() -
     found = [swung(seed) for seed in range(12)]
     start_j = ModelMediatedConfig().start_energy_j
     assert max(unpaid for _, unpaid in found) < start_j + 1e-6
-    # what the hand has taken back out of the model while the tip was still pressed is more than E_0 in some draws
+    # The hand takes back more than E_0 out of the model in some draws, while the tip is still pressed.
     assert min(least for least, _ in found) > -1e-3

@@ -72,7 +72,7 @@ def _edge_ms(law: str, gain: float | None) -> float:
 
 
 def _session(loop: Loop, outage_s: float, at_s: float, origin: str) -> dict[str, Any]:
-    """Return what a session has beside its scenario: an outage of both ways, so long [s] after an origin."""
+    """Return what a session has beside its scenario: an outage of both ways at a time [s] after an origin."""
     settings: dict[str, Any] = {}
     for way in ("forward", "backward"):
         settings[f"delay_node.{way}.outage.schedule"] = [[at_s, outage_s]]
