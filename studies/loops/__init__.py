@@ -1,1 +1,0 @@
-"""Studies of the closed loop in lockstep: stability, transparency, comparison of laws."""
