@@ -16,8 +16,11 @@ from typing import Protocol
 
 import zmq
 
-from proto import encode
-from proto.messages import (
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage
+from services.runtime.settings.scenario import RealtimeConfig
+from telenano.wire import encode
+from telenano.wire.messages import (
     AfmCommand,
     AfmState,
     HapticCommand,
@@ -26,9 +29,6 @@ from proto.messages import (
     TeleopBackward,
     TeleopForward,
 )
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage
-from services.runtime.settings.scenario import RealtimeConfig
 
 PERIOD_NS = 1_000_000
 SPIN_NS = 100_000

@@ -26,13 +26,13 @@ from typing import Any, cast
 
 from empty_loop import EmptyLoops
 
-from proto import decode
-from proto.messages import AfmState, NodeHealth
-from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import dynamic_afm
 from services.afm_node.physics.sim import simulated_afm
 from services.signals import children
+from telenano.recording.reader import Recording
+from telenano.wire import decode
+from telenano.wire.messages import AfmState, NodeHealth
 
 LATE_STEP_S = 2e-3
 # as fine as an empty loop can tell, which is itself late by some tens of microseconds

@@ -22,12 +22,12 @@ from pathlib import Path
 
 import zmq
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import TelenanoError
 from services.console.command_client import send_control
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
 from services.signals import children
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import TelenanoError
 
 AFM = "afm_node@slave"
 # how msgpack writes the mode of an afm/state

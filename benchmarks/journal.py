@@ -23,8 +23,6 @@ import numpy as np
 import zmq
 from wire_examples import ordinary_example
 
-from proto import TOPICS, decode, encode
-from proto.sequence import Arrival
 from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.delay_node.config import parse_settings
@@ -37,6 +35,8 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
+from telenano.wire import TOPICS, decode, encode
+from telenano.wire.sequence import Arrival
 
 TURNS = 1000
 REPEATS = 50

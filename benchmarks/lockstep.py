@@ -23,8 +23,8 @@ from services.afm_node.physics.step import step as instrument_step
 from services.haptic_node.physics.step import HapticInputs
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import always_compiled
-from studies.loops.link import schedule_of
-from studies.loops.lockstep import Rig, Trajectory, simulate
+from telenano.lockstep.link import schedule_of
+from telenano.lockstep.lockstep import Rig, Trajectory, simulate
 
 AIM = 2000.0
 _SETTLE_TICKS = 300

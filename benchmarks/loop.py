@@ -29,11 +29,11 @@ from typing import Any, NamedTuple, cast
 from chains import measure_sockets, measure_zeromq
 from hop_trace import PARTS
 
-from proto import decode
-from proto.messages import HapticState
-from recording.reader import Recording
 from services.runtime.loop.realtime import shallow_idle
 from services.signals import children
+from telenano.recording.reader import Recording
+from telenano.wire import decode
+from telenano.wire.messages import HapticState
 
 FLOORS = {
     "plain": ("sockets, plain", lambda ticks: measure_sockets(ticks, placed=False)),

@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from analysis.mean_interval import mean_half_width
 from benchmarks.made_records import RATE_HZ, RECORDS
+from telenano.analysis.mean_interval import mean_half_width
 
 WINDOWS_S = (0.3, 1.0, 3.0, 10.0)
 

@@ -24,7 +24,7 @@ START_S, MARGIN_S = 4.0, 2.0
 # They have imported all that they need when the rig starts: that takes more processor time than to listen.
 OBSERVER = """
 import sys
-from presets import DEFAULT_SITE_FILE
+from telenano.presets import DEFAULT_SITE_FILE
 from services.runtime.wiring.observer import Observer
 from services.runtime.wiring.main import load_site
 print("ready", flush=True)

@@ -16,7 +16,7 @@ from typing import Any
 from services.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+PACKAGES = ("services", "telenano")
 STUDIES = "packages/telenano-studies/telenano_studies"
 STUDY = (
     *("study", "stability", "--law", "virtual_impedance", "--environment", "tip_sample", "--stiffness", "40"),

@@ -35,12 +35,6 @@ import zmq
 from mcap.writer import CompressionType, Writer
 from wire_examples import ordinary_example
 
-from proto import encode
-from proto.messages import Message
-from proto.nodes import PLAYER
-from recording.reader import Recording
-from recording.verify import verify
-from recording.writer import RecordingWriter
 from services.player.node import PlaySettings
 from services.player.plan import node_of
 from services.player.run import ReplayRequest, run_replay
@@ -54,6 +48,12 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import apply_realtime, freeze_garbage, on_time, shallow_idle
 from services.runtime.settings.scenario import RealtimeConfig
 from services.signals import children
+from telenano.recording.reader import Recording
+from telenano.recording.verify import verify
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.messages import Message
+from telenano.wire.nodes import PLAYER
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000

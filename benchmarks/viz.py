@@ -35,11 +35,11 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from proto import TOPICS
-from proto.topics import LOOP_DEADLINE_S
-from recording.reader import Recording
-from recording.writer import FileSettings, RecordingWriter
 from services.signals import children
+from telenano.recording.reader import Recording
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS
+from telenano.wire.topics import LOOP_DEADLINE_S
 
 SETTLE_S = 1.0
 PATIENCE_S = 90.0

@@ -84,7 +84,7 @@ def _send_plain(way: str) -> None:
     import zmq
     from link import SIGNAL
 
-    from proto import compose
+    from telenano.wire import compose
 
     payload = compose("teleop/forward", {"seq": 0, "t_ns": 0, "src": "controller@master", "v": 1, **SIGNAL}, print)[1]
     context = zmq.Context()

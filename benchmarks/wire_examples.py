@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from proto.messages import Message
-from proto.topics import TOPICS
+from telenano.wire.messages import Message
+from telenano.wire.topics import TOPICS
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "contract"))
 

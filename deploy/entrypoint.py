@@ -8,8 +8,6 @@ from pathlib import Path
 
 import yaml
 
-import presets
-from proto.errors import ConfigError
 from services.launcher.plan import anchored
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
@@ -17,6 +15,8 @@ from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.settings.config import ENVIRONMENT_PREFIX, layered
 from services.runtime.wiring.main import EXIT_BAD_START
 from services.signals import children
+from telenano import presets
+from telenano.wire.errors import ConfigError
 
 # the cache that the build filled; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")

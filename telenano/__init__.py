@@ -7,18 +7,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from studies.loops.simulation import SimulatedSession as SimulatedSession
-    from studies.loops.simulation import simulate_scenario as simulate
     from telenano.api import LiveRig as LiveRig
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
     from telenano.api import check_law as check_law
     from telenano.api import live as live
     from telenano.api import open as open
+    from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
+    from telenano.lockstep.simulation import simulate_scenario as simulate
 
 _ELSEWHERE = {
-    "SimulatedSession": ("studies.loops.simulation", "SimulatedSession"),
-    "simulate": ("studies.loops.simulation", "simulate_scenario"),
+    "SimulatedSession": ("telenano.lockstep.simulation", "SimulatedSession"),
+    "simulate": ("telenano.lockstep.simulation", "simulate_scenario"),
 }
 
 __all__ = [
@@ -46,8 +46,8 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(module), attribute)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
-        if package in ("", "proto", "presets", "recording", "services", "analysis", "studies", "telenano"):
+        if package in ("", "services", "telenano"):
             raise
-        from proto.extras import missing
+        from telenano.wire.extras import missing
 
         raise ModuleNotFoundError(f"telenano.{name}: {missing(package)}", name=error.name) from error

@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from proto.errors import NoRecordingError, RecordingError, known_names
-from proto.messages import Message
-from recording.column_table import Column, ColumnTable
-from recording.messages import topic_of
-from recording.multi_file import open_recordings
-from recording.quantities import quantity
-from recording.site_clock import Timeline
-from recording.tables import flat, row, uniform
+from telenano.recording.column_table import Column, ColumnTable
+from telenano.recording.messages import topic_of
+from telenano.recording.multi_file import open_recordings
+from telenano.recording.quantities import quantity
+from telenano.recording.site_clock import Timeline
+from telenano.recording.tables import flat, row, uniform
+from telenano.wire.errors import NoRecordingError, RecordingError, known_names
+from telenano.wire.messages import Message
 
 _LOOP = "haptic/state"
 
@@ -80,7 +80,7 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
-        from analysis.report import summarise
+        from telenano.analysis.report import summarise
 
         return summarise(self._session, self._source)
 
@@ -94,7 +94,7 @@ class RecordedSession:
 
     @cached_property
     def _session(self) -> Any:
-        from analysis.report import read_session
+        from telenano.analysis.report import read_session
 
         return read_session(self._source)
 
@@ -204,9 +204,9 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
         ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
         RigError: No rig of the site file runs.
     """
-    from presets import DEFAULT_SITE_FILE
     from services.runtime.bus.address_book import load_site
     from services.runtime.wiring.observer import Observer, require_rig
+    from telenano.presets import DEFAULT_SITE_FILE
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
     book = load_site(path)

@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.phases import contacts_of, moments_of, phases_of
-from analysis.report import Session, read_session, summarise
-from analysis.swings import swings_of
-from proto.errors import RecordingError
-from recording.messages import readable
-from recording.multi_file import RecordingSource
-from recording.site_clock import Timeline
+from telenano.analysis.phases import contacts_of, moments_of, phases_of
+from telenano.analysis.report import Session, read_session, summarise
+from telenano.analysis.swings import swings_of
+from telenano.recording.messages import readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.site_clock import Timeline
+from telenano.wire.errors import RecordingError
 
 _MOST_EVENTS = 2000
 # numbers of the summary that a page lists one by one; the rest is in the file

@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from presets.plugins import load, refuse
-from proto.errors import ConfigError
-from proto.extras import how_to_install
 from services.afm_node.felt import FeelConfig
 from services.afm_node.over_map import guard_of, require_feelable
 from services.afm_node.physics.cantilever import Plant, build_plant, volts_per_m
@@ -49,6 +46,9 @@ from services.afm_node.section_config import (
 )
 from services.runtime.settings.config import Settings, filled
 from services.runtime.settings.device_drivers import Drivers
+from telenano.presets.plugins import load, refuse
+from telenano.wire.errors import ConfigError
+from telenano.wire.extras import how_to_install
 
 if TYPE_CHECKING:
     from services.afm_node.physics.dynamic_plant import DynamicPlant

@@ -8,11 +8,11 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.part import AfmSample, Particles
 from services.afm_node.physics.part import Oscillation as Oscillation
 from services.afm_node.physics.sample.surface import Surface
+from telenano.wire.errors import ConfigError
 
 
 class DeviceError(ConfigError, OSError):

@@ -11,7 +11,6 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from proto.messages import AfmCommand, Array
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
@@ -24,6 +23,7 @@ from services.afm_node.section_config import FrictionConfig
 from services.runtime.clock import NEVER_NS
 from services.runtime.loop.device_node import DeviceNode, Parts, StepPart
 from services.runtime.loop.node import Node
+from telenano.wire.messages import AfmCommand, Array
 
 # A hand that trembles at the edge of a map is told of it once.
 _QUIET_NS = 2_000_000_000

@@ -5,8 +5,6 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from proto.errors import ConfigError, RefusedError
-from proto.extras import how_to_install
 from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.over_map import read_params
@@ -23,6 +21,8 @@ from services.afm_node.section_config import ModbusConfig
 from services.runtime.loop.node import LOOP_PERIOD_S
 from services.runtime.settings.config import read_yaml, validate
 from services.runtime.settings.device_drivers import DeviceDriver, missing_driver
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.extras import how_to_install
 
 
 def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:

@@ -4,9 +4,6 @@ import contextlib
 import math
 from typing import Any, ClassVar, NamedTuple
 
-from proto.errors import RefusedError, cause
-from proto.instrument import MOST_TEXT
-from proto.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
@@ -32,6 +29,9 @@ from services.runtime.loop.device_node import DeviceNode
 from services.runtime.loop.freshness import FreshnessState
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_state import FindInput, Part, part
+from telenano.wire.errors import RefusedError, cause
+from telenano.wire.instrument import MOST_TEXT
+from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 _PROGRAM_PERIOD_NS = 100_000_000

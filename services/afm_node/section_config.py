@@ -4,9 +4,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from proto.topics import deadline_of
 from services.afm_node.physics.contact.capillary import meniscus_radius_m
 from services.runtime.settings.config import Settings
+from telenano.wire.topics import deadline_of
 
 BasePosition = Annotated[float, Field(ge=-1e-4, le=1e-4)]
 Speed = Annotated[float, Field(gt=0.0, le=1e-3)]

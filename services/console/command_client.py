@@ -10,9 +10,6 @@ from pathlib import Path
 
 import zmq
 
-from proto.errors import ConfigError, EndpointError, RigError
-from proto.messages import Message, NodeHealth, Scalar, SessionEvent
-from proto.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
 from services.console.lease import FREE_COMMANDS, MOST_LETTERS
 from services.console.lease_register import NAME_VARIABLE, Hold, acting
 from services.runtime.bus.address_book import AddressBook, load_site
@@ -22,6 +19,9 @@ from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 from services.runtime.wiring.observer import RIG_HINT, require_rig
 from services.runtime.wiring.participant import Participant, open_participant
+from telenano.wire.errors import ConfigError, EndpointError, RigError
+from telenano.wire.messages import Message, NodeHealth, Scalar, SessionEvent
+from telenano.wire.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1

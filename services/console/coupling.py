@@ -14,15 +14,15 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol
 
-from proto.errors import RigError
-from proto.messages import AfmState, HapticState, TeleopBackward
-from proto.nodes import TIP, name_of
 from services.console.command_client import send_control
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.arming import ARM_TIP
 from services.runtime.loop.commands import Command
 from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
+from telenano.wire.errors import RigError
+from telenano.wire.messages import AfmState, HapticState, TeleopBackward
+from telenano.wire.nodes import TIP, name_of
 
 TOPICS = ("haptic/state", "afm/state", "teleop/backward")
 # A hand that presses harder [N] would be let go of while it presses.

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import msgpack
 import zmq
 
-from proto.errors import RigError
-from proto.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
 from services.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_stop_path, local_endpoint
 from services.runtime.clock import SystemClock
 from services.runtime.loop.kept_stop import keep
+from telenano.wire.errors import RigError
+from telenano.wire.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
 
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
@@ -73,8 +73,8 @@ class LocalRig:
     @classmethod
     def read(cls, site_file: Path) -> "LocalRig":
         """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
-        from presets.regular_files import read_regular
         from services.runtime.untrusted.yaml_text import LARGEST_BYTES, yaml_value
+        from telenano.presets.regular_files import read_regular
 
         try:
             return cls(yaml_value(read_regular(site_file, LARGEST_BYTES).decode())["nodes"])

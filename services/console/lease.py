@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from proto.errors import RefusedError
+from telenano.wire.errors import RefusedError
 
 # A holder of whom nothing was heard for so long has lost the hand, and the tip is withdrawn if it was pressed.
 VANISHED_NS = 1_000_000_000

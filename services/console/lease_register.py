@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from proto.errors import ConfigError, RefusedError, RigError
-from recording.whole_files import changed
 from services.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.security.private_files import check_runtime_directory
+from telenano.recording.whole_files import changed
+from telenano.wire.errors import ConfigError, RefusedError, RigError
 
 NAME_VARIABLE = "TELENANO_NAME"
 _FILE = "lease"

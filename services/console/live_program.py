@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RigError
-from proto.instrument import AfmProgram
-from proto.messages import AfmScanline, AfmState, NodeHealth, Scalar
-from proto.nodes import TIP
 from services.console.command_client import send_control
 from services.console.lease_register import holding
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
 from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
 from services.signals import interrupts
+from telenano.wire.errors import RigError
+from telenano.wire.instrument import AfmProgram
+from telenano.wire.messages import AfmScanline, AfmState, NodeHealth, Scalar
+from telenano.wire.nodes import TIP
 
 Array = npt.NDArray[np.float64]
 

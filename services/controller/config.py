@@ -6,9 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator
 
-from presets.plugins import load, refuse
-from proto.errors import ConfigError, RefusedError
-from proto.messages import Scalar
 from services.controller.clamp import ClampConfig, ClampParams
 from services.controller.deadband import DeadbandConfig
 from services.controller.integration import TimingParams
@@ -23,6 +20,9 @@ from services.controller.laws.tactile import TACTILE, TactileConfig
 from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from services.controller.laws.wave import WAVE, WaveConfig
 from services.runtime.settings.config import Settings, merge, nested, validate
+from telenano.presets.plugins import load, refuse
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.messages import Scalar
 
 OWN_LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)

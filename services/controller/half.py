@@ -3,8 +3,6 @@
 from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
-from proto.errors import ConfigError, RefusedError
-from proto.messages import SessionControl, TeleopBackward, TeleopForward
 from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
@@ -27,6 +25,8 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.freshness import FreshnessState
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.node_state import Part, part
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.messages import SessionControl, TeleopBackward, TeleopForward
 
 STATUS_PERIOD_S = 0.01
 ROUND_TRIP_UNKNOWN = (0.0, False)

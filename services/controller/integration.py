@@ -1,7 +1,8 @@
 """When each half of a law integrates, by how many periods, and what it owes the other side: pure state machines.
 
-The nodes (`node`) and the loop of the studies (`studies.loops.lockstep`) feed them the same events, carry out what they
-decide, and decide nothing of the kind themselves. The laws take the steps; the machines know no force and no position.
+The nodes (`node`) and the loop of the studies (`telenano.lockstep.lockstep`) feed them the same events, carry out what
+they decide, and decide nothing of the kind themselves. The laws take the steps; the machines know no force and no
+position.
 
 The master half works in ticks of the hand. It sends at each sample, and receives once for each time that it has sent:
 

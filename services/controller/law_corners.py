@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 from services.controller.clamp import clamped
 from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.deadband import deadband, initial_deadband_state
@@ -21,6 +20,7 @@ from services.controller.law import (
     TipMeasurement,
     port_signal,
 )
+from telenano.wire.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 
 TICKS = 40
 PERIODS_S = (1e-4, 1e-3, 0.1)

@@ -3,7 +3,6 @@
 import math
 from typing import Any, NamedTuple, cast
 
-from proto.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 from services.controller import energy, integration
 from services.controller.config import ControllerConfig
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
@@ -25,6 +24,7 @@ from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_state import FindInput
+from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")

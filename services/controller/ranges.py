@@ -1,7 +1,8 @@
 """Ranges of the parameters of the laws: wider than any hand and instrument need, and so that no step overflows.
 
-The steps multiply a handful of these with quantities of the wire, which have ranges of their own (`proto.ranges`). With
-every factor between 1e-15 and 1e15 the products, summed over any session, stay far below the 1.8e308 of a double.
+The steps multiply a handful of these with quantities of the wire, which have ranges of their own
+(`telenano.wire.ranges`). With every factor between 1e-15 and 1e15 the products, summed over any session, stay far below
+the 1.8e308 of a double.
 """
 
 from typing import Annotated

@@ -2,8 +2,6 @@
 
 from typing import Any, Literal, NamedTuple, cast
 
-from proto.instrument import AfmProgram
-from proto.messages import AfmState, LinkDelay, TeleopForward
 from services.controller import energy, integration
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
@@ -17,6 +15,8 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.freshness import DEADLINES_S
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_state import FindInput
+from telenano.wire.instrument import AfmProgram
+from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
 
 # A program that is silent for so long is over [ns]: it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000

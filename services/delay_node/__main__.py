@@ -8,12 +8,12 @@ if __name__ == "__main__":
 
 import sys
 
-from proto.errors import ConfigError
 from services.delay_node.config import LinkSettings, changes_text
 from services.delay_node.node import DelayNode
 from services.runtime.loop.node import Node, NodeBus
 from services.runtime.loop.realtime import has_fifo
 from services.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.wire.errors import ConfigError
 
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:

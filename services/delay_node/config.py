@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from proto.codec import MAX_MESSAGE_BYTES
-from proto.messages import MAX_KEYS
 from services.delay_node.profiles import PROFILES, refusal_of
 from services.runtime.settings.config import Settings, flatten, merge, nested, validate
+from telenano.wire.codec import MAX_MESSAGE_BYTES
+from telenano.wire.messages import MAX_KEYS
 
 Setting = float | int | str | bool
 # a dotted key, and what is wrong with its value

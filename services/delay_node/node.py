@@ -5,12 +5,6 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
-from proto import TOPICS
-from proto.errors import ConfigError, RefusedError
-from proto.messages import ClockPong, LinkClock, LinkDirection, Message, SessionControl
-from proto.nodes import LINK
-from proto.ranges import limited
-from proto.topics import output_name
 from services.delay_node.config import LinkSettings, Setting, changed, flattened, network_name
 from services.delay_node.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from services.delay_node.direction import DirectionEngine
@@ -23,6 +17,12 @@ from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.deferred import Task
 from services.runtime.loop.node import Node, NodeBus, NodeContext
 from services.runtime.loop.node_state import FindInput
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.messages import ClockPong, LinkClock, LinkDirection, Message, SessionControl
+from telenano.wire.nodes import LINK
+from telenano.wire.ranges import limited
+from telenano.wire.topics import output_name
 
 STATUS_PERIOD_NS = 100_000_000
 # This setting is none: it measures what the line between two machines carries.

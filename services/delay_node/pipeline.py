@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
-from proto.errors import ConfigError
 from services.delay_node.config import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
 from services.delay_node.fate import Direction
 from services.delay_node.models.events import Corruptor, Overtaking
@@ -33,6 +32,7 @@ from services.delay_node.models.traces import (
 )
 from services.delay_node.random_streams import Occurrence, RandomStream, stream
 from services.runtime.loop.node_state import Part, part
+from telenano.wire.errors import ConfigError
 
 Model = TypeVar("Model")
 NS_PER_S = 1_000_000_000

@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
-from proto.errors import ConfigError, RefusedError
-from proto.messages import Scalar
-from proto.topics import deadline_of
 from services.haptic_node.impedance_config import CouplingConfig, SimulatedImpedanceConfig
 from services.haptic_node.operator_config import ForceProfileConfig, OperatorConfig
 from services.haptic_node.physics import step
@@ -20,6 +17,9 @@ from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_lo
 from services.haptic_node.safety import SafetyParams
 from services.runtime.settings.config import Settings, filled, validate
 from services.runtime.settings.device_drivers import Drivers
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.messages import Scalar
+from telenano.wire.topics import deadline_of
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
 SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain": 1.0e4}

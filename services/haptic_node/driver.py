@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol
 
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 
 Status = Literal["ok", "stale", "lost"]
 

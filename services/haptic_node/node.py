@@ -2,9 +2,6 @@
 
 from typing import ClassVar, NamedTuple
 
-from proto.errors import RefusedError
-from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
-from proto.nodes import is_meant
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, changed_operator
 from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
@@ -21,6 +18,9 @@ from services.runtime.loop.freshness import FreshnessState
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.settings.config import changed_disturbances
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
+from telenano.wire.nodes import is_meant
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
 _NO_COMMAND = HapticCommand(

@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import msgspec
 
-from proto.messages import HapticCommand
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import FAULTS, GATE_ACTIVE
@@ -24,6 +23,7 @@ from services.haptic_node.physics.lateral_hand import LateralHandParams, Lateral
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.loop.device_node import StepPart
 from services.runtime.loop.freshness import age_s
+from telenano.wire.messages import HapticCommand
 
 # Place [m], velocity [m/s], own force and shown force [N] of the hand across the sample, (x, y) each.
 Across = tuple[Pair, Pair, Pair, Pair]

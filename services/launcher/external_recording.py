@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from proto.errors import RecordingError
-from proto.messages import NodeHealth, SessionControl, SessionEvent
-from recording.reader import Recording
 from services.runtime.clock import Clock
 from services.runtime.loop.commands import Command
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import NodeHealth, SessionControl, SessionEvent
 
 # The recorder's first report may take so long once everything else is ready; it reports twice a second.
 _RECORDER_WAIT_NS = 3_000_000_000

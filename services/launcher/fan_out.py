@@ -6,11 +6,11 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 
-from proto.nodes import NODES
 from services.launcher.plan import Plan
 from services.runtime.bus.address_book import LONGEST_IPC_PATH
 from services.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
 from services.signals import children
+from telenano.wire.nodes import NODES
 
 _STOP_S = 2.0
 _PARTS = ("rig", "endpoint", "launcher")

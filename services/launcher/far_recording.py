@@ -11,13 +11,6 @@ from typing import Any, BinaryIO, NamedTuple
 
 import zmq
 
-from proto import encode
-from proto.errors import EndpointError, RecordingError, RigError
-from proto.messages import Scalar, SessionControl, SessionEvent
-from proto.network_messages import RecordingPiece
-from proto.nodes import LINK
-from recording.merge_sites import merge_sites
-from recording.reader import Recording
 from services.console.command_client import console_of
 from services.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RATE, RECORDING_FILE, TOPIC
 from services.relay.__main__ import at_relay
@@ -25,6 +18,13 @@ from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.wiring.participant import Participant, open_participant
+from telenano.recording.merge_sites import merge_sites
+from telenano.recording.reader import Recording
+from telenano.wire import encode
+from telenano.wire.errors import EndpointError, RecordingError, RigError
+from telenano.wire.messages import Scalar, SessionControl, SessionEvent
+from telenano.wire.network_messages import RecordingPiece
+from telenano.wire.nodes import LINK
 
 SENDER = "launcher@slave"
 # In the folder of a session: which files the other site recorded, and where they are put.

@@ -1,8 +1,8 @@
 """Whether the line between two sites carries a session, by what the ends of its datagrams measured at the start."""
 
-from proto.messages import Message
-from proto.network_messages import LinkNetwork
 from services.runtime.clock import Clock
+from telenano.wire.messages import Message
+from telenano.wire.network_messages import LinkNetwork
 
 # What the loop sends each way at 1 kHz, with room for commands and reports [bit/s].
 FULL_BIT_PER_S = 2_000_000

@@ -4,13 +4,13 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from proto.errors import TelenanoError
-from proto.nodes import PAGE, name_of
 from services.launcher.plan import Plan
 from services.launcher.processes import Inherited
 from services.viz_node.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE, PARTICIPANT_VARIABLE
 from services.viz_node.config import ViewConfig
 from services.viz_node.serve import SOCKET_VARIABLE, addresses_of, announced, missing_for_view
+from telenano.wire.errors import TelenanoError
+from telenano.wire.nodes import PAGE, name_of
 
 
 @contextlib.contextmanager

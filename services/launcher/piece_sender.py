@@ -9,8 +9,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from proto.errors import RefusedError
-from proto.messages import Array, Scalar
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Array, Scalar
 
 TOPIC = "recording/piece"
 FILE, OFFSET, BYTES, RATE = "recording.file", "recording.offset", "recording.bytes", "recording.kbit_per_s"

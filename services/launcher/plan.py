@@ -8,20 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field
 
-from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
-from proto.errors import ConfigError, RigError, known_names
-from proto.nodes import (
-    FAR_RECORDER,
-    LAUNCHER,
-    LINK,
-    OPTIONAL_NODES,
-    RECORDER,
-    SERVICES,
-    START_ORDER,
-    Site,
-    name_of,
-    site_of,
-)
 from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import loop_refusal, refusal
@@ -35,6 +21,20 @@ from services.runtime.settings.config import Settings, environment_overrides, fl
 from services.runtime.settings.option import Option
 from services.runtime.settings.scenario import LoadedScenario, Scenario, scenario_document
 from services.runtime.wiring.main import node_kind
+from telenano.presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
+from telenano.wire.errors import ConfigError, RigError, known_names
+from telenano.wire.nodes import (
+    FAR_RECORDER,
+    LAUNCHER,
+    LINK,
+    OPTIONAL_NODES,
+    RECORDER,
+    SERVICES,
+    START_ORDER,
+    Site,
+    name_of,
+    site_of,
+)
 
 if TYPE_CHECKING:
     from services.recorder.config import RecorderConfig

@@ -11,11 +11,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from proto.nodes import name_of
 from services.runtime.bus.publisher import LINGER_S
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.settings.config import ENVIRONMENT_PREFIX
 from services.signals import children
+from telenano.wire.nodes import name_of
 
 # a node is safe within milliseconds and then publishes how much it has sent
 GRACE_S = 8.0

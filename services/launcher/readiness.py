@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from proto import TOPICS
-from proto.messages import NodeHealth
 from services.runtime.clock import Clock
+from telenano.wire import TOPICS
+from telenano.wire.messages import NodeHealth
 
 READY_DEADLINE_S = 60.0
 _LOOP_RATE_HZ = 100.0

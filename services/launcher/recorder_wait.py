@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from proto.messages import NodeHealth
 from services.launcher.liveness import NODE_TIMEOUT_S
 from services.launcher.readiness import input_ages_s
 from services.runtime.clock import Clock
+from telenano.wire.messages import NodeHealth
 
 Report = Callable[[str], None]
 

@@ -6,9 +6,6 @@ from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import ClassVar, Literal
 
-from proto.ends import read_end
-from proto.messages import NodeHealth, Scalar, SessionEvent
-from proto.nodes import HAND, RECORDER, TIP, name_of
 from services.launcher.liveness import Change, LivenessMonitor
 from services.launcher.processes import StopObserver
 from services.launcher.recorder_wait import has_last
@@ -16,6 +13,9 @@ from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.node import Node, NodeContext
+from telenano.wire.ends import read_end
+from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
+from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 
 Phase = Literal["starting", "arming", "running", "ending", "over"]
 

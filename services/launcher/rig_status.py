@@ -3,9 +3,12 @@
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeVar
 
-from proto import TOPICS
-from proto.errors import RigError
-from proto.messages import (
+from services.launcher.readiness import oldest_input_s, unmet
+from services.runtime.loop.loop_age import STAGES, LoopAge
+from services.runtime.wiring.observer import RIG_HINT, Observer
+from telenano.wire import TOPICS
+from telenano.wire.errors import RigError
+from telenano.wire.messages import (
     AfmState,
     HapticState,
     LawStatus,
@@ -15,10 +18,7 @@ from proto.messages import (
     NodeHealth,
     SessionEvent,
 )
-from proto.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
-from services.launcher.readiness import oldest_input_s, unmet
-from services.runtime.loop.loop_age import STAGES, LoopAge
-from services.runtime.wiring.observer import RIG_HINT, Observer
+from telenano.wire.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
 
 M = TypeVar("M", bound=Message)
 

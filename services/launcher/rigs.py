@@ -12,10 +12,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from presets.optional_modules import optional_module
-from proto.errors import ConfigError, EndpointError, RigError
-from proto.nodes import site_of
-from recording.whole_files import write_whole
 from services.launcher import processors
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
@@ -23,6 +19,10 @@ from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_dir
 from services.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
 from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.settings.scenario import RealtimeConfig
+from telenano.presets.optional_modules import optional_module
+from telenano.recording.whole_files import write_whole
+from telenano.wire.errors import ConfigError, EndpointError, RigError
+from telenano.wire.nodes import site_of
 
 if TYPE_CHECKING:
     # Whoever only asks which rigs run needs no models of nodes.

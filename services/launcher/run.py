@@ -10,9 +10,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
-from proto.errors import RecordingError, RigError, TelenanoError
-from proto.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
-from recording.reader import Recording
 from services.launcher.external_recording import ExternalRecording, readable_here
 from services.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
 from services.launcher.plan import RECORDING_NAME, Plan
@@ -32,6 +29,9 @@ from services.runtime.loop.node import NodeContext
 from services.runtime.loop.realtime import shallow_idle
 from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RecordingError, RigError, TelenanoError
+from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 
 Observer = Callable[[RigNode], None]
 # A recording of a minute has so much: its report takes seconds.
@@ -289,7 +289,7 @@ def report_of(
         again = "another Ctrl-C" if outcome.interrupted else "Ctrl-C"
         show(f"that takes some time; {again} leaves it to `telenano report {names} --out {plan.out}`")
     # matplotlib takes a second to import, which a running rig should not pay
-    from analysis.report import write_report
+    from telenano.analysis.report import write_report
 
     try:
         with outcome.report_later(plan):

@@ -5,13 +5,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from presets import scenarios
-from proto.errors import ConfigError, known_names
-from proto.nodes import SERVICES
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.settings.config import merge, read_yaml
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from services.runtime.wiring.main import node_kind
+from telenano.presets import scenarios
+from telenano.wire.errors import ConfigError, known_names
+from telenano.wire.nodes import SERVICES
 
 _UNKNOWN = re.compile(r"(?:^|: )([^\s:]+): (?:unknown key|.+ has no key )")
 # The paper's symbols, as docs/glossary.md has them, and the last word of the key.

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
-from proto.messages import NodeHealth, SessionEvent
-from proto.nodes import HAND, RECORDER, TIP, name_of
 from services.launcher.external_recording import ExternalRecording
 from services.launcher.line_check import LineCheck
 from services.launcher.liveness import LivenessMonitor
@@ -16,6 +14,8 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.loop.node import NodeContext
+from telenano.wire.messages import NodeHealth, SessionEvent
+from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 
 # A rig that stops waits so long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
 _STOP_ANSWER_NS = 2_000_000_000

@@ -3,9 +3,6 @@
 from pathlib import Path
 from typing import ClassVar
 
-from proto.errors import RefusedError
-from proto.messages import ClockPing, SessionControl
-from proto.nodes import LINK, TIP
 from services.launcher.liveness import LivenessMonitor
 from services.launcher.piece_sender import PieceSender
 from services.launcher.readiness import READY_DEADLINE_S, unmet
@@ -13,6 +10,9 @@ from services.launcher.rig_node import RigNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
 from services.runtime.loop.node import NodeContext
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import ClockPing, SessionControl
+from telenano.wire.nodes import LINK, TIP
 
 
 class SiteNode(RigNode):

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Sequence
 
-from proto.messages import NodeHealth
 from services.launcher.processes import Children, StopObserver
 from services.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
 from services.launcher.watchdog import Finding, Watchdog
 from services.runtime.clock import Clock
 from services.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
+from telenano.wire.messages import NodeHealth
 
 # level, sentence, and the facts of a session/event
 Report = Callable[..., None]

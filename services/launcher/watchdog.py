@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
-from proto.nodes import RECORDER, name_of
 from services.runtime.clock import Clock
+from telenano.wire.nodes import RECORDER, name_of
 
 # node/health comes twice a second
 SILENCE_S = 2.0

@@ -18,10 +18,9 @@ from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-from proto.errors import ConfigError
-
 # imported here because it notes when this process began, before steps are defined
 from services.numerics.source_digest import cache_folder
+from telenano.wire.errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., object])
 V = TypeVar("V")

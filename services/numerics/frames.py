@@ -1,6 +1,6 @@
 """Conversion between the paper's axis (x towards the sample) and a site's frame (z away from it): one sign."""
 
-from proto.messages import Vector3
+from telenano.wire.messages import Vector3
 
 
 def to_paper_axis(vector: Vector3) -> float:

@@ -15,14 +15,14 @@ from typing import Any, ClassVar
 import msgpack
 import zmq
 
-from proto.errors import RefusedError
-from proto.messages import Scalar, SessionControl
-from recording.messages import RecordedChannel, RecordedMessage
 from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, PlaybackClock, is_state
 from services.runtime.bus.publisher import SNDMORE, ZmqPublisher
 from services.runtime.clock import Clock
 from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Scalar, SessionControl
 
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000

@@ -1,11 +1,11 @@
 """What of a recording is played: its nodes and channels."""
 
-from proto.errors import ConfigError
-from proto.nodes import LAUNCHER, LINK, is_console, name_of
-from recording.channel_filter import Selection
-from recording.messages import RecordedChannel
-from recording.multi_file import RecordingSource
 from services.runtime.bus.address_book import AddressBook
+from telenano.recording.channel_filter import Selection
+from telenano.recording.messages import RecordedChannel
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import LAUNCHER, LINK, is_console, name_of
 
 # recorder, player, the observer `telenano record` and the page are not part of the rig that is played, and an
 # emergency stop has no endpoint that could be taken

@@ -6,11 +6,11 @@ the time of playing.
 
 from dataclasses import dataclass
 
-from proto import TOPICS
-from proto.errors import RecordingError
-from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
-from recording.multi_file import RecordingSource
-from recording.sender_time import SenderClock, SenderOrder, Sent
+from telenano.recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
+from telenano.wire import TOPICS
+from telenano.wire.errors import RecordingError
 
 _NS = 1e9
 _LONGEST_S = 1e9

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import zmq
 
-from presets import DEFAULT_SITE_FILE
-from proto import TOPICS
-from proto.errors import ConfigError, RecordingError, RigError
-from proto.nodes import LINK, PLAYER, is_console, name_of
-from recording.channel_filter import Selection
-from recording.indexed import open_indexed
-from recording.messages import RecordedChannel
-from recording.multi_file import RecordingSource
 from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, Span
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.loop.realtime import on_time, shallow_idle
 from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.channel_filter import Selection
+from telenano.recording.indexed import open_indexed
+from telenano.recording.messages import RecordedChannel
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError, RecordingError, RigError
+from telenano.wire.nodes import LINK, PLAYER, is_console, name_of
 
 # One message of each channel is tried in so much of the beginning; the first of most comes within a second.
 _TRIED_NS = 5_000_000_000

@@ -8,9 +8,6 @@ if __name__ == "__main__":
 
 import sys
 
-from proto import TOPICS
-from proto.ends import END_TOPIC
-from proto.nodes import FAR_RECORDER, site_of
 from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig, is_bulk
 from services.recorder.intake import Intake
@@ -20,6 +17,9 @@ from services.recorder.node import RecorderBus, RecorderNode
 from services.runtime.loop.node import Node, NodeBus
 from services.runtime.wiring.main import NodeKind, Wiring, run_node
 from services.runtime.wiring.participant import SITES
+from telenano.wire import TOPICS
+from telenano.wire.ends import END_TOPIC
+from telenano.wire.nodes import FAR_RECORDER, site_of
 
 
 def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from proto.nodes import site_of
 from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
@@ -14,6 +13,7 @@ from services.recorder.node import RecorderBus, RecorderNode
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import NullPublisher
 from services.runtime.wiring.participant import OBSERVER, StopSignals, open_participant, run_loop
+from telenano.wire.nodes import site_of
 
 
 class Recorded(BaseModel):

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from proto.errors import RecordingError
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.provenance import write_provenance
 from services.recorder.rotation import FileRotation
 from services.runtime.clock import Clock
+from telenano.recording.writer import RecordingWriter
+from telenano.wire.errors import RecordingError
 
 
 def begin_recording(

@@ -4,11 +4,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from proto import TOPICS
-from proto.ends import END_TOPIC
-from proto.errors import ConfigError
-from recording.channel_filter import Selection
-from recording.writer import FileSettings
+from telenano.recording.channel_filter import Selection
+from telenano.recording.writer import FileSettings
+from telenano.wire import TOPICS
+from telenano.wire.ends import END_TOPIC
+from telenano.wire.errors import ConfigError
 
 _Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
 

@@ -6,19 +6,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
-from proto.ends import END_TOPIC, read_end
-from proto.errors import RecordingError
-from proto.messages import SOURCE_PATTERN
-from proto.nodes import START_ORDER, name_of, site_of
-from proto.sequence import MOST_COUNTED, Arrival
-from recording.channel_filter import ALL, Selection
-from recording.info import END_NAME
-from recording.records import GapRecord, RejectedRecord
-from recording.writer import FileEnd, RecordingWriter, channel_topic
 from services.recorder.listener import Listener, Stream
 from services.recorder.rotation import FileRotation, QuotaError
 from services.runtime.bus.bus import Received, split_frames
+from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.info import END_NAME
+from telenano.recording.records import GapRecord, RejectedRecord
+from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
+from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
+from telenano.wire.ends import END_TOPIC, read_end
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import SOURCE_PATTERN
+from telenano.wire.nodes import START_ORDER, name_of, site_of
+from telenano.wire.sequence import MOST_COUNTED, Arrival
 
 # messages on these topics are decoded, of all others only the header is read
 _DECODED = frozenset(("node/health", "session/control", END_TOPIC))

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from proto.sequence import SequenceTracker
-from proto.topics import Topic
 from services.runtime.bus.bus import Subscriber
+from telenano.wire.sequence import SequenceTracker
+from telenano.wire.topics import Topic
 
 
 @dataclass(slots=True)

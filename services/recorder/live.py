@@ -7,13 +7,13 @@ from typing import Self
 
 import zmq
 
-from proto import TOPICS
-from proto.nodes import site_of
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.writer import channel_topic
 from services.recorder.listener import Listener
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.wiring.participant import OBSERVER, SITES, Participant, open_participant
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.writer import channel_topic
+from telenano.wire import TOPICS
+from telenano.wire.nodes import site_of
 
 _WAIT_MS = 100
 

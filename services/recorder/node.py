@@ -6,8 +6,6 @@ from typing import ClassVar
 
 import zmq
 
-from proto.errors import RefusedError
-from proto.messages import MAX_TEXT, SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
@@ -17,6 +15,8 @@ from services.runtime.bus.publisher import Publisher
 from services.runtime.clock import Clock
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.node import Node, NodeContext
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import MAX_TEXT, SessionControl
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives

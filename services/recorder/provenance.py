@@ -8,15 +8,15 @@ from pathlib import Path
 
 import zmq
 
-from presets.plugins import in_scenarios
-from presets.regular_files import read_regular
-from proto import TOPICS
-from proto.errors import RecordingError
-from recording.mcap_scan import FORMAT
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.untrusted.yaml_text import LARGEST_BYTES
 from services.signals import children
+from telenano.presets.plugins import in_scenarios
+from telenano.presets.regular_files import read_regular
+from telenano.recording.mcap_scan import FORMAT
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import TOPICS
+from telenano.wire.errors import RecordingError
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
@@ -65,7 +65,9 @@ def write_provenance(
 def _shown(path: Path) -> str:
     """Return a path as it is found again: what comes with the project by its place in it."""
     absolute = path.absolute()
-    return str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "presets") else str(absolute)
+    return (
+        str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "telenano" / "presets") else str(absolute)
+    )
 
 
 @cache

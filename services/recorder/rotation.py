@@ -4,9 +4,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from proto.errors import RecordingError
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording.writer import RecordingWriter
+from telenano.wire.errors import RecordingError
 
 CreateFile = Callable[[int], RecordingWriter]
 

@@ -9,7 +9,6 @@ from concurrent.futures import Future
 from threading import Thread
 from typing import Any
 
-from proto.errors import ConfigError, EndpointError, TelenanoError
 from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import RELAY, AddressBook, load_site
 from services.runtime.loop.log import StructuredLog, configure_logging
@@ -18,6 +17,7 @@ from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
 from services.runtime.wiring.main import EXIT_BAD_START, parse_arguments
 from services.signals.children import die_with_parent
+from telenano.wire.errors import ConfigError, EndpointError, TelenanoError
 
 
 async def until_stopped(work: Coroutine[Any, Any, None]) -> None:

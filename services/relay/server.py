@@ -12,13 +12,13 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from proto.errors import ConfigError, EndpointError
 from services.relay.channel import CHUNK_BYTES, HELLO_S, Budget, Channel, Gone, abort, meet, splice, tend
 from services.relay.forwarder import Forwarder
 from services.runtime.loop.log import StructuredLog
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import KeyPair, key_text
 from services.runtime.security.sealed import RejectedError
+from telenano.wire.errors import ConfigError, EndpointError
 
 DEFAULT_PORT = 5750
 # Strangers: connections that have not shown a key yet, in all and from one address. A class of ten rigs behind one

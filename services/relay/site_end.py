@@ -11,12 +11,12 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from proto.errors import ConfigError, EndpointError
 from services.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
 from services.runtime.bus.address_book import AddressBook, split_tcp
 from services.runtime.loop.log import StructuredLog
 from services.runtime.relay.protocol import raw_key, split_host_port
 from services.runtime.security.access_control import AccessControl, relay_key
+from telenano.wire.errors import ConfigError, EndpointError
 
 _PING_S, _SILENCE_S = 4.0, 12.0
 _AGAIN_S, _AGAIN_MOST_S = 0.5, 5.0

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 
 EPOCH_OFFSET_VARIABLE = "TELENANO_EPOCH_OFFSET_NS"
 # a time on any clock that does not come [ns]

@@ -3,11 +3,11 @@
 import sys
 from functools import partial
 
-from proto.errors import ConfigError
 from services.runtime.loop.node import Node, NodeBus
 from services.runtime.wiring.main import NodeKind, Wiring, run_node
 from services.viz_node.config import ViewConfig
 from services.viz_node.serve import addresses_of, announced, inherited, missing_for_view
+from telenano.wire.errors import ConfigError
 
 
 def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, NodeBus]:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from proto.errors import ConfigError
 from services.viz_node.people import People, Person
+from telenano.wire.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
 OPERATOR_VARIABLE = "TELENANO_VIEW_OPERATOR_TOKEN"

@@ -5,9 +5,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from proto.errors import ConfigError, TelenanoError
-from proto.messages import Scalar
-from proto.nodes import TIP, VIEW
 from services.console.command_client import arm_devices, send_control
 from services.console.coupling import couple_anew
 from services.console.emergency_stop import Answer, LocalRig, emergency_stop
@@ -16,6 +13,9 @@ from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import publish_end
 from services.runtime.loop.commands import Command, CommandName
 from services.runtime.wiring.participant import open_participant
+from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.messages import Scalar
+from telenano.wire.nodes import TIP, VIEW
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
 # This one consists of several commands: hand and tip are coupled anew.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from proto.errors import EndpointError
+from telenano.wire.errors import EndpointError
 
 # Connections beside the pages are strangers: the files of a page come over six at once, and a hello takes moments.
 MOST_CONNECTIONS = 64

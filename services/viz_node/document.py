@@ -8,12 +8,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from proto.errors import RefusedError, TelenanoError
-from recording.multi_file import RecordingSource
-from recording.reader import Piece
-from recording.site_clock import Timeline
 from services.viz_node.levels import Floats, Levels, is_curve, is_link, packed, read_samples
 from services.viz_node.streams import STREAMS
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.reader import Piece
+from telenano.recording.site_clock import Timeline
+from telenano.wire.errors import RefusedError, TelenanoError
 
 # A part that is shorter than this is read from the file, sample by sample [s]; of a longer one a pixel has several.
 _RAW_S = 3.0

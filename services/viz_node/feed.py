@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from proto import Message, fields_of
-from proto.ends import read_end
-from proto.nodes import site_of
-from recording.messages import LeftOut
 from services.viz_node.participant import CUE, CUE_KEYS, TRIAL, TRIAL_KEYS
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
+from telenano.recording.messages import LeftOut
+from telenano.wire import Message, fields_of
+from telenano.wire.ends import read_end
+from telenano.wire.nodes import site_of
 
 # at most a second of the loop at once: more would hold up the page, and is past anyway
 _MOST_SAMPLES = 1000

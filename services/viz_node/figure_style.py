@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,10 +11,6 @@ from typing import Any, Protocol, TypeVar
 
 import msgpack
 
-from proto.errors import RefusedError, TelenanoError
-from proto.messages import Scalar
-from proto.nodes import TIP
-from recording.messages import LeftOut
 from services.console.lease import FREE_COMMANDS, Party
 from services.console.lease_register import LeaseRegister
 from services.runtime.loop.loop_age import LoopAge, Part
@@ -40,6 +36,10 @@ from services.viz_node.requests import (
 )
 from services.viz_node.source import AGE_TOPICS, Source
 from services.viz_node.streams import described
+from telenano.recording.messages import LeftOut
+from telenano.wire.errors import RefusedError, TelenanoError
+from telenano.wire.messages import Scalar
+from telenano.wire.nodes import TIP
 
 TICK_S = 1.0 / 30.0
 # without a page only what a page that comes later needs is collected

@@ -6,8 +6,6 @@ from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any
 
-from proto.errors import RefusedError, RigError
-from recording.messages import LeftOut
 from services.console.lease import (
     BEAT_S,
     EXPERIMENT,
@@ -27,6 +25,8 @@ from services.console.lease import (
 from services.console.lease_register import LeaseRegister, Step
 from services.viz_node.page_session import Session
 from services.viz_node.requests import LeaseRequest
+from telenano.recording.messages import LeftOut
+from telenano.wire.errors import RefusedError, RigError
 
 
 class OwnRegister:

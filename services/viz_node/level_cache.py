@@ -14,8 +14,8 @@ from typing import Any
 import msgpack
 import zstandard
 
-from recording.whole_files import whole_file
 from services.viz_node.levels import Levels
+from telenano.recording.whole_files import whole_file
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16
@@ -23,7 +23,7 @@ _ENDS_BYTES = 1 << 16
 _MOST_BYTES, _MOST_TOGETHER = 256 << 20, 512 << 20
 _UNUSABLE = (OSError, RuntimeError, zstandard.ZstdError, TypeError, ValueError, MemoryError)
 _ROOT = Path(__file__).resolve().parents[2]
-_SOURCES = ("analysis", "recording", "services/viz_node", "telenano")
+_SOURCES = ("services/viz_node", "telenano")
 
 
 class LevelCache:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from recording.messages import LeftOut, RecordedChannel, RecordedMessage
-from recording.site_clock import Timeline
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, LinkLoss, Stream
+from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage
+from telenano.recording.site_clock import Timeline
 
 Floats = npt.NDArray[np.float64]
 

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
-from proto.errors import EndpointError
 from services.console.lease import Party
 from services.console.lease_register import LeaseRegister
 from services.runtime.bus.bus import Received, Refusals, ZmqBus
@@ -17,6 +16,7 @@ from services.viz_node.connections import Listener
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.serve import PageServer, Tls
+from telenano.wire.errors import EndpointError
 
 
 class PageBus(ZmqBus):

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import msgspec
 
-from proto.errors import ConfigError
-from recording.whole_files import changed
 from services.console.lease import MOST_LETTERS
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.security.private_files import check_runtime_directory, read_secret
 from services.runtime.untrusted.printable import printable
+from telenano.recording.whole_files import changed
+from telenano.wire.errors import ConfigError
 
 ROLES = ("observer", "pupil", "operator", "teacher")
 _MOST_PEOPLE = 1000

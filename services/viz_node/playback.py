@@ -4,11 +4,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from proto.errors import RecordingError, RefusedError
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.multi_file import RecordingSource
 from services.viz_node.feed import Seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.errors import RecordingError, RefusedError
 
 _LEAST_RATE, _MOST_RATE = 0.01, 100.0
 _IMAGE_TOPIC = "afm/scanline"

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, get_args
 import msgspec
 from msgspec import Meta
 
-from proto.messages import Scalar
+from telenano.wire.messages import Scalar
 
 # raised when a page of an older build would misread what the server says, or the other way round
 PROTOCOL = 1

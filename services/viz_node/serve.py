@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from proto.errors import ConfigError, EndpointError, RigError, TelenanoError
-from proto.extras import how_to_install
-from recording.whole_files import write_whole
 from services.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
 from services.runtime.security.private_files import check_runtime_directory, read_secret
 from services.viz_node.access import LOOPBACK, Access, is_loopback
 from services.viz_node.connections import Connections, Listener, most_connections
+from telenano.recording.whole_files import write_whole
+from telenano.wire.errors import ConfigError, EndpointError, RigError, TelenanoError
+from telenano.wire.extras import how_to_install
 
 if TYPE_CHECKING:
     import uvicorn

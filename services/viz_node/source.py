@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
-from proto.errors import RefusedError
 from services.viz_node.feed import Seen
+from telenano.wire.errors import RefusedError
 
 # what only curves are made of: most of the traffic of a rig, and of no use while no page is open
 LOOP_TOPICS = ("haptic/state", "haptic/command", "afm/state", "law/status")

@@ -5,16 +5,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plugins import recorded_plugins, require_installed
-from proto.nodes import LINK
-from recording.arrays import columns
-from recording.messages import readable
-from recording.multi_file import RecordingSource
-from recording.site_clock import Timeline
 from services.controller.config import ControllerConfig
 from services.delay_node.config import EVEN, LinkSettings, network_name
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
+from telenano.analysis.plugins import recorded_plugins, require_installed
+from telenano.recording.arrays import columns
+from telenano.recording.messages import readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.site_clock import Timeline
+from telenano.wire.nodes import LINK
 
 _MASTER = "controller@master"
 # A round trip that varies by more than this, and by more than this share of its median, was changed, or jitters.

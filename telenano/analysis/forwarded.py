@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from proto import WireError, decode_header
-from recording.tolerance import Tolerances, first_difference
+from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.wire import WireError, decode_header
 
 # So many in a row are alike where the two are in step: one message and its duplicate are not enough.
 _IN_STEP = 8

@@ -9,11 +9,11 @@ schedule, the link, the machine or the guard did, and never by what the loop did
   command came, which was on its way for the transit of the loop;
 - the tip is away while a program of the instrument, an operator or the guard has it.
 
-Contact with the loop closed is what `analysis.verdict` judges. All else has a word of its own, a fact beside the kind.
-Where the instrument does not know contact, the tip touches where its force presses as hard as what is small.
+Contact with the loop closed is what `telenano.analysis.verdict` judges. All else has a word of its own, a fact beside
+the kind. Where the instrument does not know contact, the tip touches where its force presses as hard as what is small.
 
 Where a person is the hand, its force swings with the loop, and an oscillation leaves no hold. There a swing of the
-tip's force (`analysis.swings`) is judged in the place of one.
+tip's force (`telenano.analysis.swings`) is judged in the place of one.
 """
 
 import math
@@ -24,10 +24,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
-from analysis.modes import LEAST_SAMPLES, centred, rms
-from analysis.swings import Swing, swings_of
-from analysis.verdict import ERROR_SHARE, LEAST_TURNS, SMALL_SHARE, Kind, Verdict, judge, rounding_of
+from telenano.analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
+from telenano.analysis.modes import LEAST_SAMPLES, centred, rms
+from telenano.analysis.swings import Swing, swings_of
+from telenano.analysis.verdict import ERROR_SHARE, LEAST_TURNS, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
 Series = npt.NDArray[np.float64]
 Span = tuple[float, float]
@@ -81,7 +81,7 @@ class Fact(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """A stretch of constant hand force, and what became of alpha_f F_s in it: see `analysis.verdict.Verdict`.
+    """A stretch of constant hand force, and what became of alpha_f F_s in it: see `telenano.analysis.verdict.Verdict`.
 
     judged_from_s, judged_to_s: the episode that the verdict is on, None where there is none; rest_from_s: since when it
     is at rest, if it is; hold_ratio: mean of F_m/(alpha_f F_s) in the later half of its rest, None where it does not

@@ -1,6 +1,6 @@
 """How well the mean of a record is known whose samples follow one another: an interval, or none.
 
-    from analysis.mean_interval import mean_half_width
+    from telenano.analysis.mean_interval import mean_half_width
     half = mean_half_width(ratios)          # None: this record does not say how well its mean is known
 
 The mean of a window is as far from that of a longer record as the slow parts of the signal take it, so an interval is
@@ -41,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.intervals import DEVIATIONS, student
+from telenano.analysis.intervals import DEVIATIONS, student
 
 Series = npt.NDArray[np.float64]
 CONFIDENCE = 0.95

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.holds import LONGEST_STEP_S
-from proto.ends import END_TOPIC, read_end
-from recording.arrays import replayed_sources
-from recording.info import RecordingInfo
-from recording.messages import readable
-from recording.multi_file import RecordingSource
+from telenano.analysis.holds import LONGEST_STEP_S
+from telenano.recording.arrays import replayed_sources
+from telenano.recording.info import RecordingInfo
+from telenano.recording.messages import readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.ends import END_TOPIC, read_end
 
 # A recorder that received the hand from the start has its first sample long before this.
 _LATE_START_S = 0.1

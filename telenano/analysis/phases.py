@@ -1,6 +1,6 @@
 """What happened in a session, for the eye: when the hand approached, touched, held and let go, and the moments between.
 
-Times are in the session [s]. The holds are those that `analysis.holds` judges.
+Times are in the session [s]. The holds are those that `telenano.analysis.holds` judges.
 """
 
 from collections.abc import Mapping, Sequence

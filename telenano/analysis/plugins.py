@@ -4,13 +4,13 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from presets.known_packages import KNOWN_PACKAGES
-from presets.plugins import installed
-from proto.errors import ConfigError, RecordingError
-from proto.extras import how_to_add_package
-from recording.multi_file import RecordingSource
 from services.runtime.settings.scenario import named_in
 from services.runtime.untrusted.printable import printable
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.presets.plugins import installed
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.extras import how_to_add_package
 
 _DIGEST = re.compile(r"sha256:[0-9a-f]{1,64}")
 # Name and version of a package together; the longest names of an index have some 90 letters.

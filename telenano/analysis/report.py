@@ -12,8 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.conditions import conditions, described, title
-from analysis.holds import (
+from services.afm_node.section_config import SafetyConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
+from services.haptic_node.config import LimitsConfig, recorded_hand
+from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
+from services.runtime.loop import loop_age
+from services.runtime.settings.config import parse_yaml, validate
+from services.runtime.settings.scenario import Scenario
+from services.viz_node.fig12 import SessionSeries, TipStates, fig12_files
+from services.viz_node.figure_style import ON_SCREEN, FigureOptions
+from telenano.analysis.conditions import conditions, described, title
+from telenano.analysis.holds import (
     ANSWERS,
     HAND,
     LATE_S,
@@ -35,31 +44,22 @@ from analysis.holds import (
     lacks_of,
     verdict_of,
 )
-from analysis.interruptions import Interruption, Told, in_words, interruptions_of
-from analysis.intervals import half_width, with_error
-from analysis.mean_interval import mean_half_width
-from analysis.missing import Spans, cut_off, gaps, recording_facts
-from analysis.summary import Summary
-from proto import TOPICS, extras
-from proto.errors import RecordingError, ReportError
-from proto.nodes import HAND as HAND_NODE
-from proto.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
-from recording.arrays import columns, last_session
-from recording.indexed import open_indexed
-from recording.info import RecordingInfo
-from recording.messages import LeftOut, RecordedMessage, readable
-from recording.multi_file import RecordingSource, open_recordings
-from recording.site_clock import Timeline
-from recording.whole_files import whole_results
-from services.afm_node.section_config import SafetyConfig
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.haptic_node.config import LimitsConfig, recorded_hand
-from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
-from services.runtime.loop import loop_age
-from services.runtime.settings.config import parse_yaml, validate
-from services.runtime.settings.scenario import Scenario
-from services.viz_node.fig12 import SessionSeries, TipStates, fig12_files
-from services.viz_node.figure_style import ON_SCREEN, FigureOptions
+from telenano.analysis.interruptions import Interruption, Told, in_words, interruptions_of
+from telenano.analysis.intervals import half_width, with_error
+from telenano.analysis.mean_interval import mean_half_width
+from telenano.analysis.missing import Spans, cut_off, gaps, recording_facts
+from telenano.analysis.summary import Summary
+from telenano.recording.arrays import columns, last_session
+from telenano.recording.indexed import open_indexed
+from telenano.recording.info import RecordingInfo
+from telenano.recording.messages import LeftOut, RecordedMessage, readable
+from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.site_clock import Timeline
+from telenano.recording.whole_files import whole_results
+from telenano.wire import TOPICS, extras
+from telenano.wire.errors import RecordingError, ReportError
+from telenano.wire.nodes import HAND as HAND_NODE
+from telenano.wire.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
 
 Series = npt.NDArray[Any]
 
@@ -206,8 +206,8 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 def read_session(recording: RecordingSource) -> Session:
     """Read the last session that a recording holds; RecordingError when the operator's programme never ran.
 
-    The slave's stamps are put on the master's clock where the clocks are shown to differ (`recording.site_clock`).
-    Where they may, by more than a period of the loop, the session has both readings.
+    The slave's stamps are put on the master's clock where the clocks are shown to differ
+    (`telenano.recording.site_clock`). Where they may, by more than a period of the loop, the session has both readings.
     """
     timeline = Timeline(recording)
     session = _read_session(recording, timeline)

@@ -14,17 +14,6 @@ from typing import Any, cast
 import zmq
 from pydantic import BaseModel
 
-from analysis.plugins import differences, recorded_plugins
-from analysis.rerun_bus import DifferenceError, RerunBus, RerunOutlet
-from analysis.rerun_inputs import JOURNAL, RecordedNode, Turn, start_ns, turns_of
-from proto import Message
-from proto.errors import ConfigError, RecordingError, TelenanoError, known_names
-from proto.journal_messages import NodeJournal
-from proto.messages import SessionControl
-from proto.nodes import RERUN_NODES, name_of, no_rerun_reason
-from proto.sequence import Arrival
-from recording.reader import Recording
-from recording.tolerance import Tolerances
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Reader, Received, Subscriber, ZmqBus
 from services.runtime.bus.publisher import Publisher, ZmqPublisher
@@ -36,6 +25,17 @@ from services.runtime.loop.node_state import is_whole, restore
 from services.runtime.settings.config import flag_overrides, merge, parse_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from services.runtime.wiring.main import Wiring, node_kind
+from telenano.analysis.plugins import differences, recorded_plugins
+from telenano.analysis.rerun_bus import DifferenceError, RerunBus, RerunOutlet
+from telenano.analysis.rerun_inputs import JOURNAL, RecordedNode, Turn, start_ns, turns_of
+from telenano.recording.reader import Recording
+from telenano.recording.tolerance import Tolerances
+from telenano.wire import Message
+from telenano.wire.errors import ConfigError, RecordingError, TelenanoError, known_names
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.messages import SessionControl
+from telenano.wire.nodes import RERUN_NODES, name_of, no_rerun_reason
+from telenano.wire.sequence import Arrival
 
 # the first parts of a journal may name inputs from before the recording began; later ones have to be complete
 _LATEST_START_NS = 1_500_000_000

@@ -3,17 +3,17 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from analysis.forwarded import Forwarded, compare_forwarded
-from analysis.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
-from proto import TOPICS, Message, encode
-from proto.journal_messages import NodeJournal
-from proto.nodes import site_of
-from proto.ranges import limited
-from proto.topics import output_name
-from recording.messages import RecordedMessage
-from recording.tolerance import Tolerances, first_difference
 from services.runtime.bus.bus import Received
 from services.runtime.clock import TurnClock
+from telenano.analysis.forwarded import Forwarded, compare_forwarded
+from telenano.analysis.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.wire import TOPICS, Message, encode
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.nodes import site_of
+from telenano.wire.ranges import limited
+from telenano.wire.topics import output_name
 
 
 class DifferenceError(Exception):

@@ -3,14 +3,14 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast
 
-from analysis.forwarded import Forwarded
-from proto.journal_messages import NodeJournal
-from proto.nodes import LINK, endpoints_of, name_of, site_of
-from proto.topics import output_name
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.reader import Recording
-from recording.records import REJECTED_TOPIC, RejectedRecord
 from services.runtime.loop.journal import COMMAND, MESSAGE
+from telenano.analysis.forwarded import Forwarded
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.reader import Recording
+from telenano.recording.records import REJECTED_TOPIC, RejectedRecord
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.nodes import LINK, endpoints_of, name_of, site_of
+from telenano.wire.topics import output_name
 
 JOURNAL = "node/journal"
 # the loop around the node publishes on these too, with the same numbering: they are not compared

@@ -1,6 +1,6 @@
 """The summary of a session as a model: every key of `summary.json` with its type and its meaning.
 
-    python -m analysis.summary [--markdown]
+    python -m telenano.analysis.summary [--markdown]
 
 prints its JSON Schema, or the page docs/summary.md. `make schemas` writes both.
 """
@@ -12,9 +12,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from analysis.holds import FactKind
-from analysis.interruptions import InterruptionKind
-from analysis.verdict import Kind
+from telenano.analysis.holds import FactKind
+from telenano.analysis.interruptions import InterruptionKind
+from telenano.analysis.verdict import Kind
 
 _SCHEMA = "https://json-schema.org/draft/2020-12/schema"
 _TAKEN_OFF = "with the offset of the slave's clock taken off"
@@ -24,8 +24,8 @@ _PAGE = """# The keys of `summary.json`
 `telenano up` and `telenano report` write `summary.json` beside the figure, `telenano report --json` prints it, and
 `telenano.open(FILE).summary` returns it as a dictionary.
 Everything in it is read from the recording. What the session does not show is `null`.
-`presets/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
-`analysis/summary.py`, which every summary has to fit, by `make schemas`.
+`telenano/presets/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
+`telenano/analysis/summary.py`, which every summary has to fit, by `make schemas`.
 
 `[]` stands for each item of a list, `<name>` for any key of a map.
 A channel has the name of its topic, followed by `@` and the site where its messages were received behind the link.
@@ -261,7 +261,7 @@ class Summary(_Part):
     intervals: IntervalsSummary = Field(
         description="The ends of the interval of 95 % of each figure that is estimated, from the scatter of its own "
         "samples; null where these do not say how well their mean is known, because a longer record would have slow "
-        "parts that this one does not show (`analysis/mean_interval.py`); without the errors of calibrations"
+        "parts that this one does not show (`telenano/analysis/mean_interval.py`); without the errors of calibrations"
     )
     overruns: int = Field(description="Deadlines that nodes missed while the session ran")
     rate_hz: dict[str, float] = Field(description="By channel: messages sent in a second of the session [1/s]")

@@ -1,9 +1,9 @@
 """What becomes of the motion of a loop: does it die out, go on, or grow.
 
-`judge` is given the force at the tip of one episode alone (`analysis.holds`): contact under a constant force with the
-loop closed. It fits the modes of the motion (`analysis.modes`) to all of it, and where they do not explain it, to its
-last half, quarter, and eighth: a blow, a landing and a motion that has reached its size come to be before that. What no
-modes explain is judged by how far the force goes in eight windows.
+`judge` is given the force at the tip of one episode alone (`telenano.analysis.holds`): contact under a constant force
+with the loop closed. It fits the modes of the motion (`telenano.analysis.modes`) to all of it, and where they do not
+explain it, to its last half, quarter, and eighth: a blow, a landing and a motion that has reached its size come to be
+before that. What no modes explain is judged by how far the force goes in eight windows.
 
 A mode grows, or dies out, where its growth does so by SURE_ERRORS of its standard errors, and changes it by more than
 LEAST_CHANGE over the stretch; it goes on where it is sure that it does neither. What is smaller than a twentieth of the
@@ -17,13 +17,13 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, noise_floor, rms
+from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, noise_floor, rms
 
 Series = npt.NDArray[np.float64]
 Kind = Literal["stable", "limit_cycle", "diverged", "contact_lost", "guarded", "no_data", "cannot_say"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-# The thresholds of the verdicts, with those of `analysis.holds`; docs/studies.md has them in one table.
+# The thresholds of the verdicts, with those of `telenano.analysis.holds`; docs/studies.md has them in one table.
 # share of the hand's greatest force [1]: what moves less from peak to peak is rest, and a force below it presses not
 SMALL_SHARE = 0.05
 # change of a motion over a stretch [1, logarithm]: half of the 0.3 below which nobody could tell growth from decay

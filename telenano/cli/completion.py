@@ -5,14 +5,14 @@ from typing import Any
 
 def scenario_names(incomplete: str) -> list[str]:
     """Return the known scenarios that begin so."""
-    from presets import known_scenarios
+    from telenano.presets import known_scenarios
 
     return [name for name in known_scenarios() if name.startswith(incomplete)]
 
 
 def scenario_sections(incomplete: str) -> list[str]:
     """Return the sections of a scenario that begin so."""
-    from proto.nodes import SERVICES
+    from telenano.wire.nodes import SERVICES
 
     return [name for name in SERVICES if name.startswith(incomplete)]
 
@@ -21,7 +21,7 @@ def scenario_keys(incomplete: str) -> list[str]:
     """Return what can follow in `SECTION.KEY=VALUE`: a section with its dot, a key with its `=`, a value of a list."""
     import json
 
-    from presets import SCHEMA_DIRECTORY
+    from telenano.presets import SCHEMA_DIRECTORY
 
     schema = json.loads((SCHEMA_DIRECTORY / "scenario.json").read_text(encoding="utf-8"))
     key, sign, value = incomplete.partition("=")
@@ -60,7 +60,7 @@ def _values(part: dict[str, Any]) -> list[str]:
 
 def topic_names(incomplete: str) -> list[str]:
     """Return the topics that begin so, and their copies that left the link."""
-    from proto import TOPICS
+    from telenano.wire import TOPICS
 
     names = list(TOPICS)
     copies = {"forward": ("slave",), "backward": ("master",), "both": ("slave", "master"), None: ()}
@@ -77,21 +77,21 @@ def law_names(incomplete: str) -> list[str]:
 
 def law_name(incomplete: str) -> list[str]:
     """Return the laws that begin so, those of installed packages included, without importing one."""
-    from presets.plugins import installed
     from services.controller.law_names import LAW_NAMES
+    from telenano.presets.plugins import installed
 
     return [name for name in (*LAW_NAMES, *installed("laws")) if name.startswith(incomplete)]
 
 
 def service_names(incomplete: str) -> list[str]:
     """Return what `telenano node` takes that begins so: names without a site, and `list`."""
-    from proto.nodes import SERVICES
+    from telenano.wire.nodes import SERVICES
 
     return [name for name in (*SERVICES, "list") if name.startswith(incomplete)]
 
 
 def node_names(incomplete: str) -> list[str]:
     """Return the nodes of a rig that begin so, by name and as name@site."""
-    from proto.nodes import START_ORDER, name_of
+    from telenano.wire.nodes import START_ORDER, name_of
 
     return [name for name in (*dict.fromkeys(map(name_of, START_ORDER)), *START_ORDER) if name.startswith(incomplete)]

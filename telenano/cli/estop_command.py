@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
-from proto.errors import ConfigError, RigError, TelenanoError
 from services.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
+from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
+from telenano.wire.errors import ConfigError, RigError, TelenanoError
 
 
 class EstopRequest(NamedTuple):

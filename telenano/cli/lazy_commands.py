@@ -12,14 +12,14 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from presets import plugins
-from presets.known_packages import KNOWN_PACKAGES
-from proto.errors import ConfigError, probably_meant
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
+from telenano.presets import plugins
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.wire.errors import ConfigError, probably_meant
 
 # what the wheel installs at the top level
-_OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "firmware")
+_OWN = ("services", "telenano")
 # typer has no other name for the base of all errors of the command line.
 _UsageError: Any = typer.BadParameter.__base__
 
@@ -112,7 +112,7 @@ def load(name: str) -> Any:
 
 def function_of_package(words: str) -> Any:
     """Return the function of a command that a package of the project has; ConfigError where it is not installed."""
-    from proto.extras import how_to_add_package
+    from telenano.wire.extras import how_to_add_package
 
     row = package_commands().get(tuple(words.split()))
     if row is None:
@@ -246,7 +246,7 @@ class OpenGroup(TyperGroup):
         if row := self.own_rows.get(name) or self.rows().get(name):
             return name, load_row(name, row, path), args[1:]
         if package := KNOWN_PACKAGES.get(" ".join(path)):
-            from proto.extras import how_to_add_package
+            from telenano.wire.extras import how_to_add_package
 
             ctx.fail(f"the command {name!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
@@ -308,9 +308,9 @@ def _unknown_to_typer() -> Iterator[None]:
 
 def _report(error: Any, *, as_json: bool) -> int:
     """Print what no command has reported; return the exit code. What is a fault of the core is raised again."""
-    from proto.extras import how_to_add_package, missing
     from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.cli.output import print_error, system_error_text, usage_text
+    from telenano.wire.extras import how_to_add_package, missing
 
     code: int
     code, text = EXIT_FAILED, plugins.fault_of_package(error)

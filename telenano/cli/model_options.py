@@ -17,10 +17,10 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from proto.errors import ConfigError
 from services.runtime.settings.config import bounds_of
 from services.runtime.settings.option import Option
 from telenano.cli.completion import law_names, node_names, scenario_keys, scenario_names
+from telenano.wire.errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., Any])
 M = TypeVar("M", bound=BaseModel)

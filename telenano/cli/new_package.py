@@ -8,9 +8,9 @@ from pathlib import Path
 from string import Template
 from typing import Literal
 
-from presets.plugins import NAME
-from proto.errors import ConfigError
-from recording.whole_files import whole_folder
+from telenano.presets.plugins import NAME
+from telenano.recording.whole_files import whole_folder
+from telenano.wire.errors import ConfigError
 
 # What a package can bring.
 Kind = Literal["law", "device", "instrument", "operator", "sample", "program", "task", "command", "check"]
@@ -38,7 +38,7 @@ def _taken(kind: Kind) -> Collection[str]:
 
         return TAKEN_LAWS
     if kind == "task":
-        from presets.known_packages import KNOWN_PACKAGES
+        from telenano.presets.known_packages import KNOWN_PACKAGES
 
         return [words.removeprefix("task ") for words in KNOWN_PACKAGES if words.startswith("task ")]
     if kind == "command":

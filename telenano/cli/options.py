@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from presets import site_file_named
-from proto.errors import ConfigError
-from proto.nodes import Site
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
+from telenano.presets import site_file_named
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import Site
 
 # ros2 and docker have the same names.
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}

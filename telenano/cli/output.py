@@ -15,15 +15,15 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from analysis.intervals import with_error
-from presets.plugins import known_problems
-from proto.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
-from recording.whole_files import WRITE_ERRORS, new_folder
 from services.runtime.untrusted.printable import printable
 from services.signals import interrupts
+from telenano.analysis.intervals import with_error
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
+from telenano.presets.plugins import known_problems
+from telenano.recording.whole_files import WRITE_ERRORS, new_folder
+from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 
 _PIPE_COLUMNS = 140
 # This is what a person can do where a rig does not reach its rate.
@@ -157,7 +157,7 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
 
     With `tables` the summary comes first. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
     """
-    from analysis.interruptions import Interruption, in_words
+    from telenano.analysis.interruptions import Interruption, in_words
 
     if as_json or tables:
         print_document(summary, title, as_json=as_json)

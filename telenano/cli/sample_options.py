@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError, TelenanoError
-from proto.extras import how_to_install
-from recording.whole_files import whole_results
 from services.runtime.settings.config import ALLOW_CODE_VARIABLE, flag_overrides, validate
+from telenano.recording.whole_files import whole_results
+from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.extras import how_to_install
 
 if TYPE_CHECKING:
     from services.afm_node.physics.sample.made_samples import SampleConfig

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from proto.errors import ConfigError, RigError, probably_meant
 from services.launcher.child_session import run_session
 from services.launcher.plan import UpRequest
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.cli.model_options import validated
+from telenano.wire.errors import ConfigError, RigError, probably_meant
 
 # The delay of the link has no single key in a scenario, and an option of its own.
 _DELAY, _DELAY_OPTION = "round_trip_ms", "--round-trip-ms"

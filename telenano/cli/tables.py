@@ -25,7 +25,7 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
     """Draw the health of a node, as `node_facts` gives it: a cell for each heading."""
     state = "replay" if facts["replay"] else facts["state"]
     # Most tables do not wait for this import.
-    from proto.messages import SUPERSEDED
+    from telenano.wire.messages import SUPERSEDED
 
     late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
     minutes, seconds = divmod(round(facts["uptime_s"]), 60)

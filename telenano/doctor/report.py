@@ -18,16 +18,16 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from presets import DEFAULT_SITE_FILE
-from presets.plugins import KINDS, all_installed, function_of, installed, known_problems, load, scenario_files
-from proto.errors import ConfigError, EndpointError
-from proto.extras import extra_of, how_to_install
 from services.launcher.processors import held, shared_folder
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.devices import check_instrument, check_serial_ports
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.presets.plugins import KINDS, all_installed, function_of, installed, known_problems, load, scenario_files
+from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire.extras import extra_of, how_to_install
 
 if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
@@ -59,7 +59,7 @@ def doctor(
 def compile_models(*, as_json: bool) -> None:
     """Simulate two ticks of each law, so that what later sessions run lies compiled in the user's cache."""
     from services.controller.config import KNOWN_LAWS
-    from studies.loops.simulation import compile_scenario
+    from telenano.lockstep.simulation import compile_scenario
 
     if importlib.util.find_spec("numba") is None:
         raise ConfigError(f"numba is not installed, and nothing can be compiled: {how_to_install(extra_of('numba'))}")
@@ -143,10 +143,10 @@ def extensions() -> list[Finding]:
     rows = all_installed()
     if not rows:
         return []
-    from proto.nodes import SERVICES
     from services.afm_node.config import DRIVERS as INSTRUMENTS
     from services.haptic_node.config import DRIVERS as HANDLES
     from services.runtime.wiring.main import node_kind
+    from telenano.wire.nodes import SERVICES
 
     for name in SERVICES:
         node_kind(name)

@@ -7,12 +7,12 @@ from typing import Protocol
 
 import typer
 
-from proto import TOPICS
-from proto.errors import RigError
-from recording.messages import RecordedMessage as RecordedMessage
 from services.recorder.live import LiveRecording as LiveRecording
 from services.runtime.bus.address_book import load_site
 from services.runtime.wiring.observer import RIG_HINT, nobody_runs
+from telenano.recording.messages import RecordedMessage as RecordedMessage
+from telenano.wire import TOPICS
+from telenano.wire.errors import RigError
 
 # 8000 messages a second of a rig would be more than a viewer draws.
 DEFAULT_RATE_HZ = 100.0

@@ -3,26 +3,26 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from recording.channel_filter import Selection as Selection
-from recording.export import Payload as Payload
-from recording.export import export_recording as export_recording
-from recording.export import model_of as model_of
-from recording.export import plain_schema as plain_schema
-from recording.export import viewer_json as viewer_json
-from recording.export import viewer_schema as viewer_schema
-from recording.export import write_mcap as write_mcap
-from recording.export import write_viewer_mcap as write_viewer_mcap
-from recording.messages import RawChannel as RawChannel
-from recording.messages import RecordedChannel as RecordedChannel
-from recording.messages import RecordedMessage as RecordedMessage
-from recording.reader import Recording as Recording
-from recording.rewrite import CopyResult as CopyResult
-from recording.tables import plain as plain
-from recording.whole_files import whole_file as whole_file
-from recording.whole_files import whole_folder as whole_folder
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.provenance import versions as versions
+from telenano.recording.channel_filter import Selection as Selection
+from telenano.recording.export import Payload as Payload
+from telenano.recording.export import export_recording as export_recording
+from telenano.recording.export import model_of as model_of
+from telenano.recording.export import plain_schema as plain_schema
+from telenano.recording.export import viewer_json as viewer_json
+from telenano.recording.export import viewer_schema as viewer_schema
+from telenano.recording.export import write_mcap as write_mcap
+from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
+from telenano.recording.messages import RawChannel as RawChannel
+from telenano.recording.messages import RecordedChannel as RecordedChannel
+from telenano.recording.messages import RecordedMessage as RecordedMessage
+from telenano.recording.reader import Recording as Recording
+from telenano.recording.rewrite import CopyResult as CopyResult
+from telenano.recording.tables import plain as plain
+from telenano.recording.whole_files import whole_file as whole_file
+from telenano.recording.whole_files import whole_folder as whole_folder
+from telenano.recording.writer import RecordingWriter
 
 
 def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:

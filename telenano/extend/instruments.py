@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TypeVar
 
-from proto.errors import TelenanoError as TelenanoError
 from services.afm_node.devices import modbus_line as modbus_line
 from services.afm_node.devices.capabilities import Capabilities
 from services.afm_node.devices.capabilities import refusal as refusal
@@ -19,6 +18,7 @@ from services.afm_node.driver import OwnLine as OwnLine
 from services.afm_node.felt import ChannelName as ChannelName
 from services.afm_node.section_config import AfmControllerConfig
 from services.runtime.settings.config import Settings, read_yaml, validate
+from telenano.wire.errors import TelenanoError as TelenanoError
 
 AfmCapabilities = Capabilities
 ControllerSettings = AfmControllerConfig

@@ -1,6 +1,5 @@
 """What an environment to learn in is made of: the push of a particle as compiled steps, steering, and an interval."""
 
-from analysis.intervals import wilson as wilson
 from services.afm_node.physics.particles.adhered_sphere import KINDS as KINDS
 from services.afm_node.physics.particles.adhered_sphere import hold_of as hold_of
 from services.afm_node.physics.particles.push import X as X
@@ -13,3 +12,4 @@ from services.afm_node.physics.particles.tip_shape import TipShape as TipShape
 from services.afm_node.physics.particles.tip_shape import tip_shape as tip_shape
 from services.afm_node.physics.particles.tip_shape import touch_distance_m as touch_distance_m
 from services.numerics.compiled import always_compiled as always_compiled
+from telenano.analysis.intervals import wilson as wilson

@@ -5,30 +5,29 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import proto
-from proto import TOPICS as TOPICS
-from proto import Message as Message
-from proto import decode as decode
-from proto import encode as encode
-from proto.errors import RecordingError as RecordingError
-from proto.nodes import site_of
-from recording.messages import RecordedChannel as RecordedChannel
-from recording.messages import RecordedMessage as RecordedMessage
-from recording.quantities import quantity as quantity
-from recording.tables import plain as plain
-from recording.writer import channel_topic
+from telenano.recording.messages import RecordedChannel as RecordedChannel
+from telenano.recording.messages import RecordedMessage as RecordedMessage
+from telenano.recording.quantities import quantity as quantity
+from telenano.recording.tables import plain as plain
+from telenano.recording.writer import channel_topic
+from telenano.wire import TOPICS as TOPICS
+from telenano.wire import Message as Message
+from telenano.wire import decode as decode
+from telenano.wire import encode as encode
+from telenano.wire.errors import RecordingError as RecordingError
+from telenano.wire.nodes import site_of
 
 
 def example(topic: str, **fields: Any) -> Message:
     """Return a message of a topic as the contract of the wire has it, with some fields changed; KeyError if unknown."""
-    base = decode(topic, _golden()[topic])
+    base = decode(topic, bytes.fromhex(_examples()[topic]))
     return type(base)(**(base.__dict__ | fields))
 
 
 @cache
-def _golden() -> dict[str, bytes]:
-    vectors = json.loads((Path(proto.__file__).parent / "golden" / "vectors.json").read_text(encoding="utf-8"))
-    return {vector["topic"]: bytes.fromhex(vector["hex"]) for vector in vectors if vector["case"] == "minimal"}
+def _examples() -> dict[str, str]:
+    # the least golden vector of each topic: an installation does not have the folder of the contract
+    return dict(json.loads((Path(__file__).parents[1] / "wire" / "examples.json").read_text(encoding="utf-8")))
 
 
 def recorded(topic: str, message: Message, log_ns: int, site: str = "") -> RecordedMessage:

@@ -6,7 +6,6 @@
 from collections.abc import Iterator
 from typing import Any
 
-from proto.errors import RefusedError as RefusedError
 from services.afm_node.driver import Oscillation
 from services.afm_node.programs.feedback import gain_fault as gain_fault
 from services.afm_node.programs.feedback import integral_share as integral_share
@@ -28,6 +27,7 @@ from services.afm_node.programs.program_settings import Length as Length
 from services.afm_node.programs.program_settings import Position as Position
 from services.afm_node.programs.program_settings import ProgramSettings as ProgramSettings
 from services.afm_node.programs.program_settings import Speed as Speed
+from telenano.wire.errors import RefusedError as RefusedError
 
 _PERIOD_S = 1e-3
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 from pydantic import Field as Field
 
-from proto.experiment_messages import Question
-from recording.column_table import ColumnTable
+from telenano.recording.column_table import ColumnTable
+from telenano.wire.experiment_messages import Question
 
 Series = npt.NDArray[np.float64]
 Judged = dict[str, float | bool | None]

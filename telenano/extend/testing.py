@@ -4,11 +4,6 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
-from proto import TOPICS, encode
-from proto.errors import RefusedError as RefusedError
-from proto.messages import Message
-from proto.ranges import limited
-from proto.sequence import Arrival
 from services.controller.law import changed_in_contact as changed_in_contact
 from services.controller.law import longest_pause_periods as longest_pause_periods
 from services.controller.law import paced as paced
@@ -19,6 +14,11 @@ from services.runtime.loop.node import NodeContext
 from services.runtime.settings.config import merge as merge
 from services.runtime.settings.config import validate as validate
 from telenano.extend.messages import RecordedMessage, example, recorded
+from telenano.wire import TOPICS, encode
+from telenano.wire.errors import RefusedError as RefusedError
+from telenano.wire.messages import Message
+from telenano.wire.ranges import limited
+from telenano.wire.sequence import Arrival
 
 _MS = 1_000_000
 # when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before

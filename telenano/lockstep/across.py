@@ -32,7 +32,7 @@ from services.haptic_node.physics.lateral_hand import (
     lateral_hand_step,
 )
 from services.numerics.compiled import compiled, inlined
-from studies.loops.link import Schedule
+from telenano.lockstep.link import Schedule
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]

@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError, RigError
 from services.afm_node.physics.step import AfmParams, initial_afm_state
 from services.afm_node.safety import REASON_NAMES, SafetyParams, placing_s
 from services.controller.config import ControllerConfig
@@ -40,7 +39,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.step import HapticParams
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
 from services.numerics.compiled import borrowed, compiled, compiled_call, inlined, is_compiled
-from studies.loops.across import (
+from telenano.lockstep.across import (
     PARTICLE_X,
     PARTICLE_Y,
     STAGE_X,
@@ -52,9 +51,9 @@ from studies.loops.across import (
     across_steered,
     guided,
 )
-from studies.loops.link import Schedule
-from studies.loops.push_hand import DONE, PHASE, TRUE_X, TRUE_Y, Hand, hand_moves
-from studies.loops.sites import (
+from telenano.lockstep.link import Schedule
+from telenano.lockstep.push_hand import DONE, PHASE, TRUE_X, TRUE_Y, Hand, hand_moves
+from telenano.lockstep.sites import (
     Halves,
     Instrument,
     Lateral,
@@ -75,6 +74,7 @@ from studies.loops.sites import (
     slave_with_signal,
     went_on,
 )
+from telenano.wire.errors import ConfigError, RigError
 
 Series = npt.NDArray[np.float64]
 
@@ -156,7 +156,7 @@ class Trajectory:
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
     safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
     instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 12),
-    the course of the path across (`studies.loops.across`), where there was one; begins_s, for how long the rig ran
+    the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long the rig ran
     before the session [s].
     """
 

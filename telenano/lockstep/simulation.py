@@ -16,21 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from analysis.holds import (
-    NO_PROGRAMME,
-    Guard,
-    Hold,
-    Instrument,
-    Limits,
-    Programme,
-    guard_of,
-    judge_holds,
-    verdict_of,
-)
-from analysis.interruptions import Told, in_words, interruptions_of
-from presets import find_scenario
-from proto.errors import ConfigError
-from recording.column_table import ColumnTable
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.afm_node.over_map import guard_of as limits_of
 from services.afm_node.over_map import read_params
@@ -43,10 +28,25 @@ from services.delay_node.config import EVEN, LinkSettings, network_name
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.loops import across
-from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Trajectory, build_rig, simulate, time_to_place_s
-from studies.loops.push_hand import Hand as PushHand
+from telenano.analysis.holds import (
+    NO_PROGRAMME,
+    Guard,
+    Hold,
+    Instrument,
+    Limits,
+    Programme,
+    guard_of,
+    judge_holds,
+    verdict_of,
+)
+from telenano.analysis.interruptions import Told, in_words, interruptions_of
+from telenano.lockstep import across
+from telenano.lockstep.link import Schedule, schedule_of
+from telenano.lockstep.lockstep import Trajectory, build_rig, simulate, time_to_place_s
+from telenano.lockstep.push_hand import Hand as PushHand
+from telenano.presets import find_scenario
+from telenano.recording.column_table import ColumnTable
+from telenano.wire.errors import ConfigError
 
 _COLUMNS = {
     "time_s": ("s", "Time since the start of the operator's programme"),
@@ -124,8 +124,8 @@ class Conditions:
 class SimulatedSession(ColumnTable):
     """Columns of shape (n,), one value a period of the hand; `units` and `descriptions` have an entry for each.
 
-    `conditions` is what it was run with; `holds`, `verdict` and `reason` are those of `analysis.verdict`, as for a
-    recording.
+    `conditions` is what it was run with; `holds`, `verdict` and `reason` are those of `telenano.analysis.verdict`, as
+    for a recording.
     """
 
     def __init__(
@@ -311,7 +311,7 @@ def simulate_document(
         document: The scenario.
         origin: What an error names.
         steers: Makes a hand that steers the tip across the sample to a particle, in mode rate.
-        at_once: Whether to compile for the first session, as in `studies.loops.lockstep.simulate`.
+        at_once: Whether to compile for the first session, as in `telenano.lockstep.lockstep.simulate`.
     """
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
     controller = loaded.section("controller", ControllerConfig)

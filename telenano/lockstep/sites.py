@@ -1,13 +1,12 @@
 """The two sites of the closed loop in lockstep: what each half, the hand and the instrument are, and their steps.
 
-The steps are those that the nodes call; `studies.loops.lockstep` calls them in the order of the bus.
+The steps are those that the nodes call; `telenano.lockstep.lockstep` calls them in the order of the bus.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from proto.topics import LOOP_DEADLINE_S
 from services.afm_node import safety as afm_safety
 from services.afm_node.physics.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
 from services.afm_node.physics.step import step as instrument_step
@@ -23,9 +22,10 @@ from services.haptic_node.physics.step import HapticStepState as HapticChainStat
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import inlined
 from services.runtime.loop.freshness import DELAY_STEP_NS
-from studies.loops.across import AcrossPath, Array
-from studies.loops.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
-from studies.loops.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
+from telenano.lockstep.across import AcrossPath, Array
+from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
+from telenano.lockstep.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
+from telenano.wire.topics import LOOP_DEADLINE_S
 
 # a rate of the hand that is older than the deadline of the loop moves nothing
 _RATE_NS = round(LOOP_DEADLINE_S * 1e9)

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from presets.plugins import scenario_files
-from proto.errors import ConfigError, probably_meant
+from telenano.presets.plugins import scenario_files
+from telenano.wire.errors import ConfigError, probably_meant
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"

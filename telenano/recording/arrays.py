@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RecordingError, probably_meant
-from recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
-from recording.multi_file import RecordingSource
+from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.errors import RecordingError, probably_meant
 
 Column = npt.NDArray[Any]
 # the keys and places that lead to a field

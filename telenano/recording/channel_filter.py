@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Protocol
 
-from proto.errors import ConfigError
-from proto.nodes import name_of
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import name_of
 
 Matcher = Callable[[str], bool]
 

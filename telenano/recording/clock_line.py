@@ -1,7 +1,8 @@
 """The straight line of what another clock is ahead, from the fastest messages of both ways.
 
 It is the one estimate of clocks: of the last seconds on a link (`services.runtime.loop.clock_offset`), of a line whose
-queues are sought (`services.runtime.datagram.line`), and of the parts of a recording (`recording.clock_course`).
+queues are sought (`services.runtime.datagram.line`), and of the parts of a recording
+(`telenano.recording.clock_course`).
 
 A message sent at t1 by this clock and received at t2 by the other one took t2 - t1 by two clocks, its way plus what the
 other clock is ahead there: the clock is ahead by no more than that. An answer sent at t3 and received at t4 says that

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy.typing as npt
 
-from proto.errors import ConfigError
-from proto.extras import missing
+from telenano.wire.errors import ConfigError
+from telenano.wire.extras import missing
 
 Column = npt.NDArray[Any]
 

@@ -13,24 +13,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from presets import plugins
-from presets.known_packages import KNOWN_PACKAGES
-from proto import TOPICS
-from proto.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
-from proto.extras import how_to_add_package, how_to_install
-from proto.messages import Record
-from recording.channel_filter import ALL, Selection
-from recording.mcap_scan import Damage, describe_damage
-from recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage, file_stem, topic_of
-from recording.parquet_tables import parquet_tables
-from recording.quantities import quantity
-from recording.reader import Recording
-from recording.records import RECORDS
-from recording.rewrite import CopyResult, CopyWriter
-from recording.sender_time import SenderClock, SenderOrder
-from recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of, write_tables
-from recording.tables import plain
-from recording.whole_files import whole_file, whole_folder
+from telenano.presets import plugins
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.mcap_scan import Damage, describe_damage
+from telenano.recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage, file_stem, topic_of
+from telenano.recording.parquet_tables import parquet_tables
+from telenano.recording.quantities import quantity
+from telenano.recording.reader import Recording
+from telenano.recording.records import RECORDS
+from telenano.recording.rewrite import CopyResult, CopyWriter
+from telenano.recording.sender_time import SenderClock, SenderOrder
+from telenano.recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of, write_tables
+from telenano.recording.tables import plain
+from telenano.recording.whole_files import whole_file, whole_folder
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
+from telenano.wire.extras import how_to_add_package, how_to_install
+from telenano.wire.messages import Record
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
 FORMATS = ("parquet", "csv", "hdf5", "mcap-json")

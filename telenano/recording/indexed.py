@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from mcap.opcode import Opcode
 
-from recording.info import RecordingInfo
-from recording.mcap_messages import HEADS
-from recording.mcap_scan import (
+from telenano.recording.info import RecordingInfo
+from telenano.recording.mcap_messages import HEADS
+from telenano.recording.mcap_scan import (
     MESSAGE_HEAD,
     RECORD_HEAD,
     Block,
@@ -27,10 +27,10 @@ from recording.mcap_scan import (
     records_of,
     unpack,
 )
-from recording.messages import ChannelFilter, RecordedMessage
-from recording.multi_file import RecordingSource, open_recordings
-from recording.reader import END_OF_TIME, DamageCallback, Recording, SeeMessage, each_block
-from recording.summary_section import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
+from telenano.recording.messages import ChannelFilter, RecordedMessage
+from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.reader import END_OF_TIME, DamageCallback, Recording, SeeMessage, each_block
+from telenano.recording.summary_section import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
 # The checksum of a chunk was right, and that of its index is not known.
 _UNSOUND = (struct.error, ValueError, OverflowError)

@@ -7,11 +7,11 @@ from typing import Literal
 from mcap.records import Attachment
 from pydantic import BaseModel, ConfigDict
 
-from proto.ends import END_TOPIC, read_end
-from proto.errors import RecordingError
-from proto.sequence import SequenceTracker
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.wire.ends import END_TOPIC, read_end
+from telenano.wire.errors import RecordingError
+from telenano.wire.sequence import SequenceTracker
 
 # the metadata record with which the recorder ends a file: why it ended, and what is known to be missing
 END_NAME = "end"
@@ -89,12 +89,12 @@ class RecordingInfo(_Info):
     """Summary of a recording, or of the parts of one.
 
     `complete`: nothing that was sent to the recorder is missing; `missing` names what is, in sentences. `closed`: each
-    file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link
-    has dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `odd`: sentences
-    on what is odd although nothing is missing, such as messages whose times are far from those of all others.
-    `recorder_lag`: None where it is unknown. `basis`: every message was read for it, or the index of a closed file,
-    which says nothing of damaged messages (`recording.summary_section`). `path` is the first of several `parts`,
-    which are empty where there is but one file.
+    file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link has
+    dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `odd`: sentences on what is odd
+    although nothing is missing, such as messages whose times are far from those of all others. `recorder_lag`: None
+    where it is unknown. `basis`: every message was read for it, or the index of a closed file, which says nothing of
+    damaged messages (`telenano.recording.summary_section`). `path` is the first of several `parts`, which are empty
+    where there is but one file.
     """
 
     path: str

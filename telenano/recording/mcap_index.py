@@ -13,7 +13,7 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
-from recording.mcap_scan import MAGIC, RECORD_HEAD, UNREADABLE, Bytes, Layout
+from telenano.recording.mcap_scan import MAGIC, RECORD_HEAD, UNREADABLE, Bytes, Layout
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _CRC_BYTES = 4

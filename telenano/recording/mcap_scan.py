@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from proto.errors import RecordingError
+from telenano.wire.errors import RecordingError
 
 Bytes = bytes | mmap.mmap
 

@@ -4,23 +4,23 @@ import heapq
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from proto.errors import RecordingError
-from proto.nodes import LINK, name_of, site_of
-from recording.mcap_scan import describe_damage
-from recording.messages import RawChannel, RawMessage
-from recording.multi_file import RecordingSource, open_recordings
-from recording.reader import Recording
-from recording.rewrite import CopyResult, CopyWriter
-from recording.site_clock import ClockShift, SiteClock, read_site_clock
+from telenano.recording.mcap_scan import describe_damage
+from telenano.recording.messages import RawChannel, RawMessage
+from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.reader import Recording
+from telenano.recording.rewrite import CopyResult, CopyWriter
+from telenano.recording.site_clock import ClockShift, SiteClock, read_site_clock
+from telenano.wire.errors import RecordingError
+from telenano.wire.nodes import LINK, name_of, site_of
 
 
 def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
     """Merge the recordings of the master's site (first) and of the slave's, of each one or more parts.
 
     Times of reception at the slave are put on the master's clock, offset and drift, where the clocks differ
-    (`recording.site_clock`, which report and replay go by as well); messages are copied byte by byte, so that what is
-    in them stays on the clock of who sent it. A channel that both have is taken from the recorder that received it
-    nearby.
+    (`telenano.recording.site_clock`, which report and replay go by as well); messages are copied byte by byte, so that
+    what is in them stays on the clock of who sent it. A channel that both have is taken from the recorder that received
+    it nearby.
 
     Raises:
         RecordingError: The sources are not of two sites, no offset was measured, or the target exists.

@@ -8,12 +8,12 @@ from mcap.records import Channel, Schema
 from pydantic import ValidationError
 
 # The codec is imported when a message is decoded: a summary by the index has none.
-import proto
-from proto.errors import RecordingError
-from recording.record_topics import RECORD_TOPICS
+from telenano import wire
+from telenano.recording.record_topics import RECORD_TOPICS
+from telenano.wire.errors import RecordingError
 
 if TYPE_CHECKING:
-    from proto.messages import Record
+    from telenano.wire.messages import Record
 
 _T = TypeVar("_T")
 
@@ -111,11 +111,11 @@ class RecordedMessage(NamedTuple):
         """
         try:
             if self.topic in RECORD_TOPICS:
-                from recording.records import RECORDS
+                from telenano.recording.records import RECORDS
 
                 return RECORDS[self.topic].model_validate(self.fields())
-            return proto.decode(self.topic, self.payload)
-        except (proto.WireError, ValidationError) as error:
+            return wire.decode(self.topic, self.payload)
+        except (wire.WireError, ValidationError) as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error
 
     def fields(self) -> dict[str, Any]:
@@ -135,7 +135,7 @@ class RecordedMessage(NamedTuple):
     def checked_fields(self) -> Mapping[str, Any]:
         """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""
         message = self.decode()
-        return proto.fields_of(self.topic, message) if isinstance(message, proto.Message) else message.model_dump()
+        return wire.fields_of(self.topic, message) if isinstance(message, wire.Message) else message.model_dump()
 
 
 ChannelFilter = Callable[[RecordedChannel], bool]

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from proto.errors import RecordingError
-from recording.info import RecordingInfo
-from recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
-from recording.reader import Piece, Recording, SeeMessage, info_of
+from telenano.recording.info import RecordingInfo
+from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
+from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
+from telenano.wire.errors import RecordingError
 
 
 class RecordingSource(Protocol):

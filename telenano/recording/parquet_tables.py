@@ -10,10 +10,10 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from recording.messages import file_stem, topic_of
-from recording.quantities import quantity
-from recording.reader import Recording
-from recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of
+from telenano.recording.messages import file_stem, topic_of
+from telenano.recording.quantities import quantity
+from telenano.recording.reader import Recording
+from telenano.recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of
 
 # rows of a group, and of all channels what waits to become one [bytes]
 _MOST_ROWS = 1 << 16

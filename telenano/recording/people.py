@@ -3,8 +3,8 @@
 from collections import Counter
 from typing import Any
 
-from recording.messages import LeftOut
-from recording.multi_file import RecordingSource
+from telenano.recording.messages import LeftOut
+from telenano.recording.multi_file import RecordingSource
 
 TOPICS = ("session/control", "session/event")
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-from proto import TOPICS
-from recording.records import RECORDS
+from telenano.recording.records import RECORDS
+from telenano.wire import TOPICS
 
 # "Base position [m]; z = -x_s", "Time [s], 0 = none"
 _UNIT = re.compile(r"\[([^\[\]0-9]+)\]")

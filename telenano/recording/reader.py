@@ -12,12 +12,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
-from presets.regular_files import open_regular
-from proto.errors import NoRecordingError, RecordingError
-from proto.nodes import site_of
-from recording.info import END_NAME, PartInfo, RecordingInfo, RecordingStatistics, attachments_of, notes_of
-from recording.mcap_index import index_faults
-from recording.mcap_scan import (
+from telenano.presets.regular_files import open_regular
+from telenano.recording.info import END_NAME, PartInfo, RecordingInfo, RecordingStatistics, attachments_of, notes_of
+from telenano.recording.mcap_index import index_faults
+from telenano.recording.mcap_scan import (
     MAGIC,
     MESSAGE_HEAD,
     MOST_DEFINITIONS,
@@ -34,7 +32,7 @@ from recording.mcap_scan import (
     too_many_definitions,
     unpack,
 )
-from recording.messages import (
+from telenano.recording.messages import (
     ChannelFilter,
     LeftOut,
     RawMessage,
@@ -43,7 +41,9 @@ from recording.messages import (
     raw_channel,
     recorded_channel,
 )
-from recording.odd_times import LONGEST_PAUSE_NS, Dates, odd_text
+from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates, odd_text
+from telenano.wire.errors import NoRecordingError, RecordingError
+from telenano.wire.nodes import site_of
 
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once.

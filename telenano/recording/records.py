@@ -4,9 +4,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from proto.messages import Count, Record, Source, Text
-from recording.record_topics import GAP_TOPIC as GAP_TOPIC
-from recording.record_topics import REJECTED_TOPIC as REJECTED_TOPIC
+from telenano.recording.record_topics import GAP_TOPIC as GAP_TOPIC
+from telenano.recording.record_topics import REJECTED_TOPIC as REJECTED_TOPIC
+from telenano.wire.messages import Count, Record, Source, Text
 
 
 class GapRecord(Record):

@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import NamedTuple
 
-from proto import TOPICS
-from proto.ends import END_TOPIC, read_end
-from proto.errors import RecordingError
-from proto.messages import LinkFates
-from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
-from recording.multi_file import RecordingSource
-from recording.site_clock import ClockShift, is_of_slave, read_site_clock
+from telenano.recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.site_clock import ClockShift, is_of_slave, read_site_clock
+from telenano.wire import TOPICS
+from telenano.wire.ends import END_TOPIC, read_end
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import LinkFates
 
 FATES_TOPIC = "link/fates"
 _NS = 1_000_000_000
@@ -46,8 +46,8 @@ class SenderClock:
     """Time of sending of messages received at their publisher, on the recorder's clock [ns].
 
     Processes of one machine share a clock, and their stamps are taken as they are. The other site of two machines is
-    put on the master's clock, offset and drift, where the clocks differ (`recording.site_clock`). A source whose stamps
-    are those of another time, because it was itself a replay, is shifted by the lag of its first message.
+    put on the master's clock, offset and drift, where the clocks differ (`telenano.recording.site_clock`). A source
+    whose stamps are those of another time, because it was itself a replay, is shifted by the lag of its first message.
     """
 
     def __init__(self, recording: RecordingSource) -> None:

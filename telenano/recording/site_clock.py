@@ -2,7 +2,8 @@
 
 Two machines have two clocks. What the link measured of their difference is in the recording: `link/status` has it ten
 times a second, with the bounds between which it lies, and `clock/pong` has when each question was sent and when it
-arrived. The lines through these bounds have offset and drift (`recording.clock_line`), a line for as long as one fits.
+arrived. The lines through these bounds have offset and drift (`telenano.recording.clock_line`), a line for as long as
+one fits.
 
 The bounds are half the round trip apart from the estimate, because no exchange can tell a difference of the clocks from
 ways that differ there and back. So the difference is taken off only where the clocks are shown to differ: it is beyond
@@ -19,13 +20,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RecordingError
-from proto.nodes import LINK, name_of, site_of
-from recording.arrays import replay_shifts
-from recording.clock_course import Bounds, bounds_of, knots, mean_drift, stretches
-from recording.clock_line import Bound
-from recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage, readable
-from recording.multi_file import RecordingSource
+from telenano.recording.arrays import replay_shifts
+from telenano.recording.clock_course import Bounds, bounds_of, knots, mean_drift, stretches
+from telenano.recording.clock_line import Bound
+from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage, readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.errors import RecordingError
+from telenano.wire.nodes import LINK, name_of, site_of
 
 Ints = npt.NDArray[np.int64]
 

@@ -20,10 +20,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 
-from presets.regular_files import open_regular
-from proto.errors import RecordingError
-from recording.info import ChannelInfo, RecordingInfo, attachments_of, notes_of
-from recording.mcap_scan import (
+from telenano.presets.regular_files import open_regular
+from telenano.recording.info import ChannelInfo, RecordingInfo, attachments_of, notes_of
+from telenano.recording.mcap_scan import (
     MAGIC,
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -37,9 +36,10 @@ from recording.mcap_scan import (
     records_of,
     unpack,
 )
-from recording.messages import recorded_channel
-from recording.odd_times import LONGEST_PAUSE_NS, Dates
-from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.recording.messages import recorded_channel
+from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates
+from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.wire.errors import RecordingError
 
 _FOOTER = struct.Struct("<BQQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQI")

@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
-from recording.mcap_scan import Damage
-from recording.messages import ChannelFilter, RecordedMessage
-from recording.reader import Recording
-from recording.tables import TypedColumn, typed_columns, uniform
+from telenano.recording.mcap_scan import Damage
+from telenano.recording.messages import ChannelFilter, RecordedMessage
+from telenano.recording.reader import Recording
+from telenano.recording.tables import TypedColumn, typed_columns, uniform
 
 # The rows of a channel are written when there are so many, or so many bytes of them.
 _MOST_ROWS = 2048

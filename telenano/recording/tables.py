@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from proto.errors import RecordingError
-from proto.messages import Array
-from recording.messages import RecordedMessage
+from telenano.recording.messages import RecordedMessage
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import Array
 
 _SCALARS = (bool, int, float, str)
 _SCALAR_TYPES = frozenset(_SCALARS)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 
 
 class Tolerances:

@@ -7,15 +7,15 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from proto import TOPICS
-from proto.codec import header_check
-from proto.ends import END_TOPIC, read_end
-from proto.errors import RecordingError
-from recording.info import notes_of
-from recording.mcap_scan import Damage, describe_damage
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.reader import Recording
-from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.recording.info import notes_of
+from telenano.recording.mcap_scan import Damage, describe_damage
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.reader import Recording
+from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.wire import TOPICS
+from telenano.wire.codec import header_check
+from telenano.wire.ends import END_TOPIC, read_end
+from telenano.wire.errors import RecordingError
 
 Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
 Level = Literal["error", "warning", "info"]

@@ -20,8 +20,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from presets.optional_modules import optional_module
-from proto.errors import RigError
+from telenano.presets.optional_modules import optional_module
+from telenano.wire.errors import RigError
 
 # A change takes milliseconds, so a process that has had the lock for this long stands still [s].
 LOCK_WAIT_S = 1.0

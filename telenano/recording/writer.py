@@ -11,13 +11,13 @@ from typing import IO, Annotated, Literal
 import msgpack
 from pydantic import BaseModel, ConfigDict, Field
 
-from proto import TOPICS
-from proto.errors import RecordingError
-from proto.messages import Record
-from proto.nodes import site_of
-from recording.info import END_NAME
-from recording.mcap_messages import Compression, MessageWriter
-from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.recording.info import END_NAME
+from telenano.recording.mcap_messages import Compression, MessageWriter
+from telenano.recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.wire import TOPICS
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import Record
+from telenano.wire.nodes import site_of
 
 # why a file ended
 FileEnd = Literal["stopped", "split", "quota"]

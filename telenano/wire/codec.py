@@ -12,10 +12,10 @@ import msgpack
 import msgspec
 from pydantic import BaseModel, ValidationError
 
-from proto.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
-from proto.ranges import any_range, is_out_of_range, limited
-from proto.topics import TOPICS, Topic
-from proto.typed import typed_form, typed_header, typed_rows
+from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
+from telenano.wire.ranges import any_range, is_out_of_range, limited
+from telenano.wire.topics import TOPICS, Topic
+from telenano.wire.typed import typed_form, typed_header, typed_rows
 
 MAX_MESSAGE_BYTES = 1 << 20
 # The limit is for a message without maps and arrays of data inside; the longest has 500.
@@ -64,7 +64,7 @@ def accept(topic: str, payload: bytes) -> Message:
 
     Raises:
         WireError: The message is not valid; the error names the topic, the key at fault and what would be right. Its
-            kind is `range` where a quantity is beyond its range (`proto.ranges`).
+            kind is `range` where a quantity is beyond its range (`telenano.wire.ranges`).
     """
     typed = _TYPED.get(topic)
     if typed is not None and (quick := typed.read(payload)) is not None:
@@ -80,7 +80,7 @@ def accept(topic: str, payload: bytes) -> Message:
 
 
 def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]) -> tuple[Message, bytes]:
-    """Return a message and its bytes, with what is beyond its range at the nearer end (`proto.ranges.limited`).
+    """Return a message and its bytes, with what is beyond its range at the nearer end (`telenano.wire.ranges.limited`).
 
     Args:
         topic: The topic, which names the model.

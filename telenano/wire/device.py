@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from proto.ranges import ChannelValue, EnergyJ, QuaternionPart, VoltageV
+from telenano.wire.ranges import ChannelValue, EnergyJ, QuaternionPart, VoltageV
 
 DeviceStatus = Literal["ok", "stale", "lost"]
 

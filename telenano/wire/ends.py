@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from proto.messages import Scalar
+    from telenano.wire.messages import Scalar
 
 END_TOPIC = "session/event"
 _STATE = "ended"

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from proto.messages import Array, Count, Facts, Message, Record
-from proto.ranges import DurationS, ScaleValue
+from telenano.wire.messages import Array, Count, Facts, Message, Record
+from telenano.wire.ranges import DurationS, ScaleValue
 
 MOST_QUESTIONS = 16
 _NAME = r"^[a-z][a-z0-9_]{0,31}$"

@@ -5,8 +5,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from proto.messages import Array, Count, Facts, Lengths, Message, _Extended
-from proto.ranges import Percent
+from telenano.wire.messages import Array, Count, Facts, Lengths, Message, _Extended
+from telenano.wire.ranges import Percent
 
 # A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
 MOST_TEXT = 512

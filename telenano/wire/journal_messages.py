@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import FailFast, Field
 
-from proto.messages import MAX_ITEMS, Array, Count, Counts, Message, Record, Source, Text
+from telenano.wire.messages import MAX_ITEMS, Array, Count, Counts, Message, Record, Source, Text
 
 
 class JournalInput(Record):

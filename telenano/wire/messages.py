@@ -23,8 +23,8 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from proto import device as real
-from proto.ranges import (
+from telenano.wire import device as real
+from telenano.wire.ranges import (
     ANGLE,
     ENERGY,
     FORCE,

@@ -5,8 +5,8 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from proto.messages import Array, Count, Counts, LinkClock, Message, _Extended
-from proto.ranges import DurationS
+from telenano.wire.messages import Array, Count, Counts, LinkClock, Message, _Extended
+from telenano.wire.ranges import DurationS
 
 
 class LinkKey(_Extended):

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from proto import experiment_messages as experiment
-from proto import messages as m
-from proto import network_messages as network
-from proto.instrument import AfmParticles, AfmProgram
-from proto.journal_messages import NodeJournal
-from proto.nodes import EXPERIMENT, NODES, name_of, site_of
+from telenano.wire import experiment_messages as experiment
+from telenano.wire import messages as m
+from telenano.wire import network_messages as network
+from telenano.wire.instrument import AfmParticles, AfmProgram
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.nodes import EXPERIMENT, NODES, name_of, site_of
 
 Delivery = Literal["latest", "lossless"]
 

@@ -29,8 +29,8 @@ from annotated_types import Ge, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel, FailFast
 from pydantic.fields import FieldInfo
 
-from proto.messages import SOURCE_PATTERN, Message, Scalar
-from proto.ranges import Range
+from telenano.wire.messages import SOURCE_PATTERN, Message, Scalar
+from telenano.wire.ranges import Range
 
 # Texts with a pattern that the declared model has accepted, such as the few names of nodes.
 _MOST_TEXTS = 256

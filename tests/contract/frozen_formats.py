@@ -15,17 +15,17 @@ import msgpack
 from mcap.reader import make_reader
 from wire_contract import examples, schema_of
 
-from presets import DEFAULT_SITE_FILE
-from proto import TOPICS, Message, encode
-from proto.messages import Record
-from recording.mcap_scan import FORMAT
-from recording.records import RECORDS, GapRecord, RejectedRecord
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.provenance import write_provenance
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.mcap_scan import FORMAT
+from telenano.recording.records import RECORDS, GapRecord, RejectedRecord
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import TOPICS, Message, encode
+from telenano.wire.messages import Record
 
 FILE = Path(__file__).with_suffix(".json")
-SCENARIO = Path(__file__).parents[2] / "presets" / "scenarios" / "fig12.yaml"
+SCENARIO = Path(__file__).parents[2] / "telenano" / "presets" / "scenarios" / "fig12.yaml"
 WIRE = "1"
 _NS = 1_750_000_000_000_000_000
 _LEFT_OUT = ("description", "title", "default", "examples", "additionalProperties", "required", "type", "properties")

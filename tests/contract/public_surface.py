@@ -14,11 +14,11 @@ from typing import Any
 
 import telenano
 import telenano.extend
-from presets import SCHEMA_DIRECTORY
-from presets.plugins import KINDS
-from proto import TOPICS
 from telenano.cli import exit_codes
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
+from telenano.presets import SCHEMA_DIRECTORY
+from telenano.presets.plugins import KINDS
+from telenano.wire import TOPICS
 
 FILE = Path(__file__).with_suffix(".json")
 ROOT = Path(__file__).parents[2]

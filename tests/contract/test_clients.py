@@ -12,11 +12,11 @@ import zmq
 from typer.testing import CliRunner
 from wire_contract import FOLDER
 
-from presets import DEFAULT_SITE_FILE
-from proto import TOPICS
-from proto.nodes import LINK, name_of, site_of
 from services.runtime.bus.address_book import load_site
 from telenano.cli.root import app
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire import TOPICS
+from telenano.wire.nodes import LINK, name_of, site_of
 
 SCHEMAS = {path.stem: json.loads(path.read_text()) for path in sorted((FOLDER / "schemas").glob("*.json"))}
 VECTORS = json.loads((FOLDER / "golden" / "vectors.json").read_text())

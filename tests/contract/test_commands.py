@@ -10,9 +10,6 @@ import pytest
 import spec_client
 import yaml
 
-from proto import TOPICS, Message, decode
-from proto.errors import RefusedError
-from proto.messages import AfmState, SessionControl, SessionEvent
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
@@ -29,6 +26,9 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.settings.config import flatten
 from telenano.extend.testing import VirtualClock
+from telenano.wire import TOPICS, Message, decode
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import AfmState, SessionControl, SessionEvent
 
 COMMANDS = get_args(SessionControl.model_fields["command"].annotation)
 _SPEC = command_table.SPEC.read_text(encoding="utf-8")

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 import spec_client
 from pydantic import BaseModel
-from wire_contract import CASES, FOLDER, WITH_ADDITIONS, artefacts, drifted, main, rewrite
+from wire_contract import CASES, FOLDER, ROOT, WITH_ADDITIONS, artefacts, drifted, main, rewrite
 
-from proto import TOPICS, WireError, accept, decode, encode
-from proto.ranges import Range, any_range
+from telenano.wire import TOPICS, WireError, accept, decode, encode
+from telenano.wire.ranges import Range, any_range
 
 VECTORS: list[dict[str, Any]] = json.loads((FOLDER / "golden" / "vectors.json").read_text(encoding="utf-8"))
 
@@ -40,9 +40,9 @@ def _same(a: Any, b: Any) -> bool:
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    for name in ("schemas", "golden"):
-        shutil.copytree(FOLDER / name, tmp_path / name)
-    shutil.copy(FOLDER / "SPEC.md", tmp_path)
+    shutil.copytree(FOLDER, tmp_path / "proto")
+    (tmp_path / "telenano" / "wire").mkdir(parents=True)
+    shutil.copy(ROOT / "telenano" / "wire" / "examples.json", tmp_path / "telenano" / "wire")
     return tmp_path
 
 
@@ -54,7 +54,7 @@ def test_making_the_files_twice_gives_the_same() -> None:
     assert artefacts() == artefacts()
 
 
-@pytest.mark.parametrize("name", ["schemas/HapticState.json", "golden/vectors.json", "SPEC.md"])
+@pytest.mark.parametrize("name", ["proto/schemas/HapticState.json", "proto/golden/vectors.json", "proto/SPEC.md"])
 def test_a_changed_file_is_named_and_rewritten(copy: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     path = copy / name
     text = path.read_text(encoding="utf-8")
@@ -62,20 +62,20 @@ def test_a_changed_file_is_named_and_rewritten(copy: Path, name: str, capsys: py
     assert main(["--check"], copy) == 1
     assert name in capsys.readouterr().err
     assert main([], copy) == 0
-    assert capsys.readouterr().out == f"wrote proto/{name}\n"
+    assert capsys.readouterr().out == f"wrote {name}\n"
     assert main(["--check"], copy) == 0
 
 
 def test_a_missing_and_a_left_over_schema_are_named(copy: Path) -> None:
-    (copy / "schemas" / "AfmState.json").unlink()
-    (copy / "schemas" / "Telegram.json").write_text("{}")
-    assert drifted(copy) == ["schemas/AfmState.json", "schemas/Telegram.json"]
-    assert rewrite(copy) == ["schemas/AfmState.json", "schemas/Telegram.json"]
+    (copy / "proto" / "schemas" / "AfmState.json").unlink()
+    (copy / "proto" / "schemas" / "Telegram.json").write_text("{}")
+    assert drifted(copy) == ["proto/schemas/AfmState.json", "proto/schemas/Telegram.json"]
+    assert rewrite(copy) == ["proto/schemas/AfmState.json", "proto/schemas/Telegram.json"]
     assert drifted(copy) == []
 
 
 def test_a_spec_without_its_table_is_refused(copy: Path) -> None:
-    (copy / "SPEC.md").write_text("# The wire\n")
+    (copy / "proto" / "SPEC.md").write_text("# The wire\n")
     with pytest.raises(ValueError, match="needs the lines"):
         drifted(copy)
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proto.errors import TelenanoError
 from services.afm_node.config import AfmConfig
+from telenano.wire.errors import TelenanoError
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "fit.md"
 
@@ -93,7 +93,7 @@ def clocks() -> None:
     draw = np.random.default_rng(1)
     bound = [(n * 10**9, int(draw.exponential(1e6))) for n in range(1, 60)]
     below = [(n * 10**9, -int(draw.exponential(1e6))) for n in range(1, 60)]
-    raise TelenanoError(f"drift {_function('recording.clock_line:fitted')(bound, below).drift}")  # type: ignore[attr-defined]
+    raise TelenanoError(f"drift {_function('telenano.recording.clock_line:fitted')(bound, below).drift}")  # type: ignore[attr-defined]
 
 
 # what is refused or said of what does not fit, by the name in the table of the page
@@ -137,7 +137,7 @@ _NO_ESTIMATE = {
 
 def test_each_module_that_fits_is_in_the_table_or_says_why_not() -> None:
     root = PAGE.parents[1]
-    folders = ("analysis", "recording", "services", "studies", "telenano", "packages/*/telenano_*")
+    folders = ("services", "telenano", "packages/*/telenano_*")
     found = {
         str(path.relative_to(root))
         for folder in folders

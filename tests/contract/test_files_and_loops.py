@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "deploy", "packages")
+ROOMS = ("services", "telenano", "deploy", "packages")
 TABLES = Path(__file__).parent
 # What writes: functions by their name, methods by theirs, and functions of a module alone.
 WRITES = {"write_whole", "changed", "whole_file", "whole_folder", "whole_results", "mkstemp"}

@@ -11,7 +11,7 @@ from telenano_afm_files.inspect_command import inspected
 from telenano_calibration.own_calibration import curve_of, sensitivity_of_curve, spectrum_of
 from telenano_networks.line_log import read_log
 
-from proto.errors import TelenanoError
+from telenano.wire.errors import TelenanoError
 from tests.doubles.foreign_files import K_N_PER_M, KINDS, M_PER_V, Made
 
 SEEDS = 3

@@ -13,21 +13,21 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 from wire_contract import examples
 
-from proto import TOPICS, WireError, accept, compose, decode, decode_header, encode, read_header
-from proto.codec import MAX_PLAIN_BYTES
-from proto.errors import RecordingError
-from proto.messages import AfmState
-from recording.export import export_recording
-from recording.indexed import IndexedRecording
-from recording.mcap_scan import FORMAT
-from recording.messages import LeftOut, RawChannel, RawMessage, readable
-from recording.reader import Recording
-from recording.rewrite import CopyWriter, merge_recordings
-from recording.summary_section import quick_info
-from recording.verify import verify
 from services.runtime.bus.bus import Subscriber
 from services.runtime.clock import SystemClock
 from telenano.cli.root import app
+from telenano.recording.export import export_recording
+from telenano.recording.indexed import IndexedRecording
+from telenano.recording.mcap_scan import FORMAT
+from telenano.recording.messages import LeftOut, RawChannel, RawMessage, readable
+from telenano.recording.reader import Recording
+from telenano.recording.rewrite import CopyWriter, merge_recordings
+from telenano.recording.summary_section import quick_info
+from telenano.recording.verify import verify
+from telenano.wire import TOPICS, WireError, accept, compose, decode, decode_header, encode, read_header
+from telenano.wire.codec import MAX_PLAIN_BYTES
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import AfmState
 
 LATER = {"tip_temperature_k": 295.1, "later": {"of": [1, "two", b"three"], "nothing": None}}
 IGNORING = [topic for topic in TOPICS if topic != "session/control"]

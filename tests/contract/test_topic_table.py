@@ -11,10 +11,10 @@ from annotated_types import Ge
 from pydantic import BaseModel
 from wire_contract import FOLDER, range_table, schema_of, topic_table
 
-from proto import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
-from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, MOST_BYTES, Reason
-from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
-from proto.ranges import RANGES
+from telenano.wire import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
+from telenano.wire.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, MOST_BYTES, Reason
+from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, Message, Record
+from telenano.wire.ranges import RANGES
 
 # topics that more than one kind of node may send
 SHARED = {"session/control", "session/event", "node/health", "node/journal", "link/key", "link/network"}

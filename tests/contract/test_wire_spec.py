@@ -14,16 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
-from proto import TOPICS, decode, encode
-from proto.messages import AfmScanline, Array, Record, SessionControl
-from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.security.keyring import Keyring
 from services.runtime.wiring.transport import Transport
+from telenano.presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.wire import TOPICS, decode, encode
+from telenano.wire.messages import AfmScanline, Array, Record, SessionControl
+from telenano.wire.sequence import Arrival, SequenceTracker
 
 ROW_OF = {
     Arrival.NEXT: "next",
@@ -38,7 +38,7 @@ def test_the_client_uses_nothing_of_ours() -> None:
     tree = ast.parse(Path(spec_client.__file__).read_text(encoding="utf-8"))
     imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert not any(name.startswith(("proto", "services", "studies")) for name in imported)
+    assert not any(name.startswith(("services", "telenano")) for name in imported)
 
 
 @pytest.mark.parametrize("topic", TOPICS)

@@ -52,7 +52,7 @@ def sources() -> str:
     """Return all code of the project."""
     return "\n".join(
         path.read_text(encoding="utf-8")
-        for folder in ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "packages")
+        for folder in ("services", "telenano", "packages")
         for path in (ROOT / folder).rglob("*.py")
     )
 

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 from pydantic.json_schema import GenerateJsonSchema
 
-from proto.codec import MOST_BYTES, encode
-from proto.messages import Array, Message, SessionControl
-from proto.ranges import RANGES, any_range
-from proto.topics import TOPICS, Topic
+from telenano.wire.codec import MOST_BYTES, encode
+from telenano.wire.messages import Array, Message, SessionControl
+from telenano.wire.ranges import RANGES, any_range
+from telenano.wire.topics import TOPICS, Topic
 
-FOLDER = Path(__file__).resolve().parents[2] / "proto"
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "proto"
 # These parts of SPEC.md are generated.
 PARTS = ("topics", "ranges")
 
@@ -161,10 +162,14 @@ def range_table() -> str:
     return "\n".join(rows)
 
 
-def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
-    """Return every committed file of the contract and the text that it should hold."""
+def artefacts(root: Path = ROOT) -> dict[Path, str]:
+    """Return every committed file of the contract, in a checkout at `root`, and the text that it should hold."""
+    folder = root / "proto"
     files = {folder / "schemas" / f"{t.model.__name__}.json": _json_text(schema_of(t)) for t in TOPICS.values()}
-    files[folder / "golden" / "vectors.json"] = _json_text(vectors())
+    golden = vectors()
+    files[folder / "golden" / "vectors.json"] = _json_text(golden)
+    least = {vector["topic"]: vector["hex"] for vector in golden if vector["case"] == CASES[0].name}
+    files[root / "telenano" / "wire" / "examples.json"] = _json_text(least)
     spec = (folder / "SPEC.md").read_text(encoding="utf-8")
     for part, table in zip(PARTS, (topic_table(), range_table()), strict=True):
         spec = _with_table(spec, part, table)
@@ -172,20 +177,20 @@ def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
     return files
 
 
-def drifted(folder: Path = FOLDER) -> list[str]:
+def drifted(root: Path = ROOT) -> list[str]:
     """Return the files that differ from the models, are missing, or describe a message that no longer exists."""
-    files = artefacts(folder)
+    files = artefacts(root)
     wrong = [path for path, text in files.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
-    left_over = sorted(set((folder / "schemas").glob("*")) - set(files))
-    return [str(path.relative_to(folder)) for path in (*wrong, *left_over)]
+    left_over = sorted(set((root / "proto" / "schemas").glob("*")) - set(files))
+    return [str(path.relative_to(root)) for path in (*wrong, *left_over)]
 
 
-def rewrite(folder: Path = FOLDER) -> list[str]:
+def rewrite(root: Path = ROOT) -> list[str]:
     """Rewrite every file that differs and return the names of those that changed."""
-    changed = drifted(folder)
-    files = artefacts(folder)
+    changed = drifted(root)
+    files = artefacts(root)
     for name in changed:
-        path = folder / name
+        path = root / name
         if path in files:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(files[path], encoding="utf-8")
@@ -194,19 +199,19 @@ def rewrite(folder: Path = FOLDER) -> list[str]:
     return changed
 
 
-def main(arguments: Sequence[str] | None = None, folder: Path = FOLDER) -> int:
+def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
     """Rewrite or check the files; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python tests/contract/wire_contract.py", description="Write or check the wire contract."
     )
     parser.add_argument("--check", action="store_true", help="change nothing, exit 1 if a file has drifted")
     if parser.parse_args(arguments).check:
-        names = drifted(folder)
+        names = drifted(root)
         for name in names:
-            sys.stderr.write(f"proto/{name} differs from the models: run python tests/contract/wire_contract.py\n")
+            sys.stderr.write(f"{name} differs from the models: run python tests/contract/wire_contract.py\n")
         return 1 if names else 0
-    for name in rewrite(folder):
-        sys.stdout.write(f"wrote proto/{name}\n")
+    for name in rewrite(root):
+        sys.stdout.write(f"wrote {name}\n")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""How tests run the closed loop of `studies.loops`: as plain Python, or compiled where a law would be noticed."""
+"""How tests run the closed loop of `telenano.lockstep`: as plain Python, or compiled where a law would be noticed."""
 
 import pytest
 
@@ -6,8 +6,8 @@ import pytest
 @pytest.fixture
 def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the closed loop as plain Python: the same bits, and one session takes less time than compiling the loop."""
-    monkeypatch.setattr("studies.loops.lockstep.compiled_call", lambda step, given: step(*given))
-    monkeypatch.setattr("studies.loops.lockstep.is_compiled", lambda step, given: False)
+    monkeypatch.setattr("telenano.lockstep.lockstep.compiled_call", lambda step, given: step(*given))
+    monkeypatch.setattr("telenano.lockstep.lockstep.is_compiled", lambda step, given: False)
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Non
 
     So a law or an environment that cannot be compiled is noticed, and no pair of them costs a compilation of its own.
     """
-    monkeypatch.setattr("studies.loops.lockstep.PLAIN_TICKS", 0)
+    monkeypatch.setattr("telenano.lockstep.lockstep.PLAIN_TICKS", 0)
     given = request.node.callspec.params
     if given.get("environment", "spring") == "spring" and given["law"] != "virtual_impedance":
         request.getfixturevalue("plain_loop")

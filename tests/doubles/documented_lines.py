@@ -84,7 +84,7 @@ def lines() -> tuple[Line, ...]:
         "docs/**/*.md",
         "*/README.md",
         "services/*/README.md",
-        "firmware/*/README.md",
+        "packages/*/telenano_*/*/*/README.md",
         "packages/*/README.md",
         "proto/*.md",
     )

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from proto import Message
 from telenano.extend.messages import example
+from telenano.wire import Message
 
 EPOCH_NS = 1_750_000_000_000_000_000
 MILLISECOND_NS = 1_000_000

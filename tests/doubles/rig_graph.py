@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-from proto import TOPICS
-from proto.nodes import LINK, START_ORDER, VIEW, name_of, site_of
-from proto.topics import Topic
 from services.afm_node.node import INPUTS as AFM_INPUTS
 from services.controller.__main__ import HALVES
 from services.haptic_node.node import INPUTS as HAPTIC_INPUTS
+from telenano.wire import TOPICS
+from telenano.wire.nodes import LINK, START_ORDER, VIEW, name_of, site_of
+from telenano.wire.topics import Topic
 
 # Every node sends these topics, and only people and the launcher read them; they would hide the loop.
 _EVERYBODY = ("node/health", "session/event", "node/journal", "session/control")

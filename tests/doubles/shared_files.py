@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-from proto.errors import TelenanoError
+from telenano.wire.errors import TelenanoError
 
 _DISK_BYTES = 256 << 10
 # Two processes that wait for one another for longer than this [s] never will.

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from proto.errors import TelenanoError
-from recording import mcap_scan, reader, summary_section
-from recording.indexed import IndexedRecording, open_indexed
-from recording.reader import Recording
+from telenano.recording import mcap_scan, reader, summary_section
+from telenano.recording.indexed import IndexedRecording, open_indexed
+from telenano.recording.reader import Recording
+from telenano.wire.errors import TelenanoError
 
 # the process ends here rather than the machine
 _HIGHEST_BYTES = 6 << 30
@@ -84,7 +84,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
 def read() -> dict[str, Any]:
     command, path, folder = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
-    for module in (reader, summary_section, sys.modules["recording.indexed"]):
+    for module in (reader, summary_section, sys.modules["telenano.recording.indexed"]):
         module.unpack = counted  # type: ignore[attr-defined]
     try:
         COMMANDS[command](path, folder)

@@ -221,7 +221,7 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "session.mcap": lambda path: path.write_bytes(mcap_whole()),
     "scenario.yaml": lambda path: path.write_bytes(yaml()),
     "trial.zip": write_trial,
-    "profile.yaml": copy_of("presets/networks/4g.yaml"),
+    "profile.yaml": copy_of("telenano/presets/networks/4g.yaml"),
     "plan.yaml": copy_of("packages/telenano-experiments/telenano_experiments/plans/delay_and_law.yaml"),
     "key.key_secret": lambda path: path.write_bytes(key()),
 }
@@ -277,9 +277,9 @@ def _read_curve(path: Path) -> None:
 
 
 def _read_mcap(path: Path) -> None:
-    from recording.reader import Recording
-    from recording.rewrite import filter_recording
-    from recording.verify import verify
+    from telenano.recording.reader import Recording
+    from telenano.recording.rewrite import filter_recording
+    from telenano.recording.verify import verify
 
     copy = path.with_name(f"{path.stem}.copy")
     try:
@@ -332,7 +332,7 @@ READ = {
 
 
 def _main(kind: str, paths: list[str]) -> None:
-    from proto.errors import TelenanoError
+    from telenano.wire.errors import TelenanoError
 
     resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
     outcomes, spent_s = [], []

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from recording.mcap_scan import MAGIC, RECORD_HEAD, records_of
-from recording.reader import Recording
-from recording.writer import FileSettings, RecordingWriter
+from telenano.recording.mcap_scan import MAGIC, RECORD_HEAD, records_of
+from telenano.recording.reader import Recording
+from telenano.recording.writer import FileSettings, RecordingWriter
 
 # the number of a message in the file and its time of reception [ns] -> the time that the forged file has for it
 Times = Callable[[int, int], int]

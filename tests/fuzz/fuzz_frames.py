@@ -12,13 +12,13 @@ import msgpack
 import numpy as np
 from wire_contract import examples, schema_of
 
-from proto import TOPICS, Topic, encode
-from proto.messages import Array
-from proto.nodes import LINK, NODES, name_of
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, flattened
 from services.runtime.settings.config import flatten
+from telenano.wire import TOPICS, Topic, encode
+from telenano.wire.messages import Array
+from telenano.wire.nodes import LINK, NODES, name_of
 
 # what a command may set at whom
 KEYS: dict[str, tuple[str, ...]] = {

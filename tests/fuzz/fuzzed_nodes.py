@@ -18,13 +18,6 @@ from typing import Any
 import zmq
 from fuzz_frames import Frames, stream
 
-from proto import TOPICS, Message, encode
-from proto.messages import InputHealth
-from proto.nodes import HAND, TIP
-from proto.ranges import limited
-from recording.channel_filter import Selection
-from recording.reader import Recording
-from recording.writer import RecordingWriter
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
@@ -52,6 +45,13 @@ from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
+from telenano.recording.channel_filter import Selection
+from telenano.recording.reader import Recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import TOPICS, Message, encode
+from telenano.wire.messages import InputHealth
+from telenano.wire.nodes import HAND, TIP
+from telenano.wire.ranges import limited
 
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood

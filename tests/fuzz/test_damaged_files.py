@@ -156,7 +156,7 @@ def test_a_chunk_that_states_another_size_is_damaged(tmp_path: Path, compression
         stored = pytest.importorskip("lz4.frame").compress(content)
     else:
         stored = pytest.importorskip("zstandard").ZstdCompressor(write_content_size=False).compress(content)
-    from recording.reader import Recording
+    from telenano.recording.reader import Recording
 
     path = tmp_path / "session.mcap"
     path.write_bytes(files.mcap(files.mcap_chunk(compression, stored, max(len(content) + lie, 0))))
@@ -167,7 +167,7 @@ def test_a_chunk_that_states_another_size_is_damaged(tmp_path: Path, compression
 
 
 def test_a_chunk_that_packs_to_nearly_nothing_is_not_unpacked(tmp_path: Path) -> None:
-    from recording.reader import Recording
+    from telenano.recording.reader import Recording
 
     size = 20 << 20
     stored = pytest.importorskip("zstandard").ZstdCompressor().compress(bytes(size))
@@ -178,7 +178,7 @@ def test_a_chunk_that_packs_to_nearly_nothing_is_not_unpacked(tmp_path: Path) ->
 
 
 def test_a_chunk_of_zeros_is_not_called_sound(tmp_path: Path) -> None:
-    from recording.verify import verify
+    from telenano.recording.verify import verify
 
     path = tmp_path / "session.mcap"
     path.write_bytes(files.mcap(files.mcap_chunk("", bytes(900), 900)))
@@ -196,7 +196,7 @@ def test_three_hundred_thousand_channels_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_channel_that_is_repeated_counts_once(tmp_path: Path) -> None:
-    from recording.reader import Recording
+    from telenano.recording.reader import Recording
 
     path = tmp_path / "session.mcap"
     message = files.mcap_record(5, struct.pack("<HIQQ", 1, 0, 1, 1))

@@ -25,14 +25,6 @@ from telenano_ros2.bridge import Ros2Bridge
 from telenano_ros2.crtk import TEXTS, Encoder, Ros2Message
 from wire_contract import examples
 
-from analysis.report import write_report
-from proto import TOPICS, encode
-from recording.channel_filter import ALL
-from recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
-from recording.multi_file import open_recordings
-from recording.reader import Recording
-from recording.tables import plain
-from recording.writer import FileSettings, RecordingWriter
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
 from services.runtime.bus.bus import Subscriber
@@ -42,8 +34,16 @@ from services.viz_node.feed import seen
 from services.viz_node.hub import Hub
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from telenano.analysis.report import write_report
 from telenano.extend.testing import VirtualClock
+from telenano.recording.channel_filter import ALL
+from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
+from telenano.recording.multi_file import open_recordings
+from telenano.recording.reader import Recording
+from telenano.recording.tables import plain
+from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.recording_document import judged_recording
+from telenano.wire import TOPICS, encode
 
 SEED = 42
 SITES = {"haptic_node": "master", "delay_node": "master", "launcher": "master", "view": "master"}

@@ -13,9 +13,9 @@ import pytest
 from fuzz_frames import Frames, stream
 from wire_contract import examples
 
-from proto import TOPICS, accept, encode
-from proto.sequence import MOST_COUNTED
 from services.controller.config import OWN_LAWS as LAWS
+from telenano.wire import TOPICS, accept, encode
+from telenano.wire.sequence import MOST_COUNTED
 
 ROOT = Path(__file__).parents[2]
 COUNT = 150

@@ -46,7 +46,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/controller/test_passivity_ports.py",
         "tests/unit/controller/test_passivity.py",
     ),
-    "recording/verify.py": ("tests/unit/recording/test_verify_missing.py",),
+    "telenano/recording/verify.py": ("tests/unit/recording/test_verify_missing.py",),
 }
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
@@ -140,7 +140,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "moved_by_what_is_paid: damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j,"
         " 0.0), 1.0) [1.0 => 2.0] (2)": "a motion of the hand is cut to what its store has, which is never below zero",
     },
-    "recording/verify.py": {
+    "telenano/recording/verify.py": {
         "_Stream.__init__: self.t_ns = 0 [self.t_ns = 0 => pass]": "read only after the first message set it",
         "_Check.run: log_ns >= last_ns [log_ns >= last_ns => log_ns > last_ns]": "one received at the same time is"
         " looked at more closely, with the same outcome",

@@ -2,8 +2,8 @@
 
     python tests/releases/make_demo.py
 
-The nodes of the rig run in virtual time, so that the same commit gives the same messages. `presets/demo.mcap` is the
-session that `telenano view --demo` shows.
+The nodes of the rig run in virtual time, so that the same commit gives the same messages. `telenano/presets/demo.mcap`
+is the session that `telenano view --demo` shows.
 """
 
 import shutil
@@ -14,7 +14,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "replay")]
-DEMO = ROOT / "presets" / "demo.mcap"
+DEMO = ROOT / "telenano" / "presets" / "demo.mcap"
 # a quarter of the loop's usual rate, so that a file is small
 SETTINGS = (
     "realtime.rate_hz=250",
@@ -27,7 +27,7 @@ def recorded(path: Path, duration_s: float) -> None:
     """Record a session of Fig. 12 over a link of 20 ms, there and back."""
     from virtual_rig import record_session
 
-    from presets import find_scenario
+    from telenano.presets import find_scenario
 
     scenario = yaml.safe_load(find_scenario("fig12").read_text())
     folder = path.with_suffix("")

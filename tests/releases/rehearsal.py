@@ -26,11 +26,11 @@ from pathlib import Path
 
 PATIENCE_S = 1800
 # the folders that the wheels put beside one another, and how the names of all begin
-PLACES = ("analysis", "presets", "proto", "recording", "services", "studies", "telenano")
+PLACES = ("services", "telenano")
 PAGE_PORT = 18650
 TRIAL = """
 import telenano
-from presets import DEMO_RECORDING
+from telenano.presets import DEMO_RECORDING
 session, simulated = telenano.open(DEMO_RECORDING), telenano.simulate("fig12")
 rows = len(session.table("afm/state")["time_s"])
 assert rows > 100

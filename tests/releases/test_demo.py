@@ -9,8 +9,8 @@ from make_demo import DEMO
 from typer.testing import CliRunner
 
 import telenano
-from recording.verify import verify
 from telenano.cli.root import app
+from telenano.recording.verify import verify
 
 # whatever is added to a message later
 COLUMNS = {

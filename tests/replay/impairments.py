@@ -12,7 +12,7 @@ from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settl
 from telenano_studies.loops.recorded_link import recorded_schedule
 from telenano_studies.loops.validate import read_course, scenario_of
 
-from studies.loops.lockstep import simulate
+from telenano.lockstep.lockstep import simulate
 
 ONE_WAY_S = 0.01
 # The verdict is that of both, and so is the greatest force, within this share.

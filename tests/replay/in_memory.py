@@ -7,8 +7,8 @@ from typing import Any
 
 import msgpack
 
-from recording.messages import ChannelFilter, RecordedMessage
-from recording.reader import DamageCallback, Recording
+from telenano.recording.messages import ChannelFilter, RecordedMessage
+from telenano.recording.reader import DamageCallback, Recording
 
 
 class InMemory(Recording):

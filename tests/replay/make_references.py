@@ -25,7 +25,7 @@ from references import (
     write_digests,
 )
 
-from recording.reader import Recording
+from telenano.recording.reader import Recording
 
 
 def make(names: Sequence[str], path: Path = DIGESTS) -> list[str]:

@@ -30,19 +30,19 @@ from references import (
     write_digests,
 )
 
-import proto.codec
-from analysis.rerun import rerun
-from analysis.rerun_bus import RerunBus
-from proto import TOPICS, Message
-from proto.errors import ConfigError, RecordingError
-from proto.messages import AfmState
-from proto.typed import typed_form
-from recording.channel_filter import Selection
-from recording.reader import Recording
-from recording.rewrite import filter_recording
-from recording.tolerance import Tolerances
+import telenano.wire.codec
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
+from telenano.analysis.rerun import rerun
+from telenano.analysis.rerun_bus import RerunBus
+from telenano.recording.channel_filter import Selection
+from telenano.recording.reader import Recording
+from telenano.recording.rewrite import filter_recording
+from telenano.recording.tolerance import Tolerances
+from telenano.wire import TOPICS, Message
+from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.messages import AfmState
+from telenano.wire.typed import typed_form
 
 # shows all that the instrument does
 SHORT_S = 1.3
@@ -248,11 +248,11 @@ def say_more(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def say(without: tuple[str, ...] = (), **more: Any) -> None:
         row = replace(TOPICS["afm/state"], model=WarmerState)
-        form = proto.codec._form_of(row)
+        form = telenano.wire.codec._form_of(row)
         monkeypatch.setitem(TOPICS, "afm/state", row)
-        monkeypatch.setitem(proto.codec._FORMS, "afm/state", form)
-        monkeypatch.setitem(proto.codec._TYPED, "afm/state", typed_form(WarmerState, form.most_bytes))
-        monkeypatch.setitem(proto.codec.MOST_BYTES, WarmerState, form.most_bytes)
+        monkeypatch.setitem(telenano.wire.codec._FORMS, "afm/state", form)
+        monkeypatch.setitem(telenano.wire.codec._TYPED, "afm/state", typed_form(WarmerState, form.most_bytes))
+        monkeypatch.setitem(telenano.wire.codec.MOST_BYTES, WarmerState, form.most_bytes)
         publish_as = RerunBus.publish_as
 
         def publish_more(bus: RerunBus, src: str, topic: str, fields: Mapping[str, Any]) -> Message:

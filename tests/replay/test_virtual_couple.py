@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from virtual_rig import ARMED_S, STARTED_S, VirtualRig
 
-from analysis.rerun import rerun
-from proto.errors import RigError
-from proto.nodes import DEVICES, HAND, TIP
-from recording.reader import Recording
 from services.console.coupling import TOPICS, couple
 from services.runtime.loop.commands import Command
+from telenano.analysis.rerun import rerun
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RigError
+from telenano.wire.nodes import DEVICES, HAND, TIP
 
 SOURCES = {"haptic/state": HAND, "afm/state": TIP, "teleop/backward": "controller@slave"}
 POSITION_SCALE = 1.5e-6

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from virtual_rig import ARMED_S, STARTED_S, VirtualRig, constant_timing
 
-from proto.messages import HapticState, SessionEvent
 from services.haptic_node.config import HapticConfig
+from telenano.wire.messages import HapticState, SessionEvent
 
 HAND = "haptic_node@master"
 # alpha_f F_s (1 + 1/K_f) = F_m, as on the paper's master

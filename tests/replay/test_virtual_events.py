@@ -28,13 +28,13 @@ from test_virtual_lockstep import (
 )
 from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
-from proto import Message
-from proto.messages import TeleopForward
 from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.loop.freshness import DELAY_STEP_NS
-from studies.loops import link
-from studies.loops.link import Schedule, fresh, last_together, schedule_from
-from studies.loops.lockstep import Trajectory, simulate
+from telenano.lockstep import link
+from telenano.lockstep.link import Schedule, fresh, last_together, schedule_from
+from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.wire import Message
+from telenano.wire.messages import TeleopForward
 
 TICKS = SETTLE_TICKS + round(SESSION_S / PERIOD_S)
 # the instrument is armed over a link that is still in order

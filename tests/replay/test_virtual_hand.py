@@ -7,8 +7,8 @@ from lateral_hand import FIXTURES, PARTICLE_M, LatePage, Pushed, push_by_hand, s
 
 from services.controller.config import ControllerConfig
 from services.runtime.settings.config import merge, nested
-from studies.loops import lockstep
-from studies.loops.simulation import SimulatedSession, simulate_document
+from telenano.lockstep import lockstep
+from telenano.lockstep.simulation import SimulatedSession, simulate_document
 
 DELAYED = tuple(f"delay_node.{way}.delay_s=0.1" for way in ("forward", "backward"))
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")

@@ -36,8 +36,6 @@ from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.validate import read_course, scenario_of
 from virtual_rig import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 
-from proto import Message, encode
-from proto.messages import AfmCommand, SessionControl, TeleopForward
 from services.afm_node import node as afm_node
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.controller.config import OWN_LAWS as LAWS
@@ -45,8 +43,10 @@ from services.controller.config import ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
 from services.haptic_node.node import HapticNode
-from studies.loops.link import schedule_of
-from studies.loops.lockstep import Trajectory, simulate
+from telenano.lockstep.link import schedule_of
+from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.wire import Message, encode
+from telenano.wire.messages import AfmCommand, SessionControl, TeleopForward
 
 PERIOD_S = ControllerConfig().period_s
 PERIOD_NS = round(PERIOD_S * 1e9)

@@ -6,10 +6,10 @@ import pytest
 from telenano_microscopy.particle_bench import bench
 from virtual_rig import ARMED_S, VirtualRig
 
-from analysis.rerun import rerun
-from proto.instrument import AfmParticles
-from recording.reader import Recording
 from services.afm_node.physics.particles import layer
+from telenano.analysis.rerun import rerun
+from telenano.recording.reader import Recording
+from telenano.wire.instrument import AfmParticles
 
 SCENARIO = {
     "name": "pushed",

@@ -13,18 +13,18 @@ from in_memory import InMemory
 from references import REFERENCES
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
-from analysis import rerun as rerun_module
-from analysis.rerun import RerunResult, rerun
-from proto.errors import ConfigError, RecordingError
-from proto.messages import Array, LinkFates
-from proto.nodes import LINK, name_of, site_of
-from recording.channel_filter import Selection
-from recording.messages import RecordedMessage
-from recording.reader import RawMessage, Recording
-from recording.rewrite import filter_recording
-from recording.writer import FileSettings, RecordingWriter
 from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.loop.journal import DEFERRED
+from telenano.analysis import rerun as rerun_module
+from telenano.analysis.rerun import RerunResult, rerun
+from telenano.recording.channel_filter import Selection
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.reader import RawMessage, Recording
+from telenano.recording.rewrite import filter_recording
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.messages import Array, LinkFates
+from telenano.wire.nodes import LINK, name_of, site_of
 
 FORWARDED = {
     "teleop/forward@slave", "session/control@slave", "teleop/backward@master", "law/status@master",

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 from virtual_rig import LINK_NODE, Timing, VirtualRig
 
-from proto.topics import LOOP_DEADLINE_S
+from telenano.wire.topics import LOOP_DEADLINE_S
 
 MS = 1_000_000
 HAND, TIP = "haptic_node@master", "afm_node@slave"

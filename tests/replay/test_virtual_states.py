@@ -17,10 +17,6 @@ from numpy.typing import NDArray
 from test_virtual_rig import edited
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
-from analysis.rerun import rerun
-from proto.errors import RecordingError
-from recording.reader import RawMessage, Recording
-from recording.rewrite import filter_recording
 from services.afm_node import __main__ as afm
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.part import AfmSample, PlantInputs
@@ -31,6 +27,10 @@ from services.haptic_node import __main__ as haptic
 from services.numerics.compiled import compiled
 from services.runtime.loop import journal
 from services.runtime.loop.node_state import pack, restore
+from telenano.analysis.rerun import rerun
+from telenano.recording.reader import RawMessage, Recording
+from telenano.recording.rewrite import filter_recording
+from telenano.wire.errors import RecordingError
 
 ALL_NODES = (LINK_NODE, *NODES)
 

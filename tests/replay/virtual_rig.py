@@ -18,14 +18,6 @@ from typing import Any
 import yaml
 import zmq
 
-from presets import SITE_DIRECTORY
-from proto import TOPICS, Message, WireError, decode, decode_header, encode
-from proto.messages import InputHealth
-from proto.nodes import LINK, name_of, site_of
-from proto.ranges import limited
-from proto.sequence import Arrival
-from recording.records import RejectedRecord
-from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.__main__ import build as build_afm_node
 from services.afm_node.config import AfmConfig
 from services.controller.__main__ import half_of_site
@@ -45,6 +37,14 @@ from services.runtime.loop.realtime import RealtimeStatus
 from services.runtime.settings.config import flag_overrides, merge
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from telenano.extend.testing import VirtualClock
+from telenano.presets import SITE_DIRECTORY
+from telenano.recording.records import RejectedRecord
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS, Message, WireError, decode, decode_header, encode
+from telenano.wire.messages import InputHealth
+from telenano.wire.nodes import LINK, name_of, site_of
+from telenano.wire.ranges import limited
+from telenano.wire.sequence import Arrival
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"

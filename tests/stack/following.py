@@ -11,8 +11,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
-from recording.mcap_scan import MAGIC, RECORD_HEAD
-from recording.messages import RecordedChannel, RecordedMessage, recorded_channel
+from telenano.recording.mcap_scan import MAGIC, RECORD_HEAD
+from telenano.recording.messages import RecordedChannel, RecordedMessage, recorded_channel
 
 # of a message: number of its channel, seq, log and publish time; of an index: number of a channel, bytes of its entries
 _MESSAGE_HEAD, _INDEX_HEAD, _INDEX_ENTRY = struct.Struct("<HIQQ"), struct.Struct("<HI"), struct.Struct("<QQ")

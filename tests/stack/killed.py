@@ -8,8 +8,8 @@ from pathlib import Path
 import machine
 from stack_rig import Rig
 
-from proto.errors import RecordingError
-from recording.reader import Recording
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RecordingError
 
 NS_PER_S = 1_000_000_000
 TURN_NS = 5_000_000

@@ -18,11 +18,11 @@ from commands import COMMANDS
 from figure_layout import arrows, faults
 from following import Following, Recorded
 
-from analysis.report import read_session
-from proto.messages import AfmState
-from recording.reader import Recording
 from services.viz_node.fig12 import draw_fig12
+from telenano.analysis.report import read_session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.recording.reader import Recording
+from telenano.wire.messages import AfmState
 
 # far beyond what is expected: it only keeps a broken rig from holding the suite
 PATIENCE_S = 150.0

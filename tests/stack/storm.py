@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from stack_rig import Rig
 
-from recording.messages import RecordedChannel
-from recording.reader import Recording
-from recording.records import GAP_TOPIC, GapRecord
+from telenano.recording.messages import RecordedChannel
+from telenano.recording.reader import Recording
+from telenano.recording.records import GAP_TOPIC, GapRecord
 
 HAND, TIP, RECORDER = "haptic_node@master", "afm_node@slave", "recorder@master"
 NODES = (HAND, "controller@master", "delay_node@master", "controller@slave", TIP, RECORDER)

@@ -15,7 +15,7 @@ from browser_page import BESIDE_A_BROWSER, View, browser, needs_browser
 from commands import Commands
 from stack_rig import Rig
 
-from recording.reader import Recording
+from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.check
 CLICKS = int(os.environ.get("TELENANO_CLICKS", "12"))

@@ -10,8 +10,8 @@ import pytest
 from ledger import record
 from stack_rig import CONSTANT_PUSH, Rig
 
-from recording.messages import RecordedMessage
-from recording.reader import Recording
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.reader import Recording
 
 RESTARTED = "was started again"
 # generous against the 50 ms and 250 ms of the design: this machine may be busy, the order of things may not change

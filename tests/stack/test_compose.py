@@ -16,12 +16,12 @@ import msgpack
 import pytest
 from ledger import record
 
-from analysis.report import write_report
-from recording.messages import RecordedMessage
-from recording.reader import Recording
 from services.viz_node.requests import PROTOCOL
+from telenano.analysis.report import write_report
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.cli.output import closing_lines
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.reader import Recording
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")

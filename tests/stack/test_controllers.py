@@ -15,9 +15,9 @@ import yaml
 from emulated_controllers import PATIENCE_S, Gwyscope, Nanonis, free_port
 from stack_rig import Rig, judged
 
-from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 SCAN = ("scan", "--live", "--json", "--pixels", "32", "--lines", "6", "--size", "60")

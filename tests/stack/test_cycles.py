@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from stack_rig import Rig
 
-from proto.errors import RecordingError
-from recording.reader import Recording
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RecordingError
 
 CYCLES = int(os.environ.get("TELENANO_CYCLES", "200"))
 LONGEST_S = 10.0

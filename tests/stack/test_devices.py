@@ -18,15 +18,15 @@ import yaml
 from stack_rig import ROOT, Rig
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
-from analysis.modes import fitted
-from recording.arrays import columns
-from recording.reader import Recording
 from services.afm_node.devices.modbus_frames import Conversation
 from services.controller.config import ControllerConfig
+from telenano.analysis.modes import fitted
+from telenano.recording.arrays import columns
+from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.endurance
 
-FIG12 = ROOT / "presets" / "scenarios" / "fig12.yaml"
+FIG12 = ROOT / "telenano" / "presets" / "scenarios" / "fig12.yaml"
 PATIENCE_S = 60.0
 DAC0, TRIPS = 1000, 46010
 # of the converters of a T7 with 80 nm for a volt, at the hand: the tip's base moves in steps of 0.1 nm

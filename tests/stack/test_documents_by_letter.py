@@ -36,9 +36,9 @@ from documents import (
 from stack_rig import Rig, judged
 from websockets.sync.client import connect
 
-from recording.reader import Recording
 from services.viz_node.requests import PROTOCOL
 from services.viz_node.serve import missing_for_view
+from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 __all__ = ["place"]

@@ -16,10 +16,10 @@ import pytest
 from ledger import record
 from stack_rig import Rig
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import RigError
 from services.console.command_client import send_control
 from services.runtime.loop.commands import Command
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import RigError
 
 HAND, TIP, SLAVE_HALF = "haptic_node@master", "afm_node@slave", "controller@slave"
 # in which an arm that was not void would have been obeyed

@@ -15,8 +15,8 @@ import yaml
 from stack_rig import ROOT
 from telenano_experiments import journal
 
-from proto.errors import RecordingError
-from recording.reader import Recording
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RecordingError
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

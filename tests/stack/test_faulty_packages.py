@@ -9,8 +9,8 @@ import pytest
 from ledger import record
 from stack_rig import ROOT, Rig
 
-from recording.multi_file import open_recordings
 from telenano.cli.new_package import new_package
+from telenano.recording.multi_file import open_recordings
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

@@ -11,7 +11,7 @@ from stack_rig import PATIENCE_S, ROOT, judged
 from two_sites import TwoSites, needs_namespaces
 from wide_area_cable import WideAreaCable
 
-from recording.reader import Recording
+from telenano.recording.reader import Recording
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(300)]
 

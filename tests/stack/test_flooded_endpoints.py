@@ -14,8 +14,8 @@ from empty_loop import EmptyLoops
 from ledger import record
 from stack_rig import CONSTANT_PUSH, Rig
 
-from proto.nodes import START_ORDER
-from recording.reader import Recording
+from telenano.recording.reader import Recording
+from telenano.wire.nodes import START_ORDER
 
 PER_S, FLOOD_S, AT_ONCE = 10_000, 3.0, 20
 # every node connects to these, because commands may come from there, and nobody has bound them in this session

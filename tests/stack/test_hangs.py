@@ -9,7 +9,7 @@ import pytest
 from ledger import record
 from stack_rig import Rig
 
-from proto.nodes import START_ORDER
+from telenano.wire.nodes import START_ORDER
 
 pytestmark = pytest.mark.stack
 HANGS = Path(__file__).parents[1] / "fuzz" / "hang_on_signal"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from two_sites import TwoSites, needs_namespaces
 
-from recording.reader import Recording
+from telenano.recording.reader import Recording
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(900)]
 HOSTILE = Path(__file__).parents[1] / "fuzz" / "hostile_site"

@@ -12,8 +12,8 @@ from stack_rig import SESSIONS
 from telenano_studies.loops.cells import Cell, CellResult
 from telenano_studies.loops.validate import RECORDING_NAME
 
-from analysis.report import read_session
-from recording.multi_file import open_recordings
+from telenano.analysis.report import read_session
+from telenano.recording.multi_file import open_recordings
 
 # Servo and clocks leave so much of the balance [J]. Where devices missed their turns their work is summed over longer
 # steps, which may leave so large a part of the energy that the sample stores under the hand's newton [1].

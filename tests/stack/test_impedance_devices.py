@@ -10,8 +10,8 @@ import pytest
 from live_devices import LiveDevice
 from stack_rig import Rig
 
-from recording.arrays import columns
-from recording.reader import Recording
+from telenano.recording.arrays import columns
+from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.endurance
 

@@ -9,13 +9,13 @@ import numpy.typing as npt
 import pytest
 from stack_rig import Rig, held_up, judged
 
-from analysis.rerun import rerun
-from proto.messages import AfmState
-from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.sample.surface import Surface
 from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.analysis.rerun import rerun
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.recording.reader import Recording
+from telenano.wire.messages import AfmState
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 SCAN = ("scan", "--live", "--json", "--pixels", "32", "--lines", "6", "--size", "60")

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from stack_rig import ROOT, Rig
 
-from recording.reader import Recording
 from telenano.cli.new_package import new_package
+from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

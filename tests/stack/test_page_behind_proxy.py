@@ -12,8 +12,8 @@ from free_ports import free_ports
 from slow_proxy import SlowProxy
 from wire_contract import examples
 
-from proto import TOPICS
 from services.viz_node.hub import HAND_FADE_S, HAND_FRESH_S
+from telenano.wire import TOPICS
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
 

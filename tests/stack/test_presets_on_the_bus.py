@@ -5,11 +5,8 @@ from typing import Any
 import pytest
 from stack_rig import judged
 
-import studies
 import telenano
 from services.controller.config import OWN_LAWS
-
-assert studies  # before the steps are imported: they are compiled from then on
 
 
 def run(rig: Any, law: str, environment: str, scenario: str, *options: str) -> dict[str, Any]:

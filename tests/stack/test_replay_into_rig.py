@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from stack_rig import Rig
 
-from recording.reader import Recording
+from telenano.recording.reader import Recording
 
 LAW = "controller@slave"
 

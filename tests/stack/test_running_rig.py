@@ -19,10 +19,6 @@ from killed import check_killed, kill_recorders
 from ledger import record
 from stack_rig import FIGURE_S, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
 
-from analysis.rerun import rerun
-from presets import DEFAULT_SITE_FILE
-from proto.errors import RigError
-from recording.reader import Recording
 from services.console.command_client import send_control
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import ZmqPublisher
@@ -33,6 +29,10 @@ from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.requests import PROTOCOL
+from telenano.analysis.rerun import rerun
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RigError
 
 CONSOLE = "console@master"
 OPERATOR, OBSERVER = "operator-token-0123", "observer-token-0123"

@@ -22,8 +22,8 @@ from browser_page import View
 from ledger import record
 from stack_rig import PATIENCE_S, Rig
 
-from proto.topics import LOOP_DEADLINE_S
-from recording.reader import Recording
+from telenano.recording.reader import Recording
+from telenano.wire.topics import LOOP_DEADLINE_S
 
 MS = 1_000_000
 HAND, LINK, TIP = "haptic_node@master", "delay_node@master", "afm_node@slave"

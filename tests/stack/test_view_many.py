@@ -13,9 +13,9 @@ import pytest
 from browser_page import View
 from stack_rig import CONSTANT_PUSH, Rig
 
-from recording.reader import Recording
 from services.viz_node.requests import PROTOCOL
 from services.viz_node.server import MOST_PAGES
+from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(600)]
 PAGES, WATCHED_S, ROUNDS = MOST_PAGES + 4, 30.0, 3

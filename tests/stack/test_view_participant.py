@@ -28,8 +28,8 @@ from telenano_experiments.recorded_trial import RecordedTrial
 from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
-from presets import DEFAULT_SITE_FILE
 from telenano.extend.tasks import choice
+from telenano.presets import DEFAULT_SITE_FILE
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 

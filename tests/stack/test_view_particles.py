@@ -13,9 +13,9 @@ import pytest
 from browser_page import BESIDE_A_BROWSER, PATIENCE_S, Page, View, browser, has, needs_browser, open_page
 from stack_rig import Rig
 
-from recording.reader import Recording
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.programs.push import AT_GOAL
+from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 

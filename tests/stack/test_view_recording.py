@@ -12,10 +12,6 @@ import pytest
 from browser_page import FILLED, Page, View, browser, has, needs_browser, open_page, until
 from made_sessions import FORCE_SCALE, STEP_S, Made, hand_force_n
 
-from presets import DEFAULT_SITE_FILE
-from proto import encode
-from proto.messages import AfmScanline, Array
-from recording.writer import RecordingWriter
 from services.afm_node.physics.sample.surface import Surface
 from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.config import RecorderConfig
@@ -23,6 +19,10 @@ from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.wiring.participant import open_participant
 from services.viz_node.requests import PROTOCOL
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.messages import AfmScanline, Array
 
 pytestmark = [pytest.mark.browser, needs_browser]
 

@@ -10,7 +10,7 @@ import pytest
 from browser_page import BESIDE_A_BROWSER, FILLED, PATIENCE_S, Page, View, browser, needs_browser, open_page
 from stack_rig import Rig
 
-from analysis.verdict import Verdict, judge
+from telenano.analysis.verdict import Verdict, judge
 
 _LOG = logging.getLogger(__name__)
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]

@@ -41,8 +41,8 @@ from telenano_networks.network_trace import QUANTILES
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
-from recording.reader import Recording
 from services.runtime.settings.config import flatten
+from telenano.recording.reader import Recording
 
 # both recorders would have the topics of the loop cross the network a second time, over TCP
 EXCLUDED = {"master": ["law/*", "link/fates", "teleop/*", "afm/command"], "slave": ["law/*", "teleop/*"]}
@@ -318,7 +318,7 @@ def draws(law: str, delay_ms: float, loss: float, first_hold_s: float | None = N
     """Give the verdicts of lockstep on the same programme over the same network, one for each draw of the losses."""
     from telenano_studies.loops.validate import SEEDS
 
-    from studies.loops.simulation import simulate_scenario
+    from telenano.lockstep.simulation import simulate_scenario
 
     verdicts = []
     chosen: dict[str, Any] = {}

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from proto import encode
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from telenano.extend.testing import NodeBench
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
 
 
 @pytest.fixture

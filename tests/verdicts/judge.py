@@ -3,15 +3,16 @@
     judge_course(course(7))
 
 A course states what a recording states: series of hand and tip, what the instrument says, the plan of the holds, and
-when link, machine, operator and guard did something. Here it gets the names that `analysis.holds` has for these.
+when link, machine, operator and guard did something. Here it gets the names that `telenano.analysis.holds` has for
+these.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from analysis.holds import Guard, Hold, Instrument, Late, Programme, judge_holds
-from analysis.interruptions import DEADLINE, Interruption, Told, interruptions_of
+from telenano.analysis.holds import Guard, Hold, Instrument, Late, Programme, judge_holds
+from telenano.analysis.interruptions import DEADLINE, Interruption, Told, interruptions_of
 
 # the deadline of both devices by default [s]
 DEADLINE_S = 0.05

@@ -8,8 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from presets.plugins import fault_of_package
-from proto.errors import known_names
 from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import driver_of_file
@@ -20,6 +18,8 @@ from services.runtime.settings.device_drivers import missing_driver
 from telenano.cli.output import print_answer
 from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, flag_overrides, report_errors
 from telenano.extend.devices import MODE_OFF, DriveCommand
+from telenano.presets.plugins import fault_of_package
+from telenano.wire.errors import known_names
 
 _PERIOD_S = 1e-3
 _ABILITIES = (

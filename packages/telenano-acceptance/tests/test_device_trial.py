@@ -39,12 +39,12 @@ from telenano_haptic_devices import haply_service
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.haptic_node.config import HapticConfig
 from services.runtime.loop import realtime
 from telenano.cli.root import app
 from telenano.extend.commands import run_ahead
 from telenano.extend.emulators import CouplingConfig
+from telenano.wire.errors import ConfigError
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
 Put = Callable[[str], None]

@@ -18,12 +18,12 @@ from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.modbus_driver import ModbusAfm
 from services.afm_node.devices.register_map import read_map
 from services.afm_node.physics.sim import simulated_afm
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 # near the sample, so that the approach is short
 SAFETY = {"base_min_m": -30e-9, "base_max_m": 30e-9, "retract_position_m": -15e-9}

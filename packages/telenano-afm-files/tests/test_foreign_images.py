@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.image_files import Image, write_gwy
-from proto.errors import ConfigError
 from services.afm_node.physics.sample.surface_files import read_surface
 from services.runtime.untrusted import file_readers
+from telenano.analysis.image_files import Image, write_gwy
+from telenano.wire.errors import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) ** 2 / 4e-9)

@@ -30,10 +30,10 @@ from telenano_calibration.own_calibration import spectrum_of
 from telenano_microscopy.force_curve import Curve, read_measured
 from typer.testing import CliRunner
 
-from analysis.image_files import Image, write_gwy
-from proto.errors import ConfigError
 from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.analysis.image_files import Image, write_gwy
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 CONSTANTS = {"stiffness_n_per_m": STIFFNESS_N_PER_M, "sensitivity_m_per_v": SENSITIVITY_M_PER_V}
 needs_converter = pytest.mark.skipif(

@@ -9,14 +9,14 @@ import typer
 from rich.console import Console
 from telenano_microscopy.program_view import LiveOption
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError
-from recording.whole_files import whole_file
 from services.runtime.settings.config import flag_overrides, merge, validate
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
     from services.afm_node.config import AfmConfig

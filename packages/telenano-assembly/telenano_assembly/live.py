@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RigError
-from proto.instrument import AfmProgram
-from proto.messages import Scalar
 from services.afm_node.config import AfmConfig
 from services.console.live_program import LiveImage, run_program
+from telenano.wire.errors import RigError
+from telenano.wire.instrument import AfmProgram
+from telenano.wire.messages import Scalar
 from telenano_assembly.run import ProgramBench
 
 Array = npt.NDArray[np.float64]

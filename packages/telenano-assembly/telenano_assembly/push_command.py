@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
-from proto.errors import RigError
 from services.afm_node.programs.push import AT_GOAL, PushSettings
 from services.runtime.settings.config import merge, validate
 from telenano.cli.model_options import validated, with_options
@@ -23,9 +22,10 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano.wire.errors import RigError
 
 if TYPE_CHECKING:
-    from proto.messages import Scalar
+    from telenano.wire.messages import Scalar
 
 _REACH_M = 1e-3
 _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")

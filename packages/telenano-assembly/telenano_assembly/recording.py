@@ -5,11 +5,11 @@ from typing import Any
 
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from proto import TOPICS, encode
-from proto.instrument import MOST_TEXT
-from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.guarded import Step, line_fields, particle_fields
 from services.afm_node.programs.runner import Report
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS, encode
+from telenano.wire.instrument import MOST_TEXT
 
 NAME = "assembly.mcap"
 _INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"

@@ -10,11 +10,11 @@ import pytest
 from telenano_assembly.find import sphere_m
 from typer.testing import CliRunner
 
-from proto.instrument import AfmParticles
-from recording.reader import Recording
-from recording.verify import verify
 from services.afm_node.physics.particles.tip_shape import tip_shape
 from telenano.cli.root import app
+from telenano.recording.reader import Recording
+from telenano.recording.verify import verify
+from telenano.wire.instrument import AfmParticles
 
 ONE = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=2.5e-6")
 

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from proto import decode, encode
-from proto.errors import ConfigError, RecordingError
-from proto.messages import AfmState, HapticState, Message, NodeHealth
-from recording.reader import Recording
-from recording.rewrite import CopyResult, CopyWriter
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.haptic_node.devices.calibration import HandleCalibration
 from services.numerics.frames import to_site_frame
+from telenano.recording.reader import Recording
+from telenano.recording.rewrite import CopyResult, CopyWriter
+from telenano.wire import decode, encode
+from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.messages import AfmState, HapticState, Message, NodeHealth
 
 
 class Recalibrated(CopyResult):

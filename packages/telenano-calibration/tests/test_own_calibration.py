@@ -25,9 +25,9 @@ from telenano_calibration.own_calibration import (
 from telenano_calibration.resonance import density, fit_spectrum, periodogram
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 K, F0, Q, RATE, M_PER_V, KELVIN = 2.7, 70e3, 180.0, 1e6, 60e-9, 295.0
 KNOWN = Thermal(M_PER_V, KELVIN)

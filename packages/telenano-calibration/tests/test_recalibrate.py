@@ -11,13 +11,13 @@ from telenano_emulators.emulated_handle import calibration_of as handle_file
 from telenano_emulators.t7_model import calibration_of as stage_file
 from typer.testing import CliRunner
 
-from proto import encode
-from recording.reader import Recording
-from recording.writer import RecordingWriter
 from services.haptic_node.config import HapticConfig
 from services.recorder.config import RecorderConfig
 from services.runtime.settings.config import merge
 from telenano.cli.root import app
+from telenano.recording.reader import Recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
 
 HAND_ID = f"{DEVICE_ID:016x} 2026-01-01T00:00:00+00:00"
 STAGE_ID = "t7 470012345 2026-01-01T00:00:00+00:00"

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.modbus_frames import Operation
 from services.afm_node.driver import AfmDriver
 from services.afm_node.physics.part import AfmSample
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
+from telenano.wire.errors import ConfigError
 
 SERIAL = 470012345
 M_PER_V = 8.0e-8

@@ -1,7 +1,7 @@
 """What participants are asked: consent, NASA-TLX without weights, rating scales and choices, as data of the bus."""
 
-from proto.experiment_messages import Question
 from telenano.extend.tasks import choice, scale
+from telenano.wire.experiment_messages import Question
 
 CONSENT_TEXT = (
     "You take part of your own will, and may end it at any time without giving a reason: say so, or close the page. "

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import zmq
 
-from proto.errors import ConfigError
-from proto.experiment_messages import MOST_QUESTIONS, ExperimentAnswer, Question
-from proto.messages import Array, Scalar
-from proto.nodes import EXPERIMENT, VIEW
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import publish_end
 from services.runtime.wiring.participant import open_participant
 from telenano.extend.tasks import Course
+from telenano.wire.errors import ConfigError
+from telenano.wire.experiment_messages import MOST_QUESTIONS, ExperimentAnswer, Question
+from telenano.wire.messages import Array, Scalar
+from telenano.wire.nodes import EXPERIMENT, VIEW
 from telenano_experiments.types import Trial
 
 # A cue is told again after this time, to pages that came meanwhile.

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from proto.errors import ConfigError
-from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import fail, print_answer, print_document, print_json, print_rows, report_errors
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import ConfigError
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plan_command import plan as plan_for_power
 from telenano_experiments.plans import find_experiment

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
-from proto.errors import known_names
-from proto.experiment_messages import Question
-from proto.messages import Scalar
 from services.runtime.settings.config import Settings, flatten
 from telenano.extend.tasks import choice, scale
+from telenano.wire.errors import known_names
+from telenano.wire.experiment_messages import Question
+from telenano.wire.messages import Scalar
 from telenano_experiments.asked import CONSENT, CONSENT_TEXT, INSTRUMENTS, worded
 from telenano_experiments.orders import OrderKind
 

@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from proto.errors import ConfigError, RigError
-from recording.whole_files import changed
 from services.runtime.settings.config import Settings, validate
+from telenano.recording.whole_files import changed
+from telenano.wire.errors import ConfigError, RigError
 from telenano_experiments.journal import Journal, now_utc
 
 NAME = "people.json"

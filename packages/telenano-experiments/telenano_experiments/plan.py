@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from presets import find_scenario
-from proto.errors import ConfigError, known_names
-from proto.messages import Scalar
 from services.launcher.plan import anchored, check_sections
 from services.runtime.settings.config import flatten, merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from telenano.extend.tasks import Task
+from telenano.presets import find_scenario
+from telenano.wire.errors import ConfigError, known_names
+from telenano.wire.messages import Scalar
 from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry
 from telenano_experiments.orders import (
     MOST_PERMUTED,

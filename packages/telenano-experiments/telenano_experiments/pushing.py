@@ -1,8 +1,8 @@
 """The hand of a simulated participant who steers the tip across the sample, in lockstep and on the rig alike.
 
-It is the scripted hand of `telenano study push` (`studies.loops.push_hand`), which sees and feels what has come back
-over the link. It moves the stylus as a person does in the controller's mode rate: its displacement is the velocity of
-the tip.
+It is the scripted hand of `telenano study push` (`telenano.lockstep.push_hand`), which sees and feels what has come
+back over the link. It moves the stylus as a person does in the controller's mode rate: its displacement is the velocity
+of the tip.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,9 +20,9 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.loops.push_hand import Hand, Push, new_hand
-from studies.loops.simulation import instrument_params
 from telenano.extend.tasks import Course
+from telenano.lockstep.push_hand import Hand, Push, new_hand
+from telenano.lockstep.simulation import instrument_params
 from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.

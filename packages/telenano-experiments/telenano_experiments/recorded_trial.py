@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RecordingError
-from recording.column_table import ColumnTable
-from recording.messages import RecordedMessage
-from recording.quantities import quantity
-from recording.reader import Recording
-from recording.site_clock import Timeline
-from recording.tables import columns_of, uniform
 from telenano.extend.tasks import TrialData
+from telenano.recording.column_table import ColumnTable
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.quantities import quantity
+from telenano.recording.reader import Recording
+from telenano.recording.site_clock import Timeline
+from telenano.recording.tables import columns_of, uniform
+from telenano.wire.errors import RecordingError
 from telenano_experiments.disturbances import Evidence, Hold, Passage
 from telenano_experiments.types import particle_table
 

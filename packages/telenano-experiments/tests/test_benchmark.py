@@ -20,12 +20,12 @@ from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 from services.controller.laws.wave import WaveConfig
 from services.delay_node.profiles import PROFILES
-from studies.loops.link import schedule_of
 from telenano.cli.root import app
+from telenano.lockstep.link import schedule_of
+from telenano.wire.errors import ConfigError
 
 STEP_S = 0.005
 PAPER = "virtual_impedance"

@@ -13,12 +13,12 @@ from telenano_experiments.asked import CONSENT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.types import Trial
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, EndpointError
 from services.runtime.bus.address_book import load_site
 from services.runtime.wiring.observer import Observer
 from services.viz_node.commander import RigHand
 from telenano.extend.tasks import Course
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import ConfigError, EndpointError
 
 PATIENCE_S = 20.0
 TRIAL = Trial("P07", 1, 2, 5, "main", "track", {}, {"law": "wave", "delay_s": 0.1, "on": (1, 2)}, {}, 11)

@@ -13,9 +13,9 @@ from telenano_experiments.journal import Journal
 from telenano_experiments.people import People
 from test_experiment_runner import run, trials_in
 
-from proto.errors import ConfigError
-from proto.experiment_messages import Question
 from telenano.extend.tasks import choice
+from telenano.wire.errors import ConfigError
+from telenano.wire.experiment_messages import Question
 
 
 class Bus:

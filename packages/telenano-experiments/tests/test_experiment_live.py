@@ -17,13 +17,13 @@ from telenano_experiments.desk import Desk
 from telenano_experiments.disturbances import disturbances
 from telenano_experiments.recorded_trial import RecordedTrial
 
-from proto.errors import RecordingError, RefusedError, RigError
-from recording.channel_filter import Selection
-from recording.rewrite import filter_recording
 from services.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take
 from services.console.lease_register import LeaseRegister, holding
 from services.controller.config import ControllerConfig, changed_config
 from services.delay_node.config import changed, flattened, parse_settings
+from telenano.recording.channel_filter import Selection
+from telenano.recording.rewrite import filter_recording
+from telenano.wire.errors import RecordingError, RefusedError, RigError
 
 
 def documents(folder: Path, **changes: Any) -> list[dict[str, Any]]:

@@ -19,8 +19,8 @@ from telenano_experiments.plan import Plan
 from telenano_experiments.tasks import TASKS
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError, RigError
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError, RigError
 
 # fcntl of Linux (F_SETPIPE_SZ)
 _SET_PIPE_SIZE = 1031

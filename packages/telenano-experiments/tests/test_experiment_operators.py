@@ -14,10 +14,10 @@ from telenano_experiments.plan import load_plan
 from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
-from proto.errors import ConfigError
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import nested, validate
 from telenano.extend.tasks import TrialData
+from telenano.wire.errors import ConfigError
 
 SPRING = {
     "afm_node.environment": "spring",
@@ -81,7 +81,7 @@ def test_ratings_are_on_the_scale() -> None:
 
 def simulated(task_name: str, parameters: dict[str, Any], law: str, delay_ms: float, **settings: Any) -> dict[str, Any]:
     """Run a trial in lockstep with a participant without scatter, and judge it."""
-    from studies.loops.simulation import simulate_scenario
+    from telenano.lockstep.simulation import simulate_scenario
 
     task, p = task_named(task_name, parameters)
     who = Simulated({"noise": 0.0}, 1)

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.contact.lennard_jones import contact_distance_m
 from services.afm_node.physics.contact.maugis_dugdale import (
@@ -32,6 +31,7 @@ from services.afm_node.physics.contact.maugis_dugdale import (
     reduced_modulus_pa,
 )
 from services.numerics.compiled import compiled, compiled_form
+from telenano.wire.errors import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
 from telenano_microscopy.force_curve import Curve
 

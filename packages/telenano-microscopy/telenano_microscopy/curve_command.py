@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from proto.errors import RigError
 from services.afm_node.programs.curve import CurveSettings
 from services.runtime.settings.config import validate
 from services.signals import interrupts
@@ -23,10 +22,11 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano.wire.errors import RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
-    from proto.messages import Scalar
+    from telenano.wire.messages import Scalar
     from telenano_microscopy.force_curve import Curve
 
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError
 from telenano.cli.keyboard import RawKeyboard
+from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
-    from proto.instrument import AfmProgram
-    from proto.messages import Scalar
     from services.console.live_program import LiveCurve, LiveImage
+    from telenano.wire.instrument import AfmProgram
+    from telenano.wire.messages import Scalar
 
 _BAR = 30
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from proto.errors import RigError
 from services.afm_node.programs.scan import ScanSettings
 from services.runtime.settings.config import validate
 from services.signals import interrupts
@@ -29,11 +28,12 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano.wire.errors import RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
-    from proto.messages import Scalar
     from telenano.extend.images import Image
+    from telenano.wire.messages import Scalar
     from telenano_microscopy.simulated_image import SimulatedImage
 
 # fields of the model for which the command has options of its own

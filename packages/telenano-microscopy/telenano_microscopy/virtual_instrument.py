@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import Any
 
-from proto.errors import RefusedError
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import Simulation
@@ -12,6 +11,7 @@ from services.afm_node.instrument import driver_of, reach_of, runner_of
 from services.afm_node.programs.program import Wanted
 from services.afm_node.programs.runner import Report
 from services.afm_node.programs.settings import InstrumentRequest
+from telenano.wire.errors import RefusedError
 
 PERIOD_S = 1e-3
 

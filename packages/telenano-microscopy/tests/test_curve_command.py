@@ -7,8 +7,8 @@ import pytest
 from telenano_microscopy import adhesion_fit
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 RUNNER = CliRunner()
 

@@ -14,8 +14,8 @@ from telenano_microscopy.force_curve import (
 )
 from telenano_microscopy.force_curve_figure import curve_figure
 
-from proto.errors import ConfigError, RigError
 from services.afm_node.config import AfmConfig
+from telenano.wire.errors import ConfigError, RigError
 
 
 def with_stiffness(k, **changes):

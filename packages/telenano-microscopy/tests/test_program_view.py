@@ -3,8 +3,8 @@
 import pytest
 from telenano_microscopy.program_view import bar_of, refuse_foreign
 
-from proto.errors import ConfigError
-from proto.instrument import AfmProgram
+from telenano.wire.errors import ConfigError
+from telenano.wire.instrument import AfmProgram
 
 
 def test_a_bar_shows_how_far_it_is_and_the_keys() -> None:

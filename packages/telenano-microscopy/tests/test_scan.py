@@ -9,8 +9,8 @@ from telenano_microscopy.force_curve import force_curve
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
+from telenano.wire.errors import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 SOFT = {"cantilever": {"stiffness_n_per_m": 1.0}}

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from proto.errors import ConfigError
 from telenano.cli.output import print_rows
 from telenano.cli.sample_options import results_in
 from telenano.extend.commands import JsonOption, print_json, report_errors
+from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
     from telenano_networks.line_fit import Agreement
@@ -225,7 +225,7 @@ def _grouped(cuts: Iterable[str]) -> list[str]:
 def _profile(
     ways: dict[str, dict[str, Any]], seed: int, about: str, source: tuple[str, str], remarks: list[str]
 ) -> dict[str, Any]:
-    """Return a network of presets/networks, with the statistics that its messages have."""
+    """Return a network of telenano/presets/networks, with the statistics that its messages have."""
     statistics: dict[str, Any] = {}
     for direction, way in ways.items():
         same = next((other for other in statistics if ways[other] == way), None)

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from proto.errors import ConfigError
 from telenano.extend.readers import read_regular
 from telenano.extend.tables import Column as TableColumn
 from telenano.extend.tables import TextTable, decoded, parse_table
+from telenano.wire.errors import ConfigError
 from telenano_networks import ping_log
 from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
 

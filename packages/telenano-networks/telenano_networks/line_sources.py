@@ -6,11 +6,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError
-from recording.reader import Recording
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
 from telenano.extend.tables import read_table
+from telenano.recording.reader import Recording
+from telenano.wire.errors import ConfigError
 from telenano_networks.network_trace import traces_of
 from telenano_networks.report_command import fates_in
 

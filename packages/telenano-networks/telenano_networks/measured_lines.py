@@ -1,10 +1,11 @@
-"""Fit the networks of presets/networks that others measured, and hold each fit against the half it has not seen.
+"""Fit the packaged networks that others measured, and hold each fit against the half it has not seen.
 
     python -m telenano_networks.measured_lines FOLDER [NAME ...] [--out DIR] [--write]
 
 FOLDER has the checkouts that `CAMPAIGNS` names, each under the name and at the commit there; nothing is fetched. Each
 line is fitted by `telenano link fit`, whose table goes into DIR/acceptance.md, a row for each line. `--write`, in a
-checkout, puts the profiles, and the twins without memory, into presets/networks; only derived parameters are in them.
+checkout, puts the profiles, and the twins without memory, into telenano/presets/networks; only derived parameters are
+in them.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from typing import NamedTuple
 
 from telenano.extend.readers import children
 
-PRESETS = Path("presets") / "networks"
+PRESETS = Path("telenano") / "presets" / "networks"
 
 
 class Campaign(NamedTuple):

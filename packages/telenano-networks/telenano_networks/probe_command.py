@@ -10,10 +10,6 @@ from typing import Annotated, Any, cast
 import typer
 import yaml
 
-from presets import TWO_SITES_FILE
-from proto.errors import RigError
-from proto.network_messages import LinkNetwork
-from proto.nodes import LINK
 from services.console.command_client import send_control
 from services.delay_node.node import TRAIN
 from services.runtime.loop.commands import Command
@@ -22,6 +18,10 @@ from telenano.cli.commands.topic import open_observer
 from telenano.cli.output import print_rows
 from telenano.cli.sample_options import results_in
 from telenano.extend.commands import JsonOption, SiteFileOption, TelenanoError, print_json, progress, report_errors
+from telenano.presets import TWO_SITES_FILE
+from telenano.wire.errors import RigError
+from telenano.wire.network_messages import LinkNetwork
+from telenano.wire.nodes import LINK
 from telenano_networks.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
 
 _TOPIC = "link/network"
@@ -87,7 +87,7 @@ def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:
 
 def _recorded(path: Path) -> Iterator[LinkNetwork]:
     """Yield the reports of a recording; at the master it has both directions, one of them as a copy."""
-    from recording.reader import Recording
+    from telenano.recording.reader import Recording
 
     seen = set()
     for message in Recording(path).messages():

@@ -3,13 +3,13 @@
 import time
 from typing import Any
 
-from proto import TOPICS
-from proto.errors import ConfigError
-from proto.messages import Message
-from proto.nodes import name_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.settings.config import flag_overrides
 from services.runtime.wiring.participant import open_participant
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError
+from telenano.wire.messages import Message
+from telenano.wire.nodes import name_of
 
 # Readers of the endpoint take about so long to notice that it is there.
 _CONNECT_S = 0.5

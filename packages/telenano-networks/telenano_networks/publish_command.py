@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.nodes import VIEW
 from telenano.extend.commands import JsonOption, report_errors
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.nodes import VIEW
 
 
 def pub(

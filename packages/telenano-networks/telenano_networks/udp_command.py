@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
 from telenano.cli.output import fail_incomplete, print_rows
 from telenano.extend.commands import (
     DurationOption,
@@ -17,10 +16,11 @@ from telenano.extend.commands import (
     print_json,
     report_errors,
 )
+from telenano.presets import DEFAULT_SITE_FILE
 
 if TYPE_CHECKING:
-    from recording.writer import RecordingWriter
     from services.delay_node.fate import Direction
+    from telenano.recording.writer import RecordingWriter
     from telenano_networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
@@ -132,8 +132,8 @@ class Keeper:
 
     def __call__(self, topic: str, payload: bytes) -> None:
         """Keep a message that the link has sent."""
-        from proto import read_header
-        from proto.errors import RecordingError
+        from telenano.wire import read_header
+        from telenano.wire.errors import RecordingError
 
         if self.fault:
             return
@@ -150,7 +150,7 @@ class Keeper:
 
     def close(self, overflowed: Mapping["Direction", int] | None = None) -> None:
         """Complete the file, with what the sockets of the link had no room for, by direction."""
-        from proto.errors import RecordingError
+        from telenano.wire.errors import RecordingError
 
         if self.fault:
             return
@@ -163,8 +163,8 @@ class Keeper:
 
 
 def _writer(path: Path) -> "RecordingWriter":
-    from recording.writer import FileSettings, RecordingWriter
     from services.runtime.settings.config import validate
+    from telenano.recording.writer import FileSettings, RecordingWriter
 
     place = {"directory": path.absolute().parent, "file_name": path.name}
     return RecordingWriter.create(_KEY, validate(FileSettings, place, "--record"))

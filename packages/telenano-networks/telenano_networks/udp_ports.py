@@ -10,12 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from proto.errors import ConfigError
-from proto.messages import InputHealth
-from proto.sequence import SequenceTracker
 from services.delay_node.fate import Direction
 from services.runtime.bus.bus import Received
 from services.runtime.clock import NEVER_NS, Clock
+from telenano.wire.errors import ConfigError
+from telenano.wire.messages import InputHealth
+from telenano.wire.sequence import SequenceTracker
 
 # The largest datagram of UDP is smaller.
 _MOST_BYTES = 65_536

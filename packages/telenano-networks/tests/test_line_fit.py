@@ -28,16 +28,16 @@ from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
 import services.viz_node
-from proto import encode
-from proto.errors import ConfigError
-from proto.messages import LinkFate, LinkFates
-from recording.writer import FileSettings, RecordingWriter
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
 from services.delay_node.fate import Direction
 from services.delay_node.profiles import Profile
 from services.runtime.settings.config import validate
 from telenano.cli.root import app
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import ConfigError
+from telenano.wire.messages import LinkFate, LinkFates
 
 FOLDER = Path(services.viz_node.__path__[0]) / "web" / "gallery"
 WAYS: tuple[Direction, ...] = ("forward", "backward")

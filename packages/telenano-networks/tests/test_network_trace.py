@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
-from proto.errors import TelenanoError
-from proto.messages import Array, LinkClock
-from proto.network_messages import LinkNetwork
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
+from telenano.wire.errors import TelenanoError
+from telenano.wire.messages import Array, LinkClock
+from telenano.wire.network_messages import LinkNetwork
 
 NS_PER_MS = 1_000_000
 BEGAN_NS = 10**18

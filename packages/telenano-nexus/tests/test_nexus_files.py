@@ -15,15 +15,15 @@ from telenano_nexus.nexus_files import write_images
 from typer.testing import CliRunner
 
 import telenano
-from analysis.image_files import Image, ImageFacts
-from proto import encode
-from proto.errors import RecordingError
-from proto.messages import AfmScanline, Array
-from recording.channel_filter import Selection
-from recording.export import export_recording
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.analysis.image_files import Image, ImageFacts
 from telenano.cli.root import app
+from telenano.recording.channel_filter import Selection
+from telenano.recording.export import export_recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import AfmScanline, Array
 
 # groups of which NXafm, NXspm and NXsensor_scan demand one, with the fields that they demand in them
 DEMANDED = {

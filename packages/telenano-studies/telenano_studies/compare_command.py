@@ -7,10 +7,10 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from proto.errors import ConfigError, ReportError
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
 from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.wire.errors import ConfigError, ReportError
 from telenano_studies.repetitions import CONFIDENCE, statistics_of
 
 
@@ -70,8 +70,8 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from analysis.report import write_files
     from services.viz_node.figure_style import drawn
+    from telenano.analysis.report import write_files
     from telenano.extend.sessions import described
     from telenano_studies.comparison import beside, compare_figure, rows_of
     from telenano_studies.comparison import compare as read

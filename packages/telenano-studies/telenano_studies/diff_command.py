@@ -32,8 +32,8 @@ def diff(
     from telenano.cli.output import print_rows
 
     with report_errors(as_json):
-        from recording.channel_filter import Selection
-        from recording.tolerance import Tolerances
+        from telenano.recording.channel_filter import Selection
+        from telenano.recording.tolerance import Tolerances
         from telenano_studies.recording_diff import diff_recordings
 
         allowed = Tolerances.parse(tolerance or ())

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError, RecordingError
-from recording.arrays import column_pieces
-from recording.indexed import IndexedRecording
-from recording.site_clock import Timeline
-from recording.whole_files import whole_file
+from telenano.recording.arrays import column_pieces
+from telenano.recording.indexed import IndexedRecording
+from telenano.recording.site_clock import Timeline
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError
 from telenano.extend.readers import read_regular
 from telenano.extend.sessions import SessionSeries
+from telenano.wire.errors import ConfigError
 
 Series = npt.NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Published(NamedTuple):
 
 def paper_points() -> Published:
     """Return what the paper's text says of the curves of its Fig. 12."""
-    with importlib.resources.as_file(importlib.resources.files("presets") / "paper" / "fig12.csv") as path:
+    with importlib.resources.as_file(importlib.resources.files("telenano.presets") / "paper" / "fig12.csv") as path:
         return read_published(path)
 
 

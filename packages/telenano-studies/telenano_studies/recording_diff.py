@@ -5,10 +5,10 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from recording.channel_filter import ALL, Selection
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.reader import Recording
-from recording.tolerance import Tolerances, first_difference
+from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.reader import Recording
+from telenano.recording.tolerance import Tolerances, first_difference
 
 
 class ChannelDifference(BaseModel):

@@ -11,8 +11,8 @@ import pytest
 from telenano_studies.comparison import names_of, recordings_of, sessions_in
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 RUNNER = CliRunner()
 

@@ -8,9 +8,9 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from telenano_studies import plot
 from telenano_studies.plot import Trace, extremes, read_traces
 
-from proto import encode
-from recording.indexed import IndexedRecording
-from recording.writer import FileSettings, RecordingWriter
+from telenano.recording.indexed import IndexedRecording
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import encode
 
 
 def test_a_ramp_stays_a_ramp_where_the_recorder_was_late(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
     path, unpacked = _hand(tmp_path, 2000), []
     inside = IndexedRecording._content
     monkeypatch.setattr(IndexedRecording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
-    monkeypatch.setattr("recording.messages.RecordedMessage.fields", None)
+    monkeypatch.setattr("telenano.recording.messages.RecordedMessage.fields", None)
     (trace,) = read_traces(path, ["session/event.seq"])
     assert trace.values.tolist() == [0.0, 1999.0]
     assert len(unpacked) == 2
@@ -91,7 +91,7 @@ def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
 def test_a_trace_of_any_length_is_kept_in_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = _hand(tmp_path, 3000)
     (whole,) = read_traces(path, ["haptic/state.position_m.2"])
-    monkeypatch.setattr("recording.arrays._AT_ONCE", 100)
+    monkeypatch.setattr("telenano.recording.arrays._AT_ONCE", 100)
     monkeypatch.setattr(plot, "_MOST_KEPT", 400)
     (bounded,) = read_traces(path, ["haptic/state.position_m.2"])
     assert len(whole.values) == 3000

@@ -9,9 +9,9 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 from telenano_studies.plot import Trace, draw
 from typer.testing import CliRunner
 
-from proto import encode
-from recording.writer import FileSettings, RecordingWriter
 from telenano.cli.root import app
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import encode
 
 
 def run(*arguments: str | Path, exit_code: int = 0) -> str:

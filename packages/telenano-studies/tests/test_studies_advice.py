@@ -11,10 +11,10 @@ from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import Jitter
 
-from proto.errors import ConfigError
 from services.controller.config import OWN_LAWS as LAWS
 from services.haptic_node.operator_config import ARMS
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
+from telenano.wire.errors import ConfigError
 
 
 def cell(hand: Any = "ordinary", **changes: Any) -> Cell:

@@ -22,8 +22,8 @@ from telenano_studies.loops.cells import (
 from services.controller.laws.model_mediated import ModelMediatedConfig
 from services.controller.laws.shared.virtual_mass import FOLLOWED_M
 from services.delay_node.config import parse_settings
-from studies.loops.link import Schedule, schedule_from
-from studies.loops.lockstep import simulate
+from telenano.lockstep.link import Schedule, schedule_from
+from telenano.lockstep.lockstep import simulate
 
 PERIOD_NS = 1_000_000
 # a tenth of a microjoule is what the servo of the device makes of a ripple

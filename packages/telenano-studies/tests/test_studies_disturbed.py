@@ -7,14 +7,14 @@ import pytest
 from telenano_studies import option_values
 from telenano_studies.loops.cells import Cell, course_of, run_cell
 
-from proto.errors import ConfigError
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.sim import simulated_afm
 from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
+from telenano.wire.errors import ConfigError
 
 AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
 ALL = {

@@ -7,7 +7,7 @@ import pytest
 from telenano_studies.loops.cells import LAWS as INSTALLED
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
 
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
 
 LAWS = ("wave", "passivity", "model_mediated")
 # These come with telenano-laws, and are tried where it is installed.

@@ -11,10 +11,10 @@ from telenano_studies.loops.stability import Axes, Line, theory_of
 from telenano_studies.loops.theory import Arm, Device, arm_response, loop_model
 from telenano_studies.option_values import Jitter
 
-from proto.errors import ConfigError
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
+from telenano.wire.errors import ConfigError
 
 OMEGA = np.geomspace(0.5, 100.0, 60)
 

@@ -9,8 +9,8 @@ from telenano_networks.network_trace import DIRECTIONS, NetworkTrace, write_trac
 from telenano_studies.loops.network import measured_network
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 LOST = 0.1
 

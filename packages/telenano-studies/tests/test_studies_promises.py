@@ -24,7 +24,7 @@ from telenano_studies.loops.promises import (
 from telenano_studies.loops.sweep import Journal, Sweep
 
 from services.afm_node.safety import MODE_HOLD
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
 
 SEEDS = range(25)
 LINKS = ((60.0, 15.0, 0.5), (200.0, 50.0, 0.2), (500.0, 125.0, 0.2))

@@ -9,14 +9,14 @@ from recorder_samples import NODE, sample
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
-from proto import encode
-from proto.errors import RecordingError
-from proto.messages import LinkFate
-from recording.writer import RecordingWriter
 from services.delay_node.engine import fates_of
 from services.delay_node.fate import Fate
 from services.recorder.config import RecorderConfig
-from studies.loops.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of
+from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import LinkFate
 
 MS = 1_000_000
 EPOCH_NS = 10**18

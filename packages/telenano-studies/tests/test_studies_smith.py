@@ -7,8 +7,8 @@ import pytest
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, run_cell, settle_ticks
 from telenano_studies.loops.links import symmetric_link
 
-from studies.loops.link import schedule_of
-from studies.loops.lockstep import simulate
+from telenano.lockstep.link import schedule_of
+from telenano.lockstep.lockstep import simulate
 
 # the model is there as soon as the tip touches
 AT_ONCE = ("smith.stiffness_rate_n_per_m_s", 1e5)

@@ -22,14 +22,14 @@ from telenano_studies.loops.validate import (
     scenario_of,
 )
 
-from proto.errors import ConfigError, RecordingError
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import parse_settings
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
-from studies.loops.lockstep import Trajectory
+from telenano.lockstep.lockstep import Trajectory
+from telenano.wire.errors import ConfigError, RecordingError
 
 
 def cell(**changes: Any) -> Cell:

@@ -16,9 +16,9 @@ from telenano_studies.option_values import Jitter
 from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.controller.config import OWN_LAWS as LAWS
 from telenano.cli.root import app as root
+from telenano.wire.errors import ConfigError
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]

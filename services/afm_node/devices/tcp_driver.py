@@ -9,13 +9,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from proto.errors import cause
 from services.afm_node.devices import modbus_line
 from services.afm_node.devices.converter_calibration import Readings
 from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
 from services.afm_node.driver import DeviceError, DeviceReport
 from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
+from telenano.wire.errors import cause
 
 STALE_CYCLES = 3
 _CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from proto.errors import RefusedError
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
 from services.afm_node.programs.program_settings import Force, ProgramSettings, Speed
+from telenano.wire.errors import RefusedError
 
 # phases, in order
 RISE, DOWN, UP, DONE = range(4)

@@ -6,11 +6,11 @@ the force as ever; whatever ends the image withdraws the tip.
 
 from typing import NamedTuple
 
-from proto.errors import RefusedError
 from services.afm_node.driver import OwnImage, OwnLine
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
 from services.afm_node.programs.scan import ScanSettings
+from telenano.wire.errors import RefusedError
 
 RISE, IMAGE, DONE = range(3)
 # An approach and the settling of the instrument's own z-controller take no longer, besides the first line [s].

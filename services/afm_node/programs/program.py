@@ -13,12 +13,12 @@ from typing import ClassVar, Generic, NamedTuple, TypeVar, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from proto.messages import Scalar
 from services.afm_node.driver import Oscillation, OwnImage, OwnLine
 from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.reach import Reach, approach_limit_s
 from services.afm_node.safety import SafetyParams
 from services.runtime.settings.config import Settings
+from telenano.wire.messages import Scalar
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S", bound=Settings)

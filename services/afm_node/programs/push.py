@@ -16,8 +16,6 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from proto.errors import RefusedError
-from proto.messages import Scalar
 from services.afm_node.physics.particles.steering import steered
 from services.afm_node.physics.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 from services.afm_node.programs.feedback import gain_fault, integral_share
@@ -36,6 +34,8 @@ from services.afm_node.programs.program import (
     way_to_surface,
 )
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Scalar
 
 # the phases after the way to the surface
 LIFT, PUSH, DONE = ARRIVED, ARRIVED + 1, ARRIVED + 2

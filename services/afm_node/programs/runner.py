@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from proto.errors import RefusedError
-from proto.messages import Scalar
 from services.afm_node import safety
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.own_scan import OWN_SCAN
@@ -12,6 +10,8 @@ from services.afm_node.programs.program import Inputs, Instrument, Wanted
 from services.afm_node.programs.settings import InstrumentRequest
 from services.afm_node.programs.table import PROGRAMS, AnyProgram
 from services.runtime.loop.node_state import Part, part
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Scalar
 
 RunState = Literal["running", "paused", "finished", "ended"]
 # A program may not begin in these modes of the guard, for these reasons.

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from proto.errors import RefusedError
 from services.afm_node.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
 from services.afm_node.programs.lateral import LateralParams, Place, moved
 from services.afm_node.programs.program import (
@@ -31,6 +30,7 @@ from services.afm_node.programs.program import (
     way_to_surface,
 )
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.wire.errors import RefusedError
 
 Array = npt.NDArray[np.float64]
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model, field_validator
 
-from presets.plugins import refuse
-from proto.errors import ConfigError, RefusedError
-from proto.messages import Scalar
 from services.afm_node.driver import AfmDriver
 from services.afm_node.programs.program_settings import Position
 from services.afm_node.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
 from services.runtime.settings.config import Settings, changed_disturbances, nested, validate
+from telenano.presets.plugins import refuse
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.messages import Scalar
 
 _STIFFEST_N_PER_M = 1e9
 # What experiments change of a simulation from one trial to the next: the stiffness of environment spring; and whether

@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from proto.errors import RefusedError
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import LateralParams, Place, moved
 from services.afm_node.programs.program import (
@@ -29,6 +28,7 @@ from services.afm_node.programs.program import (
     way_to_surface,
 )
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.wire.errors import RefusedError
 
 # the phases after the way to the surface
 FEEL, DONE = ARRIVED, ARRIVED + 1

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 
 T = TypeVar("T")
 

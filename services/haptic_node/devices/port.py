@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from proto.extras import how_to_install
 from services.haptic_node.driver import DeviceError
+from telenano.wire.extras import how_to_install
 
 # A device sends far less than this in 50 ms at 1 Mbaud.
 _READ_BYTES = 8192

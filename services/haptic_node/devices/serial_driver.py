@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from enum import Enum
 
-from proto.errors import cause
 from services.haptic_node.config import LimitsConfig
 from services.haptic_node.devices import wire
 from services.haptic_node.devices.calibration import HandleCalibration
@@ -18,6 +17,7 @@ from services.haptic_node.devices.port import OpenPort, Port, SerialPort
 from services.haptic_node.devices.sample_clock import RecentMinimum, SampleClock
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DeviceReport, DriveCommand, Status
 from services.haptic_node.safety import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
+from telenano.wire.errors import cause
 
 _MS = 1_000_000
 ASK_EVERY_NS = 100 * _MS

@@ -20,7 +20,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from proto.errors import cause
 from services.haptic_node.coupling import Vector
 from services.haptic_node.devices.impedance_wire import ImpedanceWire
 from services.haptic_node.driver import Capabilities, DeviceError
@@ -29,6 +28,7 @@ from services.runtime.loop.realtime import ordinary_scheduling
 from services.runtime.settings.config import validate
 from services.runtime.settings.device_drivers import Drivers
 from services.signals import children
+from telenano.wire.errors import cause
 
 RETRY_S = 0.5
 _SERVO = (sys.executable, "-m", "services.haptic_node.devices.servo_process")

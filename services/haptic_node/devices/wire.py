@@ -1,4 +1,4 @@
-"""Handle protocol 1: frames of a serial haptic device as bytes and back (firmware/handle/PROTOCOL.md).
+"""Handle protocol 1 (PROTOCOL.md of the handle's firmware): frames of a serial haptic device as bytes and back.
 
 On the line a frame is COBS(payload + CRC) + 0x00. The CRC is CRC-16/CCITT-FALSE, low byte first. Nothing here knows a
 port or a clock. Quantities are raw counts of the device; `calibration.py` gives them units.

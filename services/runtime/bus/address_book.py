@@ -12,12 +12,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from proto.errors import EndpointError
-from proto.messages import SOURCE_PATTERN
-from proto.nodes import LINK, name_of, site_of
-from proto.topics import TOPICS, Topic
 from services.runtime.bus.local_endpoint import estop_endpoint, is_in_runtime_directory, kept_stop_path, local_endpoint
 from services.runtime.settings.config import Settings, read_yaml, validate
+from telenano.wire.errors import EndpointError
+from telenano.wire.messages import SOURCE_PATTERN
+from telenano.wire.nodes import LINK, name_of, site_of
+from telenano.wire.topics import TOPICS, Topic
 
 # the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
-from proto import TOPICS, WireError, accept, decode_header
-from proto.codec import MAX_MESSAGE_BYTES
-from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
-from proto.ranges import limited
-from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from services.runtime.clock import NEVER_NS, Clock
+from telenano.wire import TOPICS, WireError, accept, decode_header
+from telenano.wire.codec import MAX_MESSAGE_BYTES
+from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
+from telenano.wire.ranges import limited
+from telenano.wire.sequence import Arrival, SequenceTracker
 
 # Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
 # Beyond that the newest are lost, which the reader counts.

@@ -5,8 +5,8 @@ import os
 from pathlib import Path
 from typing import IO
 
-from presets.optional_modules import optional_module
-from proto.errors import EndpointError
+from telenano.presets.optional_modules import optional_module
+from telenano.wire.errors import EndpointError
 
 # Windows has neither this module nor ipc endpoints; recordings and studies need neither.
 fcntl = optional_module("fcntl")

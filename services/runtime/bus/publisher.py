@@ -7,12 +7,12 @@ from typing import Any, Protocol
 
 import zmq
 
-from proto import TOPICS, compose
-from proto.ends import END_TOPIC, end_data
-from proto.errors import EndpointError
-from proto.messages import Message
 from services.runtime.bus.endpoint_lock import EndpointLock
 from services.runtime.clock import Clock
+from telenano.wire import TOPICS, compose
+from telenano.wire.ends import END_TOPIC, end_data
+from telenano.wire.errors import EndpointError
+from telenano.wire.messages import Message
 
 # So many messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
 # publisher, a half of the controller with 2100 a second.
@@ -148,7 +148,7 @@ class ZmqPublisher(_NumberingPublisher):
 
 
 def publish_end(publisher: Publisher, node: str, forwarded: Mapping[tuple[str, str], int] | None = None) -> None:
-    """Publish how many messages were sent on each topic, as the last of all (see proto/ends.py).
+    """Publish how many messages were sent on each topic, as the last of all (see telenano/wire/ends.py).
 
     Args:
         publisher: Sends the event and counts the messages.

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import msgpack
 
-from proto import TOPICS
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES
 from services.runtime.security.sealed import RejectedError
+from telenano.wire import TOPICS
 
 # The order is that of their numbers on the wire, so new topics are added at the end.
 DATAGRAM_TOPICS = ("teleop/forward", "teleop/backward", "law/status")

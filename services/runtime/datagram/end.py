@@ -14,8 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal, cast
 
-from proto.messages import InputHealth, Message
-from proto.network_messages import LinkKey
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, Taken
 from services.runtime.clock import NEVER_NS, Clock
@@ -46,6 +44,8 @@ from services.runtime.datagram.touch import Touch
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from services.runtime.relay.path import RelayPath
 from services.runtime.security.sealed import RejectedError
+from telenano.wire.messages import InputHealth, Message
+from telenano.wire.network_messages import LinkKey
 
 # The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64

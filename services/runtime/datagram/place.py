@@ -3,8 +3,8 @@
 import socket
 from typing import Any, NamedTuple, Protocol
 
-from proto.messages import Message
 from services.runtime.relay.path import RelayPath
+from telenano.wire.messages import Message
 
 Address = tuple[Any, ...]
 

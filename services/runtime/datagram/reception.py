@@ -10,12 +10,12 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from proto import WireError, decode_header
-from proto.topics import LOOP_DEADLINE_S
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import SPARSE
 from services.runtime.clock import NEVER_NS
 from services.runtime.datagram.sparse import WANTED_NS
+from telenano.wire import WireError, decode_header
+from telenano.wire.topics import LOOP_DEADLINE_S
 
 # After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
 SILENCE_NS = 300_000_000

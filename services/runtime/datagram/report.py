@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from proto.messages import Array, LinkClock
-from proto.ranges import limited
 from services.runtime.datagram.arrivals import ArrivalRecord
 from services.runtime.datagram.outgoing import Outgoing
 from services.runtime.loop.clock_offset import Offset
+from telenano.wire.messages import Array, LinkClock
+from telenano.wire.ranges import limited
 
 
 def network_report(

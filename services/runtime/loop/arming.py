@@ -9,8 +9,8 @@ tip is placed once it follows.
 
 from dataclasses import replace
 
-from proto.nodes import HAND, TIP, name_of
 from services.runtime.loop.commands import Command
+from telenano.wire.nodes import HAND, TIP, name_of
 
 ARM_HAND = Command("arm", name_of(HAND), (HAND,))
 ARM_TIP = Command("arm", name_of(TIP), (TIP,), placed=True)

@@ -21,12 +21,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from proto import encode
-from proto.errors import TelenanoError
-from proto.messages import Scalar, SessionControl, SessionEvent
-from proto.nodes import is_estop, is_meant, is_pattern, site_of
 from services.runtime.clock import Clock
 from services.runtime.loop.estop_latch import EstopLatch, begins_motion
+from telenano.wire import encode
+from telenano.wire.errors import TelenanoError
+from telenano.wire.messages import Scalar, SessionControl, SessionEvent
+from telenano.wire.nodes import is_estop, is_meant, is_pattern, site_of
 
 CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]
 

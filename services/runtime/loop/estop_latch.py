@@ -4,8 +4,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from proto.messages import Scalar
 from services.runtime.loop import kept_stop
+from telenano.wire.messages import Scalar
 
 
 def begins_motion(command: str, parameters: Mapping[str, Scalar]) -> bool:

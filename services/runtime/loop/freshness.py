@@ -9,11 +9,11 @@ from typing import NamedTuple, cast
 
 import msgspec
 
-from proto.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
-from proto.nodes import LINK, name_of, site_of
-from proto.topics import LOOP_DEADLINE_S, deadline_of
 from services.runtime.bus.bus import Received
 from services.runtime.clock import NEVER_NS
+from telenano.wire.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
+from telenano.wire.nodes import LINK, name_of, site_of
+from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
 # oldest sample or signal that a controller may still take for the present, by topic [s]

@@ -55,8 +55,8 @@ def endpoint_of(node: str, site_file: Path | None) -> str:
     """
     if site_file is not None:
         # models of every message come with these: a third of a second of processor time
-        from proto.errors import TelenanoError
         from services.runtime.bus.address_book import load_site
+        from telenano.wire.errors import TelenanoError
 
         try:
             return load_site(site_file).endpoint(node)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.nodes import site_of
 from services.runtime.loop.freshness import DelayHistory
+from telenano.wire.nodes import site_of
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]

@@ -8,10 +8,6 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, cast
 
-from presets.plugins import fault_of_package
-from proto import TOPICS, WireError, accept
-from proto.messages import SUPERSEDED, NodeHealth, SessionControl
-from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
@@ -22,6 +18,10 @@ from services.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
 from services.runtime.loop.log import RateLimitedLog
 from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus, resident_bytes
 from services.runtime.loop.realtime import RealtimeStatus
+from telenano.presets.plugins import fault_of_package
+from telenano.wire import TOPICS, WireError, accept
+from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
+from telenano.wire.sequence import Arrival
 
 # At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from pydantic import BaseModel
 
-from proto.errors import ConfigError, RecordingError
+from telenano.wire.errors import ConfigError, RecordingError
 
 T = TypeVar("T")
 # payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from presets.optional_modules import optional_module
-from proto.errors import ConfigError
-from proto.nodes import name_of
 from services.runtime.loop.log import StructuredLog
 from services.runtime.settings.scenario import RealtimeConfig
+from telenano.presets.optional_modules import optional_module
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import name_of
 
 # Windows has no such module.
 resource = optional_module("resource")

@@ -18,11 +18,11 @@ import zmq
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
-from proto.errors import ConfigError
-from recording.whole_files import changed, locked, write_whole
 from services.runtime.bus.address_book import MACHINE_PATTERN
 from services.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
 from services.runtime.settings.config import Settings, parse_yaml, validate
+from telenano.recording.whole_files import changed, locked, write_whole
+from telenano.wire.errors import ConfigError
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
 MACHINE_VARIABLE = "TELENANO_MACHINE"

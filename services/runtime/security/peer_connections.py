@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import zmq
 
-from proto import WireError
-from proto.nodes import is_visitor
 from services.runtime.bus.address_book import is_relayed, may_carry
 from services.runtime.bus.bus import ConnectionEvent, Subscriber
 from services.runtime.clock import Clock
@@ -22,6 +20,8 @@ from services.runtime.security.socket_monitor import (
     Monitor,
     RejectionCounter,
 )
+from telenano.wire import WireError
+from telenano.wire.nodes import is_visitor
 
 # libzmq does not reconnect after a rejected key or another protocol, and does not report that it has given up: the key
 # may have been allowed meanwhile, and the right program started

@@ -4,8 +4,6 @@ import contextlib
 import os
 from pathlib import Path
 
-from presets.regular_files import NotRegularError, open_regular
-from proto.errors import ConfigError
 from services.runtime.bus.local_endpoint import (
     MOST_RIG_LETTERS,
     RIG_VARIABLE,
@@ -14,6 +12,8 @@ from services.runtime.bus.local_endpoint import (
     is_rig_name,
     runtime_directory,
 )
+from telenano.presets.regular_files import NotRegularError, open_regular
+from telenano.wire.errors import ConfigError
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022

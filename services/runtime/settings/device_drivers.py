@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
-from presets.known_packages import KNOWN_PACKAGES
-from presets.plugins import Loaded, installed, load
-from proto.extras import how_to_add_package
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.presets.plugins import Loaded, installed, load
+from telenano.wire.extras import how_to_add_package
 
 
 @dataclass(frozen=True)

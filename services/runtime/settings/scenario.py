@@ -85,7 +85,8 @@ def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0.0
 
 
-# A scenario may name what a package brings at these places; each place has a kind of plug-in (`presets.plugins`).
+# A scenario may name what a package brings at these places; each place has a kind of plug-in
+# (`telenano.presets.plugins`).
 _NAMED = (
     ("laws", ("controller", "law")),
     ("devices", ("haptic_node", "driver")),

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from presets import plugins
-from presets.known_packages import KNOWN_PACKAGES
-from presets.regular_files import open_regular
-from proto.errors import ConfigError
-from proto.extras import how_to_add_package
 from services.runtime.untrusted.limited_child import Answer, Limits, limits_for, read_in_child
+from telenano.presets import plugins
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.presets.regular_files import open_regular
+from telenano.wire.errors import ConfigError
+from telenano.wire.extras import how_to_add_package
 
 _OTHER = "other"
 

@@ -4,8 +4,6 @@ import ipaddress
 import socket
 from collections.abc import Sequence
 
-from proto.errors import ConfigError
-from proto.nodes import FAR_END, LINK
 from services.runtime.bus.address_book import AddressBook, split_tcp
 from services.runtime.bus.bus import Reader, Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
@@ -16,6 +14,8 @@ from services.runtime.relay.path import RelayPath
 from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
 from services.runtime.security.access_control import AccessControl, relay_key
 from services.runtime.wiring.transport import Transport
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import FAR_END, LINK
 
 NEAR_END = f"{LINK}@slave"
 

@@ -12,10 +12,6 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
-from presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
-from presets.plugins import fault_of_package
-from proto.errors import TelenanoError
-from proto.nodes import sites_of
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.runtime.loop.log import StructuredLog, configure_logging
@@ -31,6 +27,10 @@ from services.runtime.security.private_files import check_rig_name
 from services.runtime.settings.scenario import RealtimeConfig, load_scenario
 from services.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
 from services.signals.children import die_with_parent
+from telenano.presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
+from telenano.presets.plugins import fault_of_package
+from telenano.wire.errors import TelenanoError
+from telenano.wire.nodes import sites_of
 
 C = TypeVar("C", bound=BaseModel)
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import zmq
 
-from proto import TOPICS
-from proto.errors import ConfigError, RigError, probably_meant
-from proto.nodes import is_visitor, site_of
-from proto.sequence import SequenceTracker
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.bus.local_endpoint import local_endpoint
 from services.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError, RigError, probably_meant
+from telenano.wire.nodes import is_visitor, site_of
+from telenano.wire.sequence import SequenceTracker
 
 # Users see this hint when nothing is received.
 RIG_HINT = "is `telenano up` running with this site file?"

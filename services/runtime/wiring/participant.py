@@ -8,9 +8,6 @@ from pathlib import Path
 
 import zmq
 
-from proto.errors import ConfigError, EndpointError
-from proto.extras import how_to_install
-from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
 from services.runtime.bus.publisher import Publisher, ZmqPublisher
@@ -22,6 +19,9 @@ from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, instal
 from services.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
 from services.runtime.security.keyring import Keyring, this_machine
 from services.runtime.wiring.transport import Transport, open_context
+from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire.extras import how_to_install
+from telenano.wire.nodes import DEVICES, FAR_END, site_of
 
 SITES = ("master", "slave")
 # A participant that only listens has this name, which is in no site file.

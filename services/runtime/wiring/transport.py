@@ -13,10 +13,6 @@ from typing import Any, Protocol
 
 import zmq
 
-from proto import WireError
-from proto.errors import ConfigError, EndpointError
-from proto.messages import InputHealth
-from proto.nodes import is_estop
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
 from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
@@ -29,6 +25,10 @@ from services.runtime.security.peer_connections import PeerConnections
 from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.security.socket_monitor import RejectionCounter
 from services.runtime.security.zap_authenticator import ZapAuthenticator
+from telenano.wire import WireError
+from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire.messages import InputHealth
+from telenano.wire.nodes import is_estop
 
 # a loop gives up a connection on which nothing is received for a second: a pulled cable gives no event, and what was
 # sent meanwhile must not arrive later

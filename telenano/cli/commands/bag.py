@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from presets import TWO_SITES_FILE
-from proto.errors import RecordingError, known_names
-from recording.channel_filter import Selection
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import CountOption, ExcludeOption, JsonOption, SiteFileOption, TopicsOption, command_group
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
+from telenano.presets import TWO_SITES_FILE
+from telenano.recording.channel_filter import Selection
+from telenano.wire.errors import RecordingError, known_names
 
 if TYPE_CHECKING:
-    from recording.info import RecordingInfo
+    from telenano.recording.info import RecordingInfo
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 # a shorter recording is read as a whole in a second or two
@@ -61,7 +61,7 @@ def info(
 
 def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
     """Return the summary of a long recording by its index; None where its messages are to be read."""
-    from recording.summary_section import quick_info
+    from telenano.recording.summary_section import quick_info
 
     try:
         is_long = file.stat().st_size >= _LONG_BYTES
@@ -74,9 +74,9 @@ def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
 def _read(file: Path, by_index: "RecordingInfo | None") -> dict[str, Any]:
     if by_index is not None and not any(row.topic.startswith("session/") for row in by_index.channels):
         return {**by_index.model_dump(mode="json"), "people": {}}
-    from recording.indexed import open_indexed
-    from recording.people import people_in
-    from recording.reader import Recording
+    from telenano.recording.indexed import open_indexed
+    from telenano.recording.people import people_in
+    from telenano.recording.reader import Recording
 
     recording = Recording(file) if by_index is None else open_indexed([file])
     return {**(by_index or recording.info()).model_dump(mode="json"), "people": people_in(recording)}
@@ -107,8 +107,8 @@ def cat(
 ) -> None:
     """Print messages with their record fields, one a line as JSON."""
     with report_errors(as_json=False):
-        from recording.multi_file import open_recordings
-        from recording.tables import line
+        from telenano.recording.multi_file import open_recordings
+        from telenano.recording.tables import line
 
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
@@ -132,7 +132,7 @@ def filter_file(
 ) -> None:
     """Copy chosen channels and times into a new recording."""
     with report_errors(as_json):
-        from recording.rewrite import filter_recording
+        from telenano.recording.rewrite import filter_recording
 
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         _print_model(filter_recording(file, out, chosen, start, end), as_json)
@@ -152,8 +152,8 @@ def merge(
 ) -> None:
     """Merge recordings in the order of time."""
     with report_errors(as_json):
-        from recording.merge_sites import merge_sites
-        from recording.rewrite import merge_recordings
+        from telenano.recording.merge_sites import merge_sites
+        from telenano.recording.rewrite import merge_recordings
 
         _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
 
@@ -175,10 +175,10 @@ def fetch(
     """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
     with report_errors(as_json):
         # The launcher needs POSIX, and the other commands work without it.
-        from recording.multi_file import open_recordings
         from services.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
         from services.launcher.run import own_recordings
         from services.runtime.bus.address_book import load_site
+        from telenano.recording.multi_file import open_recordings
 
         names = noted_files(folder) if files is None else checked_names(files, "--file")
         own, faults = own_recordings(folder)
@@ -199,7 +199,7 @@ def split(
 ) -> None:
     """Split a recording into parts."""
     with report_errors(as_json):
-        from recording.rewrite import split_recording
+        from telenano.recording.rewrite import split_recording
 
         parts = [
             part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
@@ -215,7 +215,7 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
     Several files are taken as the parts of one recording.
     """
     with report_errors(as_json):
-        from recording.verify import verify as check
+        from telenano.recording.verify import verify as check
 
         verdict = check(files)
     if as_json:
@@ -233,7 +233,7 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
 def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> None:
     """Copy everything readable in an unfinished, truncated or damaged recording into a complete one."""
     with report_errors(as_json):
-        from recording.rewrite import filter_recording
+        from telenano.recording.rewrite import filter_recording
 
         _print_model(filter_recording(file, out), as_json)
 
@@ -252,7 +252,7 @@ def export(
 ) -> None:
     """Convert a recording for other tools; viewers read mcap-json."""
     with report_errors(as_json):
-        from recording.export import export_recording
+        from telenano.recording.export import export_recording
 
         _print_model(export_recording(file, out, to, Selection.of(topics or (), exclude or ())), as_json)
 
@@ -280,9 +280,9 @@ def rerun(
 ) -> None:
     """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
     with report_errors(as_json):
-        from analysis.rerun import rerun as run_again
-        from recording.reader import Recording
-        from recording.tolerance import Tolerances
+        from telenano.analysis.rerun import rerun as run_again
+        from telenano.recording.reader import Recording
+        from telenano.recording.tolerance import Tolerances
 
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
         results = [run_again(recording, key, allowed, settings or ()) for key in node]
@@ -293,7 +293,7 @@ def rerun(
 
 
 def _row(path: Path) -> dict[str, Any]:
-    from recording.reader import Recording
+    from telenano.recording.reader import Recording
 
     try:
         found = _by_index(path, full=False) or Recording(path).info()

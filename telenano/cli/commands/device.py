@@ -5,11 +5,11 @@ from typing import Any
 
 import typer
 
-from presets.plugins import installed
-from proto.errors import ConfigError
-from proto.extras import how_to_install
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.presets.plugins import installed
+from telenano.wire.errors import ConfigError
+from telenano.wire.extras import how_to_install
 
 app = command_group()
 simulate = command_group()

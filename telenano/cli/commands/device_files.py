@@ -7,9 +7,9 @@ import typer
 import yaml
 from pydantic import BaseModel
 
-from presets import find_scenario
-from proto.errors import TelenanoError
-from recording.whole_files import whole_file
+from telenano.presets import find_scenario
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import TelenanoError
 
 Section = TypeVar("Section", bound=BaseModel)
 

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError
 from services.runtime.security.keyring import AllowedKey, Keyring, expiry_in, keys_directory, keys_in, utc_today
 from services.runtime.security.private_files import read_regular
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_answer, print_json, print_rows, report_errors
+from telenano.wire.errors import ConfigError
 
 app = command_group()
 

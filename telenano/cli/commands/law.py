@@ -102,8 +102,8 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
 
 
 def _origin(name: str) -> dict[str, str]:
-    from presets.plugins import installed
     from services.controller.config import OWN_LAWS
+    from telenano.presets.plugins import installed
 
     if name in OWN_LAWS:
         return {"package": _OWN, "version": "", "digest": ""}

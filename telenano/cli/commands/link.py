@@ -7,10 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import RigError
-from proto.nodes import LINK
-from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES, profile_named
 from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import flatten
@@ -20,6 +16,10 @@ from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption, command_group
 from telenano.cli.output import print_answer, report_errors
 from telenano.cli.tables import counts_text
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.tables import json_fields
+from telenano.wire.errors import RigError
+from telenano.wire.nodes import LINK
 
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")

@@ -5,10 +5,10 @@ from typing import Annotated, get_args
 
 import typer
 
-from proto.errors import ConfigError
 from telenano.cli.new_package import Kind, new_package
 from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors
+from telenano.wire.errors import ConfigError
 
 
 def new(

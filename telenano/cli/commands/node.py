@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from proto import TOPICS
-from proto.errors import ConfigError, known_names
-from proto.nodes import NODES, SERVICES, name_of
 from services.signals import children
 from telenano.cli.completion import service_names
 from telenano.cli.options import command_group
 from telenano.cli.output import print_answer, report_errors
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError, known_names
+from telenano.wire.nodes import NODES, SERVICES, name_of
 
 app = command_group()
 

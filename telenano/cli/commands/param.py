@@ -5,11 +5,11 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from presets import find_scenario
-from proto.errors import ConfigError, probably_meant
 from telenano.cli.completion import scenario_names, scenario_sections
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
+from telenano.presets import find_scenario
+from telenano.wire.errors import ConfigError, probably_meant
 
 app = command_group()
 

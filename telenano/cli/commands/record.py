@@ -6,8 +6,6 @@ from typing import Annotated
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import TelenanoError
 from services.recorder.attach import run_record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import RecorderNode
@@ -18,6 +16,8 @@ from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import TelenanoError
 
 _KEYS_TEXT = "s new file · q end"
 

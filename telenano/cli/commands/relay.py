@@ -5,8 +5,6 @@ from typing import Annotated
 
 import typer
 
-from presets import TWO_SITES_FILE
-from proto.errors import ConfigError
 from services.relay.__main__ import run_site_end, until_stopped
 from services.relay.server import DEFAULT_PORT, Relay
 from services.runtime.bus.address_book import RELAY, load_site
@@ -17,6 +15,8 @@ from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
 from telenano.cli.options import SiteFileOption
 from telenano.cli.output import report_errors
+from telenano.presets import TWO_SITES_FILE
+from telenano.wire.errors import ConfigError
 
 
 def relay(

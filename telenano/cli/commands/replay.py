@@ -6,14 +6,14 @@ from typing import Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, TelenanoError
 from services.player.node import PlayerNode, PlaySettings
 from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import print_answer, report_errors
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import ConfigError, TelenanoError
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = "space pause · . step · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"

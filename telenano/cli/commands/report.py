@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from analysis.report import write_report
-from proto.errors import ReportError
 from services.viz_node.figure_style import figure_options
+from telenano.analysis.report import write_report
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import fail_with_summary, print_summary, report_errors
+from telenano.wire.errors import ReportError
 
 
 def report(

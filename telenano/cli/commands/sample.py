@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from proto.errors import ConfigError
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.sample_options import (
@@ -17,6 +16,7 @@ from telenano.cli.sample_options import (
     results_in,
     sample_config,
 )
+from telenano.wire.errors import ConfigError
 
 app = command_group()
 
@@ -44,8 +44,8 @@ def sample(
             raise ConfigError("missing option '--out'")
         require("gwyfile")
         config = sample_config(name, size, channel, settings)
-        from analysis.image_files import Image, write_gsf, write_gwy, write_png
         from services.afm_node.physics.sample.surface import dilated
+        from telenano.analysis.image_files import Image, write_gsf, write_gwy, write_png
 
         surface = config.build()
         try:

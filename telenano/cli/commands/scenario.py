@@ -7,13 +7,13 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from presets import find_scenario, scenarios
-from proto.errors import ConfigError
-from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
 from telenano.cli.completion import scenario_names
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
+from telenano.presets import find_scenario, scenarios
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import ConfigError
 
 app = command_group()
 
@@ -73,9 +73,9 @@ def new(
 ) -> None:
     """Write a scenario file of your own, which an editor completes by its JSON Schema."""
     with report_errors(as_json):
-        from presets import SCHEMA_DIRECTORY
         from services.runtime.settings.config import validate as validated
         from services.runtime.settings.scenario import Scenario
+        from telenano.presets import SCHEMA_DIRECTORY
 
         path = out or Path(f"{name}.yaml")
         if path.exists():

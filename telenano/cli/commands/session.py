@@ -8,9 +8,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
-from proto.errors import ConfigError
-from proto.nodes import Site
 from services.console.command_client import arm_devices, parse_parameters, send_control
 from services.console.coupling import couple_anew
 from services.console.lease import CONSOLE
@@ -21,6 +18,9 @@ from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
+from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import Site
 
 SessionCommand = Literal["arm", "start", "stop", "estop", "set", "mark", "couple"]
 

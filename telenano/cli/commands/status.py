@@ -11,7 +11,6 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from presets import DEFAULT_SITE_FILE
 from services.launcher.processors import fits_text, held, permitted, shared_folder
 from services.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
 from services.launcher.rigs import RigFacts, about_rig, running_rigs
@@ -22,6 +21,7 @@ from services.runtime.wiring.observer import Observer
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
+from telenano.presets import DEFAULT_SITE_FILE
 
 _DEFAULT_S = 1.5
 _COLUMNS = (

@@ -9,11 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto import TOPICS
-from proto.errors import RigError
-from recording.quantities import quantity
-from recording.tables import json_fields
 from services.launcher.scenario_keys import value_at
 from services.runtime.bus.address_book import load_site
 from services.runtime.wiring.observer import (
@@ -35,6 +30,11 @@ from telenano.cli.options import (
     command_group,
 )
 from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.quantities import quantity
+from telenano.recording.tables import json_fields
+from telenano.wire import TOPICS
+from telenano.wire.errors import RigError
 
 _LIST_S = 1.5
 _SILENCE_S = 4.0

@@ -10,9 +10,6 @@ from typing import Annotated, Any
 
 import typer
 
-from presets.plugins import known_problems
-from proto.errors import ConfigError, ReportError
-from recording.multi_file import open_recordings
 from services.launcher.fan_out import fan_out
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
@@ -38,6 +35,9 @@ from telenano.cli.output import (
     report_errors,
 )
 from telenano.cli.sweep import SEED
+from telenano.presets.plugins import known_problems
+from telenano.recording.multi_file import open_recordings
+from telenano.wire.errors import ConfigError, ReportError
 
 
 @with_options(UpRequest, ("page",), units=SECONDS)

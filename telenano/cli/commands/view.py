@@ -11,11 +11,6 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from presets import DEFAULT_SITE_FILE, DEMO_RECORDING
-from proto.errors import ConfigError, TelenanoError
-from proto.nodes import PAGE
-from recording.indexed import open_indexed
-from recording.multi_file import RecordingSource
 from services.launcher.restart_policy import RestartTracker
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import runtime_directory
@@ -44,6 +39,11 @@ from telenano.cli.options import (
     SiteFileOption,
 )
 from telenano.cli.output import report_errors
+from telenano.presets import DEFAULT_SITE_FILE, DEMO_RECORDING
+from telenano.recording.indexed import open_indexed
+from telenano.recording.multi_file import RecordingSource
+from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.nodes import PAGE
 
 
 class Served(NamedTuple):

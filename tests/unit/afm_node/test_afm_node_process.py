@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
+from telenano.wire.errors import RefusedError
 
 
 class Instrument:

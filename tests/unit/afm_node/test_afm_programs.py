@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import DisturbanceConfig
@@ -14,6 +13,7 @@ from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.runtime.loop.node_state import pack, restore
 from services.runtime.settings.config import validate
+from telenano.wire.errors import ConfigError, RefusedError
 
 SOFT = {
     "cantilever": {"stiffness_n_per_m": 1.0},

@@ -9,8 +9,6 @@ import pytest
 from pydantic import ValidationError
 from test_afm_programs import QUICK, Imager
 
-from analysis.image_files import Image, write_gsf
-from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sample.made_samples import SampleConfig
@@ -18,6 +16,8 @@ from services.afm_node.physics.sample.surface import Surface, checked, plane_lev
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.reach import Reach, Span, approach_limit_s
+from telenano.analysis.image_files import Image, write_gsf
+from telenano.wire.errors import RefusedError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 LIMITS = AfmConfig().to_params().safety

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from analysis.image_files import Image, write_gsf
-from proto.errors import ConfigError
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.analysis.image_files import Image, write_gsf
+from telenano.wire.errors import ConfigError
 
 HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (7, 11)).astype(np.float32).astype(float)
 IMAGE = Image("Height", "m", HEIGHTS, 110e-9, 35e-9)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_afm_programs import Imager
 
-from proto.errors import RefusedError
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.law import HandSample, TipMeasurement
 from services.controller.laws.tactile import impedance_scaled
+from telenano.wire.errors import RefusedError
 
 SECTION = {
     "cantilever": {"stiffness_n_per_m": 1.0},

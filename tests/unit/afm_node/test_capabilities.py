@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from proto.errors import ConfigError
 from services.afm_node.config import TAKEN
 from services.afm_node.devices.capabilities import TABLE, refusal
 from services.afm_node.programs.table import PROGRAMS
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.law_names import LAW_NAMES
 from services.launcher.plan import UpRequest, make_plan, refused_laws
+from telenano.wire.errors import ConfigError
 
 
 def test_every_driver_of_the_node_has_a_row() -> None:

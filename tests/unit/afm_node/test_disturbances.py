@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import (
@@ -30,6 +29,7 @@ from services.afm_node.physics.disturbed import (
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.numerics.normal_numbers import normal_number
 from services.runtime.loop.node_state import pack, restore
+from telenano.wire.errors import RefusedError
 
 DT = 1e-3
 VOLTS_PER_M = 6.25e6

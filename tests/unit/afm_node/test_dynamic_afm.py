@@ -7,7 +7,6 @@ import pytest
 from instrument_theory import drive_work_j
 from pydantic import ValidationError
 
-from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import dynamic_afm
 from services.afm_node.node import AfmNode
@@ -17,6 +16,7 @@ from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.safety import MODE_ESTOP, MODE_FOLLOW, MODE_RETRACTED, MODE_RETRACTING
 from services.runtime.loop.node_state import pack, restore
+from telenano.wire.errors import ConfigError, RefusedError
 
 SOFT = {
     "model": "dynamic",

@@ -11,12 +11,12 @@ from pymodbus.pdu.register_message import WriteMultipleRegistersRequest, WriteMu
 from stage_line import PARAMS, StageLine, calibration
 from telenano_emulators.t7_model import HeartbeatScript, T7Model
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.register_map import MAPS, RegisterMap, read_map
 from services.afm_node.driver import DeviceError
 from services.afm_node.node import AfmNode
 from services.runtime.settings.config import validate
+from telenano.wire.errors import ConfigError
 
 SCRIPT = MAPS / "t7_heartbeat.lua"
 BEAT, LIMIT_MS, SAFE_V, OUTPUT, RUNNING, TRIPS = range(46000, 46012, 2)

@@ -10,7 +10,6 @@ from pymodbus.pdu import ModbusPDU
 from stage_line import MS, PARAMS, Rig, StageLine, calibration
 from telenano_emulators import t7_model
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.modbus_driver import ModbusAfm
 from services.afm_node.devices.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
@@ -18,6 +17,7 @@ from services.afm_node.devices.register_map import Register, RegisterMap, read_m
 from services.afm_node.driver import DeviceError
 from services.afm_node.physics.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
+from telenano.wire.errors import ConfigError
 
 RETRACTED_M = PARAMS.safety.retract_position_m
 DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import driver_of
 from services.afm_node.physics.part import PlantInputs, part_step
@@ -15,6 +14,7 @@ from services.afm_node.physics.sim import SimulatedInstrument
 from services.afm_node.physics.torsion import TorsionParams, _step
 from services.numerics.compiled import compiled_form
 from services.runtime.settings.config import validate
+from telenano.wire.errors import ConfigError
 
 DEEP = {"base_min_m": -1e-6, "retract_position_m": -7e-7, "base_max_m": 2e-7}
 TWO = {"places": [[0.0, 0.0], [2e-6, 0.0]]}

@@ -3,19 +3,19 @@
 from pathlib import Path
 from typing import Literal
 
-from proto import TOPICS
-from proto.instrument import AfmParticles
 from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
+from telenano.wire import TOPICS
+from telenano.wire.instrument import AfmParticles
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"
 # These are the table of topics, what writes it into recordings, and what judges a trial of an experiment afterwards;
 # docs and generated files of the contract are no readers.
 SAYS_IT = {
-    "proto/topics.py",
+    "telenano/wire/topics.py",
     "services/afm_node/guarded.py",
     "packages/telenano-assembly/telenano_assembly/recording.py",
     "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
@@ -24,7 +24,7 @@ SAYS_IT = {
 
 
 def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
-    folders = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "packages")
+    folders = ("services", "telenano", "packages")
     names = set()
     for folder in folders:
         for path in (ROOT / folder).rglob("*"):

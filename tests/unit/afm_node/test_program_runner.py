@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from proto.errors import RefusedError
 from services.afm_node import safety
 from services.afm_node.driver import Oscillation
 from services.afm_node.programs.lateral import Place
@@ -13,6 +12,7 @@ from services.afm_node.programs.program import Begun, Inputs, Instrument, Progra
 from services.afm_node.programs.runner import ProgramRunner, RunnerState
 from services.afm_node.programs.table import PROGRAMS
 from services.runtime.settings.config import Settings
+from telenano.wire.errors import RefusedError
 
 HERE, THERE = Place(1e-9, 2e-9), Place(3e-9, 4e-9)
 INPUTS = Inputs(-5e-9, HERE, 0.0, (0.0, 0.0), Oscillation(0.0, 0.0), HERE)

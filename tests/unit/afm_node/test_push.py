@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import Oscillation
 from services.afm_node.physics.particles.push import KINETIC, RADIUS, RESTED, push_step
@@ -18,6 +17,7 @@ from services.afm_node.programs.program import Inputs, Instrument
 from services.afm_node.programs.push import Push, PushSettings, PushState
 from services.afm_node.programs.settings import requested
 from services.runtime.settings.config import validate
+from telenano.wire.errors import RefusedError
 
 ORIGIN, SIDES, LATERAL = Place(0.0, 0.0), (8e-6, 8e-6), LateralParams(5e-5, 2e-5)
 

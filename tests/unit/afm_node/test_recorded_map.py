@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from recorded_maps import adhesive, force_n, hysteretic, members, near, write_npz
 
-from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import driver_of
 from services.afm_node.node import AfmNode
@@ -17,6 +16,7 @@ from services.afm_node.physics.part import PlantInputs
 from services.afm_node.physics.recorded_map import MapState, value_at
 from services.afm_node.physics.sample.force_map import checked_map, gates, map_params, read_map, write_map
 from services.numerics.compiled import compiled_form
+from telenano.wire.errors import ConfigError, RefusedError
 
 
 def params_of(made: dict[str, Any], rest_m: float = 20e-9) -> recorded_map.MapParams:

@@ -10,10 +10,10 @@ from stage_line import MS, PARAMS, Rig, StageLine
 from telenano_emulators import t7_model
 from telenano_emulators.t7_server import respond
 
-from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices import modbus_line
 from services.afm_node.node import AfmNode
+from telenano.wire.errors import ConfigError
 
 DAC_STEP_V = 5.0 / 4095.0
 # a place before the sample, and the voltage there

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
-from analysis.conditions import conditions, title
-from analysis.report import read_session
-from proto import encode
-from recording.reader import Recording
-from recording.writer import FileSettings, RecordingWriter
 from services.runtime.settings.scenario import Scenario
+from telenano.analysis.conditions import conditions, title
+from telenano.analysis.report import read_session
+from telenano.recording.reader import Recording
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import encode
 
 SCENARIO = Scenario(
     name="trial", description="", duration_s=1.0, controller={"law": "wave"}, delay_node={"profile": "lte", "seed": 7}

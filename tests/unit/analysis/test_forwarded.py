@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import pytest
 from wire_contract import examples
 
-from analysis.forwarded import Forwarded, compare_forwarded
-from proto import TOPICS, encode
+from telenano.analysis.forwarded import Forwarded, compare_forwarded
+from telenano.wire import TOPICS, encode
 
 TOPIC = "teleop/forward"
 BASE = examples(TOPICS[TOPIC])["ordinary"]

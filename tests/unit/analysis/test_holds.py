@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.holds import (
+from telenano.analysis.holds import (
     _WORST_FIRST,
     Guard,
     Instrument,
@@ -15,8 +15,8 @@ from analysis.holds import (
     judge_holds,
     verdict_of,
 )
-from analysis.interruptions import Interruption
-from analysis.verdict import KINDS
+from telenano.analysis.interruptions import Interruption
+from telenano.analysis.verdict import KINDS
 
 TIME_S = np.arange(9000) * 1e-3
 # at rest, pressed with 1 N, pressed with 2 N; the steps between them are ramps of half a second

@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import t
 
-from analysis.intervals import student, with_error
+from telenano.analysis.intervals import student, with_error
 
 
 @pytest.mark.parametrize(

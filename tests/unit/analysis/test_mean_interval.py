@@ -6,10 +6,10 @@ The records are made by `benchmarks/made_records.py`, which knows no estimator.
 import numpy as np
 import pytest
 
-from analysis.intervals import student
-from analysis.mean_interval import FEWEST_PARTS, mean_half_width
 from benchmarks.made_records import RECORDS, hand
 from benchmarks.mean_intervals import covered
+from telenano.analysis.intervals import student
+from telenano.analysis.mean_interval import FEWEST_PARTS, mean_half_width
 
 
 @pytest.mark.check("makes hundreds of records")

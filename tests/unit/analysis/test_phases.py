@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made_sessions import Made
 
-from analysis.phases import contacts_of, moments_of, phases_of
-from recording.multi_file import open_recordings
+from telenano.analysis.phases import contacts_of, moments_of, phases_of
+from telenano.recording.multi_file import open_recordings
 from telenano.recording_document import judged_recording
 
 TIME_S = np.arange(0.0, 8.0, 0.001)

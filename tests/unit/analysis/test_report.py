@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from analysis.missing import cut_off, gaps
-from analysis.report import _title, read_session, write_files, write_report
-from proto.errors import ReportError
-from recording.arrays import columns
-from recording.channel_filter import ALL
-from recording.multi_file import open_recordings
-from recording.reader import Recording
-from recording.rewrite import filter_recording
 from services.viz_node.fig12 import draw_fig12
+from telenano.analysis.missing import cut_off, gaps
+from telenano.analysis.report import _title, read_session, write_files, write_report
+from telenano.recording.arrays import columns
+from telenano.recording.channel_filter import ALL
+from telenano.recording.multi_file import open_recordings
+from telenano.recording.reader import Recording
+from telenano.recording.rewrite import filter_recording
+from telenano.wire.errors import ReportError
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_without_the_package_of_figures_the_summary_is_written(
     def undrawn(*given: Any) -> Any:
         raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
 
-    monkeypatch.setattr("analysis.report.fig12_files", undrawn)
+    monkeypatch.setattr("telenano.analysis.report.fig12_files", undrawn)
     said = r"summary\.json is written, and no figure is drawn: matplotlib is not installed: pip install"
     with pytest.raises(ReportError, match=said) as caught:
         write_report(parts[1], tmp_path)

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from analysis import plugins
-from presets.known_packages import KNOWN_PACKAGES
-from proto.errors import ConfigError, RecordingError
+from telenano.analysis import plugins
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.wire.errors import ConfigError, RecordingError
 
 LAW = {"controller": {"law": "evil_law"}}
 DIGEST = f"sha256:{'0a' * 32}"

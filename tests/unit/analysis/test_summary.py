@@ -13,16 +13,16 @@ from forged_files import copied
 from made_sessions import FORCE_SCALE, TIP, Made, hand_force_n
 from pydantic import ValidationError
 
-from analysis import report
-from analysis.holds import Hold
-from analysis.report import Session, read_session, summarise, write_report
-from analysis.summary import Package, Summary, markdown, rows_of, summary_schema
-from analysis.verdict import Kind
-from presets import SCHEMA_DIRECTORY
-from recording.channel_filter import ALL
-from recording.indexed import open_indexed
-from recording.multi_file import RecordingSource, open_recordings
-from recording.rewrite import filter_recording
+from telenano.analysis import report
+from telenano.analysis.holds import Hold
+from telenano.analysis.report import Session, read_session, summarise, write_report
+from telenano.analysis.summary import Package, Summary, markdown, rows_of, summary_schema
+from telenano.analysis.verdict import Kind
+from telenano.presets import SCHEMA_DIRECTORY
+from telenano.recording.channel_filter import ALL
+from telenano.recording.indexed import open_indexed
+from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.rewrite import filter_recording
 
 ROOT = Path(__file__).resolve().parents[3]
 # a session in its whole length, and what may happen to one

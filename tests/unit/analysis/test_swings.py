@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.swings import FELT_N, swings_of
+from telenano.analysis.swings import FELT_N, swings_of
 
 # the rule of the page, in TypeScript, is held to the same signals by its own tests
 SHARED = Path(__file__).resolve().parents[3] / "services/viz_node/web/test/swings.json"

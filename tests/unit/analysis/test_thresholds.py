@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from analysis import holds, modes, verdict
+from telenano.analysis import holds, modes, verdict
 
 STUDIES = Path(__file__).parents[3] / "docs" / "studies.md"
 ROW = re.compile(r"^\| `([A-Z_]+)` \| ([0-9.]+) \| ([^|]+) \| ([^|]+) \|$", re.MULTILINE)

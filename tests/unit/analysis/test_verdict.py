@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from analysis.modes import LEAST_SAMPLES, fitted, noise_floor
-from analysis.verdict import KINDS, SMALL_SHARE, judge
+from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
+from telenano.analysis.verdict import KINDS, SMALL_SHARE, judge
 
 TIME_S = np.arange(8000) * 1e-3
 SHORT_S = TIME_S[:1400]

@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import RigError
-from proto.messages import AfmState, HapticState, TeleopBackward
 from services.console.coupling import couple
 from services.runtime.loop.commands import Command
 from services.viz_node import commander as commander_module
 from services.viz_node.requests import COMMANDS
 from telenano.cli.commands import session as session_command
 from telenano.cli.root import app
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import RigError
+from telenano.wire.messages import AfmState, HapticState, TeleopBackward
 
 HAND: dict[str, Any] = {
     "position_m": (0.0, 0.0, 0.0), "velocity_m_per_s": (0.0, 0.0, 0.0), "operator_force_n": (0.0, 0.0, 0.0),

@@ -16,12 +16,6 @@ import pytest
 import zmq
 from wire_contract import examples
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
-from proto import decode, encode
-from proto.errors import EndpointError, RigError
-from proto.messages import SessionControl
-from proto.nodes import DEVICES
-from proto.topics import TOPICS
 from services.console import command_client, emergency_stop
 from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from services.player.node import ReplayPublisher
@@ -32,6 +26,12 @@ from services.runtime.loop.commands import CommandHandler
 from services.runtime.wiring.transport import EstopInlet
 from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
+from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.wire import decode, encode
+from telenano.wire.errors import EndpointError, RigError
+from telenano.wire.messages import SessionControl
+from telenano.wire.nodes import DEVICES
+from telenano.wire.topics import TOPICS
 
 HAND, TIP, LINK, RECORDER = "haptic_node@master", "afm_node@slave", "delay_node@master", "recorder@master"
 
@@ -460,7 +460,7 @@ def test_a_stop_imports_no_models(run: Callable[..., Device], site_file: Path) -
     run(TIP)
     code = "import atexit, sys, telenano.cli.app as root; "
     code += f"sys.argv = ['telenano', 'estop', '--site-file', {str(site_file)!r}, '--target', 'afm_node']; "
-    code += "slow = {'pydantic', 'numpy', 'typer', 'click', 'rich', 'proto.messages', 'asyncio'}; "
+    code += "slow = {'pydantic', 'numpy', 'typer', 'click', 'rich', 'telenano.wire.messages', 'asyncio'}; "
     code += "atexit.register(lambda: print(slow & set(sys.modules))); root.main()"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout == f"{TIP} ack: stopped\nset()\n"

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from proto.errors import RefusedError, RigError
-from recording.whole_files import changed
 from services.console import lease_register
 from services.console.lease import (
     ASKED_NS,
@@ -29,6 +27,8 @@ from services.console.lease import (
     withdrawn,
 )
 from services.console.lease_register import LeaseRegister, acting, holding
+from telenano.recording.whole_files import changed
+from telenano.wire.errors import RefusedError, RigError
 
 OBSERVER = Party("o", "Olga", "observer")
 PUPIL, OTHER = Party("p", "Paul", "pupil"), Party("q", "Petra", "pupil")

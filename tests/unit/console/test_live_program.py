@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from proto.messages import AfmScanline, Array
 from services.console.live_program import LiveImage
+from telenano.wire.messages import AfmScanline, Array
 
 
 def line(

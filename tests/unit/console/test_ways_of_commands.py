@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-ROOMS = ("services", "telenano", "analysis", "studies", "recording", "packages", "benchmarks")
+ROOMS = ("services", "telenano", "packages", "benchmarks")
 # What makes a command or a force: a client on the bus, the client that holds the hand for a command, and a page's hand.
 MAKERS = ("CommandClient", "send_control", "send_controls", "arm_devices", "RigHand")
 

@@ -10,7 +10,7 @@ from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clam
 from services.controller.config import OWN_LAWS, ControllerConfig
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
 
 PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from proto.errors import RefusedError
-from proto.messages import SessionControl
 from services.controller.__main__ import half_of_site
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import SessionControl
 
 PERIOD_NS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)

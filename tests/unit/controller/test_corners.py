@@ -11,12 +11,12 @@ import corners
 import numpy as np
 import pytest
 
-from proto.errors import ConfigError
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
 from services.controller.energy import Port
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, bounded
 from services.runtime.settings.config import flatten, validate
+from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
 CASES = 8

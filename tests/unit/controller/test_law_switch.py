@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from proto.errors import RefusedError
-from proto.sequence import Arrival
 from services.controller.config import LAWS as INSTALLED
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
 from services.runtime.bus.bus import Received
+from telenano.wire.errors import RefusedError
+from telenano.wire.sequence import Arrival
 
 PERIOD_NS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)

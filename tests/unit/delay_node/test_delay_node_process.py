@@ -7,16 +7,16 @@ import msgpack
 import pytest
 from recorder_samples import fields_of
 
-from proto import decode, encode
-from proto.ends import read_end
-from proto.errors import RefusedError
-from proto.messages import Message
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
 from services.runtime.loop.freshness import Freshness
+from telenano.wire import decode, encode
+from telenano.wire.ends import read_end
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Message
 
 HALF = fields_of("teleop/forward", hand_t_ns=1)
 

@@ -6,7 +6,6 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.errors import ConfigError
 from services.delay_node.config import (
     DirectionSettings,
     Impairment,
@@ -19,6 +18,7 @@ from services.delay_node.config import (
     profile_changes,
 )
 from services.delay_node.profiles import PROFILES
+from telenano.wire.errors import ConfigError
 
 REPOSITORY = Path(__file__).parents[3]
 

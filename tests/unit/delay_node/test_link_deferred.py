@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
-from proto.errors import RefusedError
 from services.delay_node.config import parse_settings
 from services.delay_node.node import TRAIN, DelayNode
+from telenano.wire.errors import RefusedError
 
 MS = 1_000_000
 SIGNAL = fields_of("teleop/backward", hand_t_ns=1)

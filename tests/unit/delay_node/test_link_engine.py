@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.errors import ConfigError
 from services.delay_node.config import Impairment, changed, parse_settings
 from services.delay_node.direction import DirectionEngine
 from services.delay_node.engine import LinkEngine, fates_of
+from telenano.wire.errors import ConfigError
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

@@ -3,7 +3,6 @@ from pathlib import Path
 
 import pytest
 
-from proto.errors import ConfigError
 from services.delay_node.models import traces
 from services.delay_node.models.traces import (
     DelayCourse,
@@ -15,6 +14,7 @@ from services.delay_node.models.traces import (
     parse_loss_trace,
     read_text,
 )
+from telenano.wire.errors import ConfigError
 
 
 def test_delay_trace_reads_comments_blanks_and_commas():

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from presets import NETWORK_DIRECTORY
-from proto.errors import ConfigError
 from services.delay_node.config import Jitter, parse_settings
 from services.delay_node.engine import fates_of
 from services.delay_node.models.jitter import JitterSource, hyperexponential_quantile
 from services.delay_node.profiles import PROFILES, Profile, profile_named
 from services.delay_node.random_streams import stream
 from services.runtime.settings.config import validate
+from telenano.presets import NETWORK_DIRECTORY
+from telenano.wire.errors import ConfigError
 
 DIRECTIONS = ("forward", "backward")
 MEASURED = tuple((name, way) for name in PROFILES for way in DIRECTIONS)

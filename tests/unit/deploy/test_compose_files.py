@@ -12,14 +12,14 @@ import pytest
 import yaml
 from makefile import makefile_words
 
-from presets import TWO_SITES_FILE
-from proto.errors import ConfigError
-from proto.nodes import PAGE, START_ORDER, site_of
 from services.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
 from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import environment_overrides, validate
 from services.runtime.settings.scenario import RealtimeConfig, Scenario, load_scenario
 from services.runtime.wiring.main import node_kind
+from telenano.presets import TWO_SITES_FILE
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import PAGE, START_ORDER, site_of
 
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"
@@ -303,10 +303,10 @@ def test_env_files_and_keys_stay_out_of_repository_and_image() -> None:
     left_out = rules[max(taken) + 1 :]
     for secret in (
         "services/x/master.key_secret",
-        "proto/a.key",
+        "telenano/a.key",
         "services/keys",
         "deploy/locks/server.pem",
-        "studies/.env",
+        "telenano/wire/.env",
     ):
         parts = [secret, Path(secret).name]
         assert any(fnmatchcase(part, rule.removeprefix("**/")) for part in parts for rule in left_out), secret

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from proto.errors import RefusedError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading
 from services.haptic_node.node import HapticNode
@@ -16,6 +15,7 @@ from services.haptic_node.physics.disturbances import (
     disturbed,
 )
 from services.haptic_node.physics.sim import SimulatedHaptic
+from telenano.wire.errors import RefusedError
 
 DT = 1e-3
 CONFIG = HapticConfig()

@@ -13,11 +13,11 @@ if shutil.which("cc") is None:
 from handle_answers import pack_fault, pack_hello
 from handle_line import MS, PATH, Line, Rig
 
-from proto.errors import ConfigError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.devices import serial_driver, wire
 from services.haptic_node.node import HapticNode
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from telenano.wire.errors import ConfigError
 
 SPEED_M_PER_S = HapticConfig().limits.max_speed_m_per_s
 # the device lets its arm go a fifth faster than the guard, for the jitter of two clocks

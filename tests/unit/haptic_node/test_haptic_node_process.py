@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from proto.errors import RefusedError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
+from telenano.wire.errors import RefusedError
 
 ZERO = (0.0, 0.0, 0.0)
 

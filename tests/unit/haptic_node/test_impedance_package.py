@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from proto.errors import ConfigError
-from proto.extras import how_to_add_package
 from services.haptic_node.config import DRIVERS, HapticConfig
 from services.runtime.settings import device_drivers
 from services.runtime.settings.config import validate
+from telenano.wire.errors import ConfigError
+from telenano.wire.extras import how_to_add_package
 
 ROOT = Path(__file__).parents[3]
 DRIVER = """

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from proto.errors import ConfigError
 from services.controller.lateral import LateralFar, LateralHand, lateral_at_rest, lateral_master_step
 from services.controller.lateral_settings import LateralConfig
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from services.runtime.settings.config import validate
+from telenano.wire.errors import ConfigError
 
 DT = 1e-3
 NONE = (0.0, 0.0)

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from proto.errors import RefusedError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.settings.config import validate
+from telenano.wire.errors import RefusedError
 
 PRESS = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}, {"time_s": 0.01, "force_n": 1.0}]}
 HARDER = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}, {"time_s": 0.01, "force_n": 3.0}]}

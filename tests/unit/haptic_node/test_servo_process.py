@@ -4,7 +4,6 @@ import time
 
 import pytest
 
-from presets import find_scenario
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings
 from services.haptic_node.devices import servo_process
@@ -12,6 +11,7 @@ from services.haptic_node.devices.servo_process import SharedServo
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.servo import ServoCommand
 from services.runtime.settings.scenario import load_scenario
+from telenano.presets import find_scenario
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 

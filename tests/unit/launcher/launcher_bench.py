@@ -5,9 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from proto import TOPICS
-from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
-from proto.sequence import Arrival
 from services.launcher.external_recording import ExternalRecording
 from services.launcher.processes import StopObserver
 from services.launcher.rig_node import RigNode
@@ -17,6 +14,9 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from telenano.extend.testing import VirtualClock
+from telenano.wire import TOPICS
+from telenano.wire.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
+from telenano.wire.sequence import Arrival
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

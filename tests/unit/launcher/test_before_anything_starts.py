@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 import typer
 
-from proto.errors import ConfigError
 from services.launcher import scenario_keys
 from services.launcher.plan import UpRequest, make_plan
 from services.launcher.scenario_keys import all_keys, with_meant
 from telenano.cli.commands import session
+from telenano.wire.errors import ConfigError
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from proto.errors import ConfigError, RecordingError, RefusedError, RigError
-from proto.messages import Array
-from proto.network_messages import RecordingPiece
-from recording.writer import FileSettings, RecordingWriter
 from services.launcher import far_recording
 from services.launcher.far_recording import PartialFile, checked_names, fetch, note_files, noted_files
 from services.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, OFFSET, PIECE_BYTES, RATE, PieceSender
@@ -32,6 +28,10 @@ from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
 from services.runtime.wiring.participant import NO_REALTIME, open_participant
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
+from telenano.wire.messages import Array
+from telenano.wire.network_messages import RecordingPiece
 
 NAME, NS = "session_1.mcap", 1_000_000_000
 

@@ -6,9 +6,9 @@ import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Rig
 from wire_contract import examples
 
-from proto import TOPICS
-from proto.network_messages import LinkNetwork
 from services.launcher.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
+from telenano.wire import TOPICS
+from telenano.wire.network_messages import LinkNetwork
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

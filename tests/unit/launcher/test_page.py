@@ -12,9 +12,6 @@ from typing import Any
 import pytest
 from launcher_bench import SECOND_NS, FakeChildren, health
 
-from proto.extras import how_to_install
-from proto.messages import NodeHealth
-from proto.nodes import PAGE, STOP_ORDER
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.processes import NodeProcesses, node_command
@@ -26,6 +23,9 @@ from services.runtime.loop.healthcheck import endpoint_of, receive_health
 from services.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
 from services.viz_node import serve
 from telenano.extend.testing import VirtualClock
+from telenano.wire.extras import how_to_install
+from telenano.wire.messages import NodeHealth
+from telenano.wire.nodes import PAGE, STOP_ORDER
 
 NODE = "afm_node@slave"
 PATIENCE_S = 60.0

@@ -5,13 +5,13 @@ from typing import Any
 import pytest
 import yaml
 
-from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
-from proto.errors import ConfigError
-from proto.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from services.launcher.run import disk_warning
 from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import read_yaml
+from telenano.presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 
 
 def request(out: Path, **changes: Any) -> UpRequest:

@@ -3,9 +3,9 @@
 import pytest
 from launcher_bench import SECOND_NS, health, row
 
-from proto.messages import InputHealth, NodeHealth
 from services.launcher.recorder_wait import LastMessages, RecorderWait
 from telenano.extend.testing import VirtualClock
+from telenano.wire.messages import InputHealth, NodeHealth
 
 RECORDER, HAND = "recorder@master", "haptic_node@master"
 

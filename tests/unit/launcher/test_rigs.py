@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from proto.errors import ConfigError, RigError
 from services.launcher import processors, rigs
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.rigs import own_rig, running_rigs
@@ -22,6 +21,7 @@ from services.launcher.run import reserved_folder
 from services.runtime.bus.endpoint_lock import EndpointLock
 from services.runtime.bus.local_endpoint import RIG_VARIABLE, is_rig_name, rig_directory, runtime_directory
 from services.runtime.loop.realtime import PROCESSORS_VARIABLE
+from telenano.wire.errors import ConfigError, RigError
 
 WAIT_S = 60.0
 

@@ -7,10 +7,6 @@ from typing import Any
 import pytest
 from launcher_bench import Bench
 
-from proto import encode
-from proto.errors import RecordingError, RigError
-from proto.messages import SessionControl
-from recording.writer import RecordingWriter
 from services.launcher import run as up
 from services.launcher.external_recording import holds_command
 from services.launcher.plan import Plan, UpRequest, make_plan
@@ -19,6 +15,10 @@ from services.launcher.session import SessionNode
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from services.recorder.config import RecorderConfig
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError, RigError
+from telenano.wire.messages import SessionControl
 
 RECORDER = "recorder@master"
 
@@ -141,7 +141,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
         show("1 of 4: reading the session")
         return {"recording": str(recordings[0]), "out": str(out)}
 
-    monkeypatch.setattr("analysis.report.write_report", made)
+    monkeypatch.setattr("telenano.analysis.report.write_report", made)
     assert report_of(ran, plan, reported.append) == {"recording": str(path), "out": str(plan.out)}
     assert reported == ["making figure and summary"]
     # of a long one it is said what is done, and how to have the terminal back
@@ -167,7 +167,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     def broken(*given: Any) -> Any:
         raise RecordingError("no session in it")
 
-    monkeypatch.setattr("analysis.report.write_report", broken)
+    monkeypatch.setattr("telenano.analysis.report.write_report", broken)
     assert report_of(Outcome("the cause", False, True, (path,), "", {}), plan, reported.append) is None
     with pytest.raises(RecordingError, match="no session in it"):
         report_of(ran, plan, reported.append)
@@ -175,7 +175,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     def interrupted(*given: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("analysis.report.write_report", interrupted)
+    monkeypatch.setattr("telenano.analysis.report.write_report", interrupted)
     with pytest.raises(RigError, match=r"`telenano report .* makes it"):
         report_of(ran, plan, reported.append)
     # before the report is begun, as by one signal of many, it is said as well

@@ -6,11 +6,11 @@ from pathlib import Path
 from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
 from rich.console import Console
 
-from proto.messages import ClockPing
 from services.launcher.readiness import READY_DEADLINE_S
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from telenano.cli.live_view import LineView, rig_picture
+from telenano.wire.messages import ClockPing
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError
-from proto.nodes import START_ORDER
 from services.launcher.plan import UpRequest, excluded_nodes, make_plan
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import START_ORDER
 
 
 def test_nodes_are_left_out_by_name_or_key() -> None:

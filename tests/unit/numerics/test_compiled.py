@@ -20,10 +20,10 @@ from services.numerics.source_digest import (
 ROOT = Path(__file__).parents[3]
 # errors, models of settings and messages, and what loads packages: nothing of them is compiled
 NO_CONSTANTS = {
-    *("proto.errors", "presets.plugins"),
+    *("telenano.wire.errors", "telenano.presets.plugins"),
     *("services.runtime.settings.config", "services.runtime.settings.option"),
     # its functions reckon with results, and no step calls them
-    "analysis.intervals",
+    "telenano.analysis.intervals",
 }
 USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
 
@@ -61,7 +61,7 @@ print(type(model.step).__name__, type(step).__name__)
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("services/afm_node/forces.py", "services/controller/law.py", "studies/loops/loop.py"):
+    for name in ("services/afm_node/forces.py", "services/controller/law.py", "telenano/lockstep/loop.py"):
         path = tmp_path / name
         path.parent.mkdir(parents=True)
         path.write_text("A = 1\n")
@@ -70,7 +70,7 @@ def tree(tmp_path: Path) -> Path:
 
 def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
     first = source_digest(tree)
-    (tree / "studies" / "loops" / "loop.py").touch()
+    (tree / "telenano" / "lockstep" / "loop.py").touch()
     assert source_digest(tree) == first
     assert len(first) == 16
     assert int(first, 16) >= 0
@@ -95,7 +95,7 @@ def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
 def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
     first = source_digest(tree)
     shells = ("services/afm_node/node.py", "services/controller/slave_half.py", "services/controller/__main__.py")
-    for name in (*shells, "services/afm_node/notes.md", "studies/figures.py"):
+    for name in (*shells, "services/afm_node/notes.md", "telenano/figures.py"):
         (tree / name).write_text("B = 1\n")
     assert source_digest(tree) == first
 
@@ -381,7 +381,7 @@ def test_nodes_compile_nothing_and_need_no_compiler(tmp_path: Path) -> None:
 
 LOCKSTEP = """
 import hashlib, telenano
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
 lockstep.PLAIN_TICKS = 0
 done = telenano.simulate(duration_s=1.0)
 print(hashlib.sha256(done["scaled_tip_force_n"].tobytes() + done["time_s"].tobytes()).hexdigest())
@@ -432,7 +432,7 @@ except Exception as error:
 def test_a_model_that_cannot_be_compiled_is_a_sentence_before_anything_ran(tmp_path: Path) -> None:
     program = """
 import logging, model
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 from services.numerics.compiled import compiled_call
 said = []
 handler = logging.Handler()

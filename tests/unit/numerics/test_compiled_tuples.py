@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[3]
 MARKS = {"compiled", "inlined", "always_compiled"}
 MODULES = [
     path.relative_to(ROOT)
-    for package in ("services", "studies")
+    for package in ("services", "telenano")
     for path in sorted((ROOT / package).rglob("*.py"))
     if any(f"\n@{mark}\n" in path.read_text() for mark in MARKS)
 ]

@@ -10,14 +10,6 @@ import yaml
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
-from presets import DEFAULT_SITE_FILE
-from proto import decode, encode
-from proto.errors import ConfigError, RecordingError, RefusedError, RigError
-from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
-from proto.nodes import PLAYER
-from recording.channel_filter import Selection
-from recording.reader import Recording
-from recording.writer import RecordingWriter
 from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
@@ -29,6 +21,14 @@ from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from telenano.extend.testing import VirtualClock
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.channel_filter import Selection
+from telenano.recording.reader import Recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import decode, encode
+from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
+from telenano.wire.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
+from telenano.wire.nodes import PLAYER
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 MakeFile = Callable[..., Path]

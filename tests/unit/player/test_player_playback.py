@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
-from proto import encode
-from proto.errors import RecordingError
-from recording.channel_filter import ALL, Selection
-from recording.reader import Recording
-from recording.writer import RecordingWriter
 from services.player.playback import Playback, PlaybackClock, Span
 from services.recorder.config import RecorderConfig
+from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.reader import Recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError
 
 MakeFile = Callable[..., Path]
 

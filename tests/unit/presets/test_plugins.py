@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from presets import find_scenario, known_scenarios, plugins
-from proto.errors import ConfigError
+from telenano.presets import find_scenario, known_scenarios, plugins
+from telenano.wire.errors import ConfigError
 
 
 def entry(kind: str, name: str, target: str, package: str = "pack") -> Any:

@@ -17,10 +17,20 @@ from hypothesis import strategies as st
 from processor_time import ratio_of_costs
 from wire_contract import examples, schema_of
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, accept, decode, decode_header, encode, read_header
-from proto.codec import _TYPED, MAX_PLAIN_BYTES, MOST_BYTES, header_check
-from proto.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
-from proto.typed import TypedForm, typed_form
+from telenano.wire import (
+    MAX_MESSAGE_BYTES,
+    TOPICS,
+    Message,
+    WireError,
+    accept,
+    decode,
+    decode_header,
+    encode,
+    read_header,
+)
+from telenano.wire.codec import _TYPED, MAX_PLAIN_BYTES, MOST_BYTES, header_check
+from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
+from telenano.wire.typed import TypedForm, typed_form
 
 TOPIC = st.sampled_from(list(TOPICS))
 GOLDEN = {topic: [encode(message) for message in examples(row).values()] for topic, row in TOPICS.items()}
@@ -66,7 +76,7 @@ def check_fast_ways(topic: str, payload: bytes, result: Message | WireError) -> 
         assert header == (result.seq, result.t_ns, result.src)
     found = FORMS[topic].read(payload) if topic in FORMS else None
     if found is not None:
-        with patch.dict("proto.codec._TYPED", clear=True):
+        with patch.dict("telenano.wire.codec._TYPED", clear=True):
             declared = accept(topic, payload)
         assert declared == found
         assert encode(declared) == encode(found)
@@ -755,5 +765,7 @@ def test_what_was_decoded_once_is_decoded_in_a_typed_pass_from_then_on(monkeypat
     fields = fields_of("haptic/state") | {"src": "a_node_that_only_this_test_has@master"}
     payload = msgpack.packb(fields)
     message = decode("haptic/state", payload)
-    monkeypatch.setattr("proto.codec._read", lambda topic, payload: pytest.fail("it was left to the declared model"))
+    monkeypatch.setattr(
+        "telenano.wire.codec._read", lambda topic, payload: pytest.fail("it was left to the declared model")
+    )
     assert decode("haptic/state", payload) == message

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from proto.ends import end_data, read_end
+from telenano.wire.ends import end_data, read_end
 
 
 def event(**changes: Any) -> dict[str, Any]:

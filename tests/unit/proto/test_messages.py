@@ -5,8 +5,8 @@ import pytest
 from pydantic import ValidationError
 from wire_contract import examples
 
-from proto import TOPICS
-from proto.messages import Array, HapticState
+from telenano.wire import TOPICS
+from telenano.wire.messages import Array, HapticState
 
 
 @pytest.mark.parametrize("topic", TOPICS)

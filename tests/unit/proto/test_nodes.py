@@ -11,9 +11,12 @@ import pytest
 import yaml
 from makefile import makefile_words
 
-from presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
-from proto import TOPICS
-from proto.nodes import (
+from services.runtime.bus.address_book import load_site
+from services.runtime.settings.scenario import Scenario
+from services.runtime.wiring.main import NodeKind, node_kind
+from telenano.presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.wire import TOPICS
+from telenano.wire.nodes import (
     HAND,
     LAUNCHER,
     LINK,
@@ -36,9 +39,6 @@ from proto.nodes import (
     site_of,
     sites_of,
 )
-from services.runtime.bus.address_book import load_site
-from services.runtime.settings.scenario import Scenario
-from services.runtime.wiring.main import NodeKind, node_kind
 
 ROOT = Path(__file__).resolve().parents[3]
 COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]

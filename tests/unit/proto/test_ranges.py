@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from wire_contract import examples
 
-from proto import TOPICS, accept, encode
-from proto.messages import AfmScanline, AfmState, InputHealth, LawStatus, NodeHealth, TeleopForward
-from proto.ranges import limited
-from proto.sequence import MOST_COUNTED
+from telenano.wire import TOPICS, accept, encode
+from telenano.wire.messages import AfmScanline, AfmState, InputHealth, LawStatus, NodeHealth, TeleopForward
+from telenano.wire.ranges import limited
+from telenano.wire.sequence import MOST_COUNTED
 
 
 def _fields(topic: str) -> dict[str, object]:

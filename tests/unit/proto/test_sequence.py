@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from proto.sequence import Arrival, SequenceTracker
+from telenano.wire.sequence import Arrival, SequenceTracker
 
 
 class Reference:

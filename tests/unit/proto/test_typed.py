@@ -13,11 +13,11 @@ import pytest
 from pydantic import Field, ValidationError
 from wire_contract import WITH_ADDITIONS, examples
 
-from proto import TOPICS, Message, accept, compose, encode
-from proto.codec import _TYPED, MAX_PLAIN_BYTES, header_check
-from proto.messages import AfmCommand, AfmState, LinkFate, LinkFates
-from proto.ranges import POSITION, limited
-from proto.typed import typed_form, typed_rows
+from telenano.wire import TOPICS, Message, accept, compose, encode
+from telenano.wire.codec import _TYPED, MAX_PLAIN_BYTES, header_check
+from telenano.wire.messages import AfmCommand, AfmState, LinkFate, LinkFates
+from telenano.wire.ranges import POSITION, limited
+from telenano.wire.typed import typed_form, typed_rows
 
 LOOP = ("haptic/state", "haptic/command", "teleop/forward", "teleop/backward", "afm/command", "afm/state")
 HEADER = {"seq": 7, "t_ns": 1_790_000_000_123_456_789, "src": "controller@slave", "v": 1}

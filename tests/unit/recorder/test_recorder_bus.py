@@ -7,10 +7,6 @@ import pytest
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
-from proto import Message, encode
-from recording.reader import Recording
-from recording.verify import verify
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
@@ -18,6 +14,10 @@ from services.recorder.node import RecorderBus
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import NullPublisher, ZmqPublisher
 from telenano.extend.testing import VirtualClock
+from telenano.recording.reader import Recording
+from telenano.recording.verify import verify
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import Message, encode
 
 HAND, AFM = "haptic_node@master", "afm_node@slave"
 TOPICS_OF = {HAND: ["haptic/state", "session/control"], AFM: ["afm/state"]}

@@ -2,10 +2,10 @@ from typing import Any
 
 import pytest
 
-from proto import TOPICS
-from proto.errors import ConfigError
 from services.recorder.config import RecorderConfig
 from services.runtime.settings.config import validate
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError
 
 
 def test_a_yaml_section_becomes_a_configuration() -> None:

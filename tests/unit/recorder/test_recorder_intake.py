@@ -10,17 +10,17 @@ import pytest
 import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
-from proto import MAX_MESSAGE_BYTES, Message, encode
-from proto.ends import end_data
-from proto.messages import SessionControl
-from recording.reader import Recording
-from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus.bus import Subscriber
 from services.runtime.security.peer_connections import MessagePermissions
 from telenano.extend.testing import VirtualClock
+from telenano.recording.reader import Recording
+from telenano.recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import MAX_MESSAGE_BYTES, Message, encode
+from telenano.wire.ends import end_data
+from telenano.wire.messages import SessionControl
 
 MakeListener = Callable[[str], Listener]
 

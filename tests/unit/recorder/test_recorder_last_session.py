@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recording.arrays import last_programme, last_session
+from telenano.recording.arrays import last_programme, last_session
 
 SECOND_NS = 1_000_000_000
 # a hundred samples of a programme, a hundredth of a second apart

@@ -7,13 +7,13 @@ import pytest
 import zmq
 from recorder_samples import haptic_state, teleop_forward
 
-from proto import encode
-from proto.errors import ConfigError
-from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
+from telenano.recording.messages import RecordedMessage
+from telenano.wire import encode
+from telenano.wire.errors import ConfigError
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 

@@ -14,12 +14,6 @@ import yaml
 import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
-from proto import TOPICS, Message, encode
-from proto.messages import InputHealth, SessionEvent
-from proto.ranges import limited
-from proto.sequence import Arrival
-from recording.reader import Recording
-from recording.writer import RecordingWriter
 from services.recorder.__main__ import begin, listeners
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
@@ -35,6 +29,12 @@ from services.runtime.loop.realtime import RealtimeStatus
 from services.runtime.wiring.main import Wiring
 from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
+from telenano.recording.reader import Recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import TOPICS, Message, encode
+from telenano.wire.messages import InputHealth, SessionEvent
+from telenano.wire.ranges import limited
+from telenano.wire.sequence import Arrival
 
 PATIENCE_S = 30.0
 
@@ -322,7 +322,7 @@ Asked = Callable[[str, str], set[tuple[str, str]]]
 @pytest.fixture
 def asked_by(scenario_file: Path, config: RecorderConfig, monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
     """Return of which node the recorder of a site of two machines asks for which topic."""
-    site_file = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
+    site_file = Path(__file__).resolve().parents[3] / "telenano" / "presets" / "sites" / "two_sites.yaml"
     book = AddressBook.model_validate({**yaml.safe_load(site_file.read_text()), "insecure": True})
     clock, context = SystemClock(), zmq.Context()
 

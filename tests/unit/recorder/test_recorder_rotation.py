@@ -9,12 +9,6 @@ import pytest
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
-from proto import Message, encode
-from proto.errors import ConfigError, RecordingError, RefusedError
-from proto.messages import SessionControl, SessionEvent
-from recording.multi_file import open_recordings
-from recording.reader import Recording
-from recording.verify import verify
 from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
@@ -25,6 +19,12 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from services.runtime.settings.config import validate
 from telenano.extend.testing import VirtualClock
+from telenano.recording.multi_file import open_recordings
+from telenano.recording.reader import Recording
+from telenano.recording.verify import verify
+from telenano.wire import Message, encode
+from telenano.wire.errors import ConfigError, RecordingError, RefusedError
+from telenano.wire.messages import SessionControl, SessionEvent
 
 SECOND_NS = 1_000_000_000
 

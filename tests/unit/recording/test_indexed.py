@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from made_sessions import Made
 
-from proto.errors import RecordingError
-from recording.indexed import IndexedRecording, open_indexed
-from recording.messages import RecordedChannel
-from recording.reader import Recording
-from recording.summary_section import channels_in
-from recording.writer import FileSettings, RecordingWriter
+from telenano.recording.indexed import IndexedRecording, open_indexed
+from telenano.recording.messages import RecordedChannel
+from telenano.recording.reader import Recording
+from telenano.recording.summary_section import channels_in
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire.errors import RecordingError
 
 Wanted = Callable[[RecordedChannel], bool]
 WANTED: tuple[Wanted | None, ...] = (

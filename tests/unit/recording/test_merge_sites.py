@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from wire_contract import examples
 
-from proto import TOPICS, encode
-from proto.errors import RecordingError
-from recording.merge_sites import merge_sites, slave_clock
-from recording.reader import Recording
-from recording.writer import FileSettings, RecordingWriter
+from telenano.recording.merge_sites import merge_sites, slave_clock
+from telenano.recording.reader import Recording
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS, encode
+from telenano.wire.errors import RecordingError
 
 MS, BEGAN, AHEAD = 1_000_000, 10**18, 2_000_000_000
 

@@ -6,11 +6,11 @@ import pytest
 from forged_files import copied, repeated_index
 from made_sessions import BEGAN_NS, Made
 
-from recording.indexed import IndexedRecording
-from recording.odd_times import LONGEST_PAUSE_NS, Dates
-from recording.reader import Recording
-from recording.summary_section import quick_info
-from recording.verify import verify
+from telenano.recording.indexed import IndexedRecording
+from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates
+from telenano.recording.reader import Recording
+from telenano.recording.summary_section import quick_info
+from telenano.recording.verify import verify
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from proto import encode
-from proto.errors import RecordingError
-from recording import arrays
-from recording.arrays import columns
-from recording.reader import Recording
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording import arrays
+from telenano.recording.arrays import columns
+from telenano.recording.reader import Recording
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError
 
 MakeFile = Callable[..., Path]
 

@@ -1,8 +1,8 @@
 import pytest
 
-from proto.errors import ConfigError
-from recording.channel_filter import Selection, matcher, node_matcher
-from recording.messages import RecordedChannel
+from telenano.recording.channel_filter import Selection, matcher, node_matcher
+from telenano.recording.messages import RecordedChannel
+from telenano.wire.errors import ConfigError
 
 
 def channel(name: str, src: str = "afm_node@slave") -> RecordedChannel:

@@ -15,19 +15,19 @@ from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
 from wire_contract import examples
 
-from proto import TOPICS, encode
-from proto.errors import ConfigError, RecordingError
-from proto.messages import AfmScanline, Array
-from recording.channel_filter import Selection
-from recording.export import export_recording, plain_schema
-from recording.messages import RawChannel, RawMessage
-from recording.quantities import quantity
-from recording.reader import Recording
-from recording.records import REJECTED_TOPIC, RejectedRecord
-from recording.rewrite import CopyWriter
-from recording.tables import line, plain, typed_columns
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording.channel_filter import Selection
+from telenano.recording.export import export_recording, plain_schema
+from telenano.recording.messages import RawChannel, RawMessage
+from telenano.recording.quantities import quantity
+from telenano.recording.reader import Recording
+from telenano.recording.records import REJECTED_TOPIC, RejectedRecord
+from telenano.recording.rewrite import CopyWriter
+from telenano.recording.tables import line, plain, typed_columns
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import TOPICS, encode
+from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.messages import AfmScanline, Array
 
 HEIGHTS = np.array([1e-9, -2.5e-10, 3e-12])
 
@@ -340,10 +340,10 @@ def test_tables_written_in_batches_are_those_written_at_once(
     at_once = exported(rich, tmp_path / "once", kind)
     assert len(at_once) >= 4
     # the vector that only the fourth message has is not in the first batch
-    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 3)
+    monkeypatch.setattr("telenano.recording.table_batches._MOST_ROWS", 3)
     assert exported(rich, tmp_path / "batches", kind) == at_once
     # each channel is written as soon as anything waits
-    monkeypatch.setattr("recording.table_batches._MOST_WAITING", 1)
+    monkeypatch.setattr("telenano.recording.table_batches._MOST_WAITING", 1)
     assert exported(rich, tmp_path / "singly", kind) == at_once
 
 
@@ -359,8 +359,8 @@ def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatc
         lengths.append(len(messages))
         return typed_columns(messages)
 
-    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 64)
-    monkeypatch.setattr("recording.table_batches.typed_columns", counted)
+    monkeypatch.setattr("telenano.recording.table_batches._MOST_ROWS", 64)
+    monkeypatch.setattr("telenano.recording.table_batches.typed_columns", counted)
     export_recording(writer.path, tmp_path / "parquet", "parquet")
     assert (max(lengths), sum(lengths)) == (64, 1000)
 
@@ -384,9 +384,9 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
     once = parquet.ParquetFile(tmp_path / "once" / "haptic_state.parquet")
     # what a file says of a row group is in memory until it is closed
     assert once.metadata.num_row_groups == 1
-    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 10)
-    monkeypatch.setattr("recording.parquet_tables._MOST_ROWS", 100)
-    monkeypatch.setattr("recording.parquet_tables._MOST_PARTS", 4 * once.metadata.num_columns)
+    monkeypatch.setattr("telenano.recording.table_batches._MOST_ROWS", 10)
+    monkeypatch.setattr("telenano.recording.parquet_tables._MOST_ROWS", 100)
+    monkeypatch.setattr("telenano.recording.parquet_tables._MOST_PARTS", 4 * once.metadata.num_columns)
     export_recording(path, tmp_path / "parts", "parquet")
     names = [f"haptic_state{part}.parquet" for part in ("", ".2", ".3")]
     assert sorted(each.name for each in (tmp_path / "parts").iterdir()) == sorted(names)
@@ -401,9 +401,9 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
 def test_the_memory_of_an_export_does_not_grow_with_the_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 50)
-    monkeypatch.setattr("recording.parquet_tables._MOST_ROWS", 150)
-    monkeypatch.setattr("recording.rewrite._CHUNK_BYTES", 8192)
+    monkeypatch.setattr("telenano.recording.table_batches._MOST_ROWS", 50)
+    monkeypatch.setattr("telenano.recording.parquet_tables._MOST_ROWS", 150)
+    monkeypatch.setattr("telenano.recording.rewrite._CHUNK_BYTES", 8192)
     peaks = []
     for number, messages in enumerate((250, 250, 1250)):
         path = _hand(tmp_path / f"from{number}", messages)

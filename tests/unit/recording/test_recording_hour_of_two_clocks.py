@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from wire_contract import examples
 
-from proto import TOPICS, encode
-from recording.reader import Recording
-from recording.site_clock import read_site_clock
-from recording.writer import FileSettings, RecordingWriter
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
+from telenano.recording.reader import Recording
+from telenano.recording.site_clock import read_site_clock
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS, encode
 
 BEGAN_NS, NS = 1_750_000_000_000_000_000, 1_000_000_000
 HOUR_S = 3600.0

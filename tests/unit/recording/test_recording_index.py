@@ -14,9 +14,9 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.writer import IndexType, Writer
 
-from recording.mcap_index import index_faults
-from recording.mcap_scan import MAGIC, RECORD_HEAD, scan
-from recording.verify import verify
+from telenano.recording.mcap_index import index_faults
+from telenano.recording.mcap_scan import MAGIC, RECORD_HEAD, scan
+from telenano.recording.verify import verify
 
 MakeFile = Callable[..., Path]
 FOOTER = RECORD_HEAD.size + 20 + len(MAGIC)

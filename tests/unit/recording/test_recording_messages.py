@@ -9,7 +9,7 @@ from typing import IO, Any
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from recording.mcap_messages import Compression, MessageWriter
+from telenano.recording.mcap_messages import Compression, MessageWriter
 
 LIBRARY_S = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 

@@ -7,15 +7,15 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from proto import encode
-from proto.messages import Message, SessionControl, SessionEvent
-from recording.indexed import open_indexed
-from recording.people import people_in
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.loop.commands import CommandHandler
 from telenano.cli.commands import bag
 from telenano.cli.commands.bag import app
+from telenano.recording.indexed import open_indexed
+from telenano.recording.people import people_in
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.messages import Message, SessionControl, SessionEvent
 
 T_NS = 10**18
 

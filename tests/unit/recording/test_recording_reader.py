@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from proto import encode
-from proto.errors import RecordingError
-from recording.mcap_scan import MAGIC, scan
-from recording.messages import RecordedMessage
-from recording.reader import Recording
-from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording.mcap_scan import MAGIC, scan
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.reader import Recording
+from telenano.recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError
 
 MakeFile = Callable[..., Path]
 

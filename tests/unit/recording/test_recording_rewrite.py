@@ -10,19 +10,19 @@ from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 from telenano_studies.recording_diff import diff_recordings
 
-from proto import encode
-from proto.ends import end_data
-from proto.errors import ConfigError, RecordingError
-from recording.channel_filter import Selection
-from recording.mcap_scan import MAGIC
-from recording.messages import RecordedMessage
-from recording.multi_file import open_recordings
-from recording.reader import Recording
-from recording.rewrite import filter_recording, merge_recordings, split_recording
-from recording.tolerance import Tolerances
-from recording.verify import verify
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording.channel_filter import Selection
+from telenano.recording.mcap_scan import MAGIC
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.multi_file import open_recordings
+from telenano.recording.reader import Recording
+from telenano.recording.rewrite import filter_recording, merge_recordings, split_recording
+from telenano.recording.tolerance import Tolerances
+from telenano.recording.verify import verify
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.ends import end_data
+from telenano.wire.errors import ConfigError, RecordingError
 
 MakeFile = Callable[..., Path]
 

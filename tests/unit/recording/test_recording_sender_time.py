@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, teleop_forward
 
-from proto import Message, encode
-from proto.ends import end_data
-from proto.messages import LinkClock
-from recording.channel_filter import ALL, Selection
-from recording.reader import Recording
-from recording.sender_time import SenderClock, SenderOrder, Sent
-from recording.writer import RecordingWriter
 from services.player.playback import Playback, Span
 from services.recorder.config import RecorderConfig
+from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.reader import Recording
+from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import Message, encode
+from telenano.wire.ends import end_data
+from telenano.wire.messages import LinkClock
 
 SECOND_NS = 1_000_000_000
 HAND, TIP = "haptic_node@master", "afm_node@slave"

@@ -1,7 +1,7 @@
 import pytest
 
-from proto.errors import ConfigError
-from recording.tolerance import Tolerances, first_difference
+from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.wire.errors import ConfigError
 
 LEFT = {"seq": 1, "position_m": (0.0, 0.0, -1e-9), "mode": "follow", "data": {"a": 1}}
 

@@ -12,13 +12,13 @@ import pytest
 from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, teleop_forward
 
-from proto import encode
-from proto.errors import RecordingError
-from proto.messages import HapticState
-from recording.reader import Recording
-from recording.records import GAP_TOPIC, GapRecord
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording.reader import Recording
+from telenano.recording.records import GAP_TOPIC, GapRecord
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import HapticState
 
 
 class TinyDisk(io.BytesIO):
@@ -156,8 +156,8 @@ import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 from services.recorder.config import RecorderConfig
-from recording.writer import RecordingWriter
-from proto.errors import RecordingError
+from telenano.recording.writer import RecordingWriter
+from telenano.wire.errors import RecordingError
 writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=Path(sys.argv[1]), compression="none"))
 channel = writer.channel("haptic/state", "haptic_node@master", "master")
 try:

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from proto.errors import RigError
-from recording.whole_files import BusyError, changed, locked
 from services.console.lease import Lease, Party, current, take
 from services.console.lease_register import Hold, LeaseRegister
 from services.runtime.loop import kept_stop
@@ -20,6 +18,8 @@ from services.runtime.security.keyring import Keyring
 from services.viz_node.lease_desk import LeaseDesk
 from services.viz_node.people import People
 from services.viz_node.serve import announced
+from telenano.recording.whole_files import BusyError, changed, locked
+from telenano.wire.errors import RigError
 from tests.doubles.shared_files import Shared, SharedFiles, race, small_disk
 
 ROUNDS = 12

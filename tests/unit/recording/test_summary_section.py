@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
-from proto import encode
-from recording import summary_section
-from recording.mcap_scan import scan
-from recording.reader import Recording
-from recording.records import GapRecord
-from recording.rewrite import filter_recording
-from recording.summary_section import quick_info
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording import summary_section
+from telenano.recording.mcap_scan import scan
+from telenano.recording.reader import Recording
+from telenano.recording.records import GapRecord
+from telenano.recording.rewrite import filter_recording
+from telenano.recording.summary_section import quick_info
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
 
 SRC = "haptic_node@master"
 
@@ -144,7 +144,8 @@ import atexit, sys
 from telenano.cli.app import main
 import telenano.cli.commands.bag as bag
 bag._LONG_BYTES = 0
-needless = {{"numpy", "zmq", "msgspec", "proto.messages", "proto.codec", "recording.reader", "matplotlib", "pyarrow"}}
+needless = {{"numpy", "zmq", "msgspec", "matplotlib", "pyarrow"}}
+needless |= {{"telenano.wire.messages", "telenano.wire.codec", "telenano.recording.reader"}}
 atexit.register(lambda: print("needless:", sorted(needless & set(sys.modules))))
 sys.argv = ["telenano", "bag", "info", {str(path)!r}, "--json"]
 main()

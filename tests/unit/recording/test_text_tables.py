@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from proto.errors import ConfigError
-from recording.text_tables import parse_table
-from recording.units import unit_of
+from telenano.recording.text_tables import parse_table
+from telenano.recording.units import unit_of
+from telenano.wire.errors import ConfigError
 
 # name, unit as written, and its factor to SI
 UNITS = [

@@ -8,14 +8,14 @@ import pytest
 from msgpack import packb
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
-from proto import encode
-from proto.ends import end_data
-from recording.messages import RecordedMessage
-from recording.reader import Recording
-from recording.records import GAP_TOPIC, GapRecord
-from recording.verify import Finding, Verdict, _Check, verify
-from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from telenano.recording.messages import RecordedMessage
+from telenano.recording.reader import Recording
+from telenano.recording.records import GAP_TOPIC, GapRecord
+from telenano.recording.verify import Finding, Verdict, _Check, verify
+from telenano.recording.writer import RecordingWriter
+from telenano.wire import encode
+from telenano.wire.ends import end_data
 
 HAND, AFM, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
 SECOND_NS = 1000 * MILLISECOND_NS

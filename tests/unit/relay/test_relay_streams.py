@@ -14,7 +14,6 @@ import pytest
 from free_ports import free_ports
 from relay_bench import ring
 
-from proto.errors import ConfigError
 from services.relay import channel as channels
 from services.relay import server, site_end
 from services.relay.channel import Channel, Gone, dial
@@ -25,6 +24,7 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.relay.protocol import PUBLIC_BYTES, raw_key
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.sealed import RejectedError
+from telenano.wire.errors import ConfigError
 
 PATIENCE_S = 30.0
 HOST = "127.0.0.1"

@@ -9,14 +9,14 @@ from typing import Any
 import zmq
 from network_bench import payload
 
-from proto import compose
-from proto.messages import Message
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import Received, Subscriber
 from services.runtime.bus.publisher import SPARSE
 from services.runtime.datagram.end import DatagramEnd
 from services.runtime.datagram.place import Outlets, Place
 from telenano.extend.testing import VirtualClock
+from telenano.wire import compose
+from telenano.wire.messages import Message
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

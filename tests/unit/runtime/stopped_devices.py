@@ -5,10 +5,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from proto import TOPICS, encode
-from proto.messages import Message, SessionControl, SessionEvent
-from proto.nodes import is_meant, site_of
-from proto.sequence import Arrival
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
@@ -25,6 +21,10 @@ from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
+from telenano.wire import TOPICS, encode
+from telenano.wire.messages import Message, SessionControl, SessionEvent
+from telenano.wire.nodes import is_meant, site_of
+from telenano.wire.sequence import Arrival
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)

@@ -11,14 +11,14 @@ import pytest
 import zmq
 from recorder_samples import haptic_state
 
-from presets import DEFAULT_SITE_FILE
-from proto import encode
 from services.launcher.fan_out import endpoints_of, fan_out
 from services.launcher.plan import UpRequest, make_plan
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.fan_out import serve
 from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from services.runtime.wiring.observer import Observer
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire import encode
 
 WAIT_MS = 20_000
 HAND = "haptic_node@master"

@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 from wire_contract import examples
 
-from proto import TOPICS, encode
-from proto.sequence import Arrival
-from proto.topics import LOOP_DEADLINE_S
 from services.delay_node.declared_delay import DeclaredDelay
 from services.delay_node.fate import Release, delayed
 from services.runtime.bus.bus import Received
 from services.runtime.loop.freshness import LOOP_DEADLINE_NS, Freshness
+from telenano.wire import TOPICS, encode
+from telenano.wire.sequence import Arrival
+from telenano.wire.topics import LOOP_DEADLINE_S
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9

@@ -6,9 +6,6 @@ import msgspec
 import pytest
 from test_runtime_node import MS, Journalled, Rig, journalled_rig
 
-from proto import encode
-from proto.journal_messages import NodeJournal
-from proto.messages import SessionEvent
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
@@ -17,6 +14,9 @@ from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.loop import journal
 from services.runtime.loop.node_state import is_whole, pack
+from telenano.wire import encode
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.messages import SessionEvent
 
 
 class State(NamedTuple):

@@ -6,8 +6,6 @@ from typing import Any
 import pytest
 from test_runtime_node import MS, FakeBus, Rig
 
-from proto.messages import SUPERSEDED, SessionControl, SessionEvent
-from proto.sequence import Arrival
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
@@ -19,6 +17,8 @@ from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
+from telenano.wire.messages import SUPERSEDED, SessionControl, SessionEvent
+from telenano.wire.sequence import Arrival
 
 PLAIN = RealtimeStatus(fifo=False, memory_locked=False)
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig, turns_of
 
-from proto import encode
-from proto.journal_messages import NodeJournal
-from proto.messages import SessionControl
 from services.runtime.loop.commands import stop_of
 from services.runtime.loop.journal import DEFERRED
 from services.runtime.loop.kept_stop import keep
 from services.runtime.loop.node_loop import NodeLoop
+from telenano.wire import encode
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.messages import SessionControl
 
 NODE = "controller@master"
 # one that stood still for longer has missed its deadline

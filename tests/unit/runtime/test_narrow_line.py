@@ -6,7 +6,7 @@ import pytest
 from line_bench import MS, Bottleneck, run
 from test_runtime_line import MBIT, TO_MASTER, TO_SLAVE
 
-from studies.loops.simulation import simulate_scenario
+from telenano.lockstep.simulation import simulate_scenario
 
 pytestmark = [pytest.mark.endurance, pytest.mark.timeout(300)]
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from proto import TOPICS
-from proto.errors import ConfigError, EndpointError
-from proto.nodes import site_of
 from services.runtime.bus.address_book import AddressBook, NodeEntry, is_relayed, may_carry
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.settings.config import read_yaml, validate
+from telenano.wire import TOPICS
+from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire.nodes import site_of
 
-TWO_SITES = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
+TWO_SITES = Path(__file__).resolve().parents[3] / "telenano" / "presets" / "sites" / "two_sites.yaml"
 NODES = (
     "haptic_node@master",
     "controller@master",

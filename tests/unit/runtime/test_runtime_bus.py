@@ -18,15 +18,15 @@ import pytest
 import zmq
 from wire_contract import examples
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
-from proto.errors import EndpointError
-from proto.messages import AfmState, HapticState, SessionControl
-from proto.nodes import NODES, name_of
-from proto.sequence import Arrival
 from services.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
 from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
 from services.runtime.clock import SystemClock
 from telenano.extend.testing import VirtualClock
+from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
+from telenano.wire.errors import EndpointError
+from telenano.wire.messages import AfmState, HapticState, SessionControl
+from telenano.wire.nodes import NODES, name_of
+from telenano.wire.sequence import Arrival
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024

@@ -1,8 +1,8 @@
 import pytest
 
-from proto.errors import ConfigError
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from telenano.extend.testing import VirtualClock
+from telenano.wire.errors import ConfigError
 
 
 def test_header_time_is_the_monotonic_clock_with_a_constant_offset() -> None:

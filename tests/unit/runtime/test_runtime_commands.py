@@ -4,10 +4,10 @@ from typing import Any, Literal
 
 import pytest
 
-from proto.errors import RefusedError
-from proto.messages import Scalar, SessionControl, SessionEvent
 from services.runtime.loop.commands import Command, CommandClient, CommandHandler
 from telenano.extend.testing import VirtualClock
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Scalar, SessionControl, SessionEvent
 
 MS = 1_000_000
 SECOND = 1_000_000_000

@@ -9,7 +9,6 @@ import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from proto.errors import ConfigError
 from services.runtime.settings.config import (
     environment_overrides,
     flag_overrides,
@@ -20,6 +19,7 @@ from services.runtime.settings.config import (
     validate,
 )
 from services.runtime.settings.scenario import Scenario
+from telenano.wire.errors import ConfigError
 
 
 class Strict(BaseModel):

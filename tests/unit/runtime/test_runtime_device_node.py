@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
-from proto.messages import SessionEvent
-from proto.sequence import Arrival, SequenceTracker
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
+from telenano.wire.messages import SessionEvent
+from telenano.wire.sequence import Arrival, SequenceTracker
 
 SECOND_NS = 1_000_000_000
 COMMAND = {"mode": "hold", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": 0}

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from stopped_devices import HAND, MS, TIP, World
 
-from proto import encode
-from proto.messages import SessionControl
 from services.runtime.clock import process_start_ns
 from services.runtime.loop.commands import stop_of
 from services.runtime.loop.estop_latch import EstopLatch, begins_motion
 from services.runtime.loop.kept_stop import forget, keep, kept
+from telenano.wire import encode
+from telenano.wire.messages import SessionControl
 
 SECOND = 1_000_000_000
 

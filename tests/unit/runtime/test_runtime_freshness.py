@@ -2,11 +2,11 @@
 
 import pytest
 
-from proto import TOPICS
-from proto.messages import LinkDelay
-from proto.topics import LOOP_DEADLINE_S, deadline_of
 from services.runtime.clock import NEVER_NS
 from services.runtime.loop.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, Freshness, age_s
+from telenano.wire import TOPICS
+from telenano.wire.messages import LinkDelay
+from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9

@@ -15,13 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from proto import TOPICS, Message, encode
-from proto.ends import read_end
-from proto.errors import ConfigError, RefusedError
-from proto.journal_messages import NodeJournal
-from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
-from proto.ranges import limited
-from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.clock import NEVER_NS
 from services.runtime.loop import journal
@@ -31,6 +24,13 @@ from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resi
 from services.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
+from telenano.wire import TOPICS, Message, encode
+from telenano.wire.ends import read_end
+from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.journal_messages import NodeJournal
+from telenano.wire.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
+from telenano.wire.ranges import limited
+from telenano.wire.sequence import Arrival
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from proto.errors import RecordingError
-from proto.messages import HapticCommand
 from services.controller.law import HandSample
 from services.runtime.loop.node_state import FindInput, Part, is_whole, pack, part, restore
+from telenano.wire.errors import RecordingError
+from telenano.wire.messages import HapticCommand
 
 COMMAND = HapticCommand(
     seq=3, t_ns=4, src="a@b", v=1, mode="off", position_m=(0.0, -0.0, 1e-300), velocity_m_per_s=(0.0, 0.0, 0.0),

@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
-from proto.errors import ConfigError
-from proto.messages import AfmScanline, Array
-from recording.tables import json_fields
 from services.runtime.wiring.observer import Observer, known_name
+from telenano.recording.tables import json_fields
+from telenano.wire.errors import ConfigError
+from telenano.wire.messages import AfmScanline, Array
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from proto.errors import ConfigError
 from services.runtime.loop import realtime
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import (
@@ -29,6 +28,7 @@ from services.runtime.loop.realtime import (
 )
 from services.runtime.settings.scenario import RealtimeConfig
 from services.signals.children import die_with_parent
+from telenano.wire.errors import ConfigError
 
 PR_GET_PDEATHSIG, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 2, 1, 29, 30
 

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from proto.errors import ConfigError
 from services.runtime.settings.scenario import RealtimeConfig, Scenario, load_scenario
+from telenano.wire.errors import ConfigError
 
 GOOD = """
 name: fig12

@@ -9,10 +9,10 @@ import yaml
 import zmq
 from zmq.utils import z85
 
-from proto.errors import ConfigError, RigError
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.security.access_control import AccessControl, relay_key
 from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
+from telenano.wire.errors import ConfigError, RigError
 
 
 def secret_key(number: int) -> bytes:

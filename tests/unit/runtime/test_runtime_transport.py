@@ -29,8 +29,6 @@ from network_bench import (
     until,
 )
 
-from proto import WireError
-from proto.errors import ConfigError, EndpointError
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
@@ -42,6 +40,8 @@ from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, 
 from services.runtime.wiring import transport
 from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
+from telenano.wire import WireError
+from telenano.wire.errors import ConfigError, EndpointError
 
 OPERATOR = "controller@master"
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import yaml
 
-import presets
 from services.signals import children
+from telenano import presets
 
 SCHEMA = json.loads((Path(presets.__file__).parent / "schemas" / "scenario.json").read_text())
 # What a key needs beside it, so that it is looked at.
@@ -25,7 +25,7 @@ CODE = {"afm_node.sample.name"}
 TRIAL = """
 import ctypes, json, sys
 from pathlib import Path
-from proto.errors import TelenanoError
+from telenano.wire.errors import TelenanoError
 from services.afm_node.config import AfmConfig
 from services.delay_node.config import LinkSettings
 from services.delay_node.pipeline import read_files

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from proto.errors import ConfigError
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
@@ -16,6 +15,7 @@ from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.loop.commands import CommandHandler
 from services.runtime.settings.config import validate
+from telenano.wire.errors import ConfigError
 
 CURVE = {"program": "curve", "curve": {"load_n": 5e-9}}
 TOO_HARD = {"program": "curve", "curve": {"load_n": 1e-3}}

@@ -7,10 +7,10 @@ from typing import Any
 import fuzzed_nodes
 import pytest
 
-from proto import TOPICS
-from proto.errors import RecordingError, RefusedError
-from proto.messages import Scalar
 from services.runtime.loop.node import Node
+from telenano.wire import TOPICS
+from telenano.wire.errors import RecordingError, RefusedError
+from telenano.wire.messages import Scalar
 
 Parameters = dict[str, Scalar]
 THERMAL = {"disturbances.thermal.enabled": True}

@@ -155,7 +155,7 @@ def were_run(folder: Path) -> list[str]:
 def test_a_python_that_is_started_imports_nothing_of_the_folder() -> None:
     for environment in (None, dict(os.environ)):
         done = children.run(
-            [sys.executable, "-c", f"import recording, proto; {SHOWS_PATH}"],
+            [sys.executable, "-c", f"import services, telenano; {SHOWS_PATH}"],
             capture_output=True, text=True, env=environment,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
@@ -168,7 +168,7 @@ def test_a_python_that_is_started_imports_nothing_of_the_folder() -> None:
     ]
 
 
-IMPORTS = [sys.executable, "-c", "import recording, numpy, proto"]
+IMPORTS = [sys.executable, "-c", "import services, numpy, telenano"]
 
 
 def answer(words: list[str], environment: dict[str, str]) -> bool:
@@ -285,7 +285,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "packages/telenano-networks/telenano_networks/measured_lines.py": (by_measured_line,),
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
-    "packages/telenano-emulators/telenano_emulators/firmware.py": "a C compiler",
+    "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
     "services/haptic_node/devices/servo_process.py": (by_servo,),
     "services/launcher/child_session.py": (by_child_session,),
     "services/launcher/fan_out.py": (by_fan_out,),

@@ -11,7 +11,6 @@ _COMPUTES = """
 import os, random, signal, sys, threading, time
 from services.signals import interrupts
 {prepare}
-import studies
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
 from services.numerics.compiled import compiled

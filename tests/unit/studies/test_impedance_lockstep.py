@@ -7,7 +7,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DriveCommand, SpatialCommand
 from services.haptic_node.physics.coupled import coupled_plant_step, initial_coupled
 from services.numerics.compiled import compiled_form
-from studies.loops.simulation import simulate_scenario
+from telenano.lockstep.simulation import simulate_scenario
 
 DEVICE = {"haptic_node.driver": "simulated_impedance", "haptic_node.coupling.rest_s": 0.05}
 # F_m over alpha_f F_s at rest

@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 
 import telenano
-from proto.errors import RigError
 from services.controller.config import OWN_LAWS
 from services.controller.entering import CLEARANCE_M, LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from services.controller.law import NO_TIP
+from telenano.wire.errors import RigError
 
 SPEED = "afm_node.safety.base_speed_m_per_s"
 FIRST_S = 0.05

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
-from proto.errors import ConfigError
 from services.delay_node.config import parse_settings
-from studies.loops import link
-from studies.loops.link import schedule_of
+from telenano.lockstep import link
+from telenano.lockstep.link import schedule_of
+from telenano.wire.errors import ConfigError
 
 PERIOD_S = 1e-3
 

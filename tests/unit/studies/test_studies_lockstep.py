@@ -13,8 +13,8 @@ from services.afm_node.safety import MODE_FOLLOW
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
-from studies.loops import lockstep
-from studies.loops.link import schedule_of
+from telenano.lockstep import lockstep
+from telenano.lockstep.link import schedule_of
 
 PERIOD_S = 1e-3
 FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))

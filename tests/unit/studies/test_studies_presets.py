@@ -4,14 +4,11 @@ from typing import Any
 
 import pytest
 
-import studies
 import telenano
-from presets import SCENARIO_DIRECTORY
-from proto.errors import ConfigError, RigError
 from services.controller.config import OWN_LAWS
-from studies.loops.simulation import SimulatedSession
-
-assert studies  # before the steps are imported: they are compiled from then on
+from telenano.lockstep.simulation import SimulatedSession
+from telenano.presets import SCENARIO_DIRECTORY
+from telenano.wire.errors import ConfigError, RigError
 
 LAWS = tuple(OWN_LAWS)
 ENVIRONMENTS = ("tip_sample", "spring")

@@ -11,12 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import studies
 import telenano
-from proto.errors import ConfigError
-from studies.loops import lockstep
-
-assert studies  # before the steps are imported: they are compiled from then on
+from telenano.lockstep import lockstep
+from telenano.wire.errors import ConfigError
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +79,7 @@ def test_what_cannot_be_simulated_says_why(given: dict[str, object], text: str) 
 
 LOOP_OF_CALLS = """
 import hashlib, sys, telenano
-from studies.loops import lockstep
+from telenano.lockstep import lockstep
 lockstep.PLAIN_TICKS, calls = map(int, sys.argv[1:])
 for _ in range(calls):
     done = telenano.simulate(duration_s=0.3)

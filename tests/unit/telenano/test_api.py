@@ -17,9 +17,9 @@ from recorder_samples import sample
 from telenano_studies.repetitions import share, statistic
 
 import telenano
-from proto.errors import ConfigError, RecordingError, RigError
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
+from telenano.wire.errors import ConfigError, RecordingError, RigError
 
 
 @pytest.fixture(scope="module")

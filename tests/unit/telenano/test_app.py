@@ -9,13 +9,13 @@ import command_page
 import pytest
 from typer.testing import CliRunner
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
-from presets.known_packages import KNOWN_PACKAGES
-from proto.errors import RigError
 from services.runtime.wiring.main import node_kind, parse_arguments, run_node
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app
+from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
+from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.wire.errors import RigError
 
 RUNNER = CliRunner()
 

@@ -11,13 +11,13 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from proto.errors import ReportError
-from recording.reader import Recording
 from telenano.cli.commands.bag import app
 from telenano.cli.commands.record import record
 from telenano.cli.commands.replay import replay
 from telenano.cli.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
 from telenano.cli.tables import summary_tables
+from telenano.recording.reader import Recording
+from telenano.wire.errors import ReportError
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()

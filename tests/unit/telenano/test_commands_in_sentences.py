@@ -20,8 +20,8 @@ OWN, NAMED, QUOTED, PLAIN = (
     "Markdown of a result, in which the words between backticks are no command",
 )
 ORIGINS = {
-    "analysis/summary.py: name": PLAIN,
-    "analysis/summary.py: word": PLAIN,
+    "telenano/analysis/summary.py: name": PLAIN,
+    "telenano/analysis/summary.py: word": PLAIN,
     "services/delay_node/models/traces.py: wanted": OWN,
     "services/delay_node/profiles.py: shlex.quote(name)": QUOTED,
     "services/launcher/run.py: again": QUOTED,

@@ -11,10 +11,6 @@ import pytest
 from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
-from presets import plugins
-from proto.errors import ConfigError
-from proto.extras import how_to_add_package
-from recording.export import export_recording
 from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.provenance import plugin_facts
 from telenano.cli import lazy_commands
@@ -23,6 +19,10 @@ from telenano.doctor.report import checks_of_packages
 from telenano.extend.exports import write_recording
 from telenano.extend.images import Image, write_images
 from telenano.extend.messages import example, recorded
+from telenano.presets import plugins
+from telenano.recording.export import export_recording
+from telenano.wire.errors import ConfigError
+from telenano.wire.extras import how_to_add_package
 
 RUNNER = CliRunner()
 ROOT = Path(__file__).parents[3]

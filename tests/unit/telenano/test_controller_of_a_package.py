@@ -67,7 +67,7 @@ from pathlib import Path
 import yaml
 from typer.testing import CliRunner
 from services.launcher.plan import UpRequest, make_plan
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 from telenano.cli.root import app
 from telenano.doctor.devices import check_instrument
 from telenano_afm_controllers.request_server import serve_requests

@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from presets import DEFAULT_SITE_FILE
 from services.controller.config import KNOWN_LAWS
 from services.runtime.bus.address_book import AddressBook, NodeEntry
 from services.runtime.security.keyring import Keyring
@@ -21,6 +20,7 @@ from telenano.cli.root import app
 from telenano.doctor import checks
 from telenano.doctor import report as doctor
 from telenano.doctor.checks import Endpoint, Finding, KernelClock
+from telenano.presets import DEFAULT_SITE_FILE
 
 REQUIRES = [
     "msgpack>=1.1",
@@ -435,7 +435,7 @@ def test_a_project_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from studies.loops import simulation
+    from telenano.lockstep import simulation
 
     said: list[tuple[str, str]] = []
     monkeypatch.setattr(simulation, "compile_scenario", lambda name, law: said.append((name, law)))
@@ -447,7 +447,7 @@ def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.check("compiles a law")
 def test_a_session_after_warming_compiles_nothing_and_one_before_it_says_that_it_does(tmp_path: Path) -> None:
     warm = (
-        "from studies.loops import simulation; warm = simulation.compile_scenario\n"
+        "from telenano.lockstep import simulation; warm = simulation.compile_scenario\n"
         "simulation.compile_scenario = lambda name, law: law == 'virtual_impedance' and warm(name, law)\n"
         "from telenano.doctor.report import compile_models; compile_models(as_json=True)"
     )

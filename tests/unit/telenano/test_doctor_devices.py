@@ -7,8 +7,8 @@ import pytest
 import yaml
 from telenano_emulators.t7_model import calibration_of
 
-from proto.errors import ConfigError
 from telenano.doctor.devices import check_instrument, check_serial_ports
+from telenano.wire.errors import ConfigError
 
 
 def world(tmp_path: Path, *, latency_ms: int, programs: tuple[str, ...] = ()) -> tuple[Path, Path, Path]:

@@ -61,7 +61,7 @@ def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
         code, table, err = run("report", session, "--out", out)
         assert (code, err) == (1, f"telenano: {out}: cannot be written: {reason}\n")
         assert "scenario" in table
-    monkeypatch.setattr("analysis.report.write_files", no_space)
+    monkeypatch.setattr("telenano.analysis.report.write_files", no_space)
     code, table, err = run("report", session, "--out", in_the_way.with_name("out"))
     assert code == 1 and "cannot be written: No space left on device" in err and "scenario" in table
     assert in_the_way.read_text() == "kept"
@@ -76,7 +76,7 @@ def test_an_export_that_cannot_be_written_names_its_target(make_file: MakeFile, 
 
 
 def test_an_export_to_a_full_disk_says_so(make_file: MakeFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recording.export._write_csv", no_space)
+    monkeypatch.setattr("telenano.recording.export._write_csv", no_space)
     for attempt in ("a", "b"):
         code, _, err = run("bag", "export", make_file(), "--to", "csv", "--out", tmp_path / attempt)
         assert (code, err) == (1, f"telenano: {tmp_path / attempt}: cannot be written: No space left on device\n")

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from presets.plugins import KINDS
 from telenano.cli.new_package import new_package
+from telenano.presets.plugins import KINDS
 
 pytestmark = pytest.mark.check("one process loads every entry of every kind and runs the doctor")
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from proto import extras
+from telenano.wire import extras
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.afm_node.programs.curve import CurveSettings
 from services.afm_node.programs.scan import ScanSettings
 from services.afm_node.programs.table import OWN_PROGRAMS
 from telenano.cli.model_options import GIVEN, options_of, validated, with_options
+from telenano.wire.errors import ConfigError
 
 RUNNER = CliRunner()
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from proto.errors import ConfigError
 from services.runtime.loop import realtime
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import RealtimeStatus, apply_realtime
 from services.runtime.settings.scenario import RealtimeConfig
 from services.signals import children
+from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
 

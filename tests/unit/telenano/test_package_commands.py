@@ -13,9 +13,9 @@ from typing import Any, get_args
 
 import pytest
 
-from proto.errors import ConfigError
 from services.afm_node.physics.part import AfmSample
 from telenano.cli.new_package import Kind, new_package
+from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
 NAMES = {
@@ -93,7 +93,7 @@ found["sections"] = [
 ]
 
 found["messages"] = []
-from proto.errors import ConfigError
+from telenano.wire.errors import ConfigError
 from services.runtime.settings.config import validate
 for model, document in (
     (AfmConfig, {"stub_handle": {}}),

@@ -9,9 +9,9 @@ import command_page
 import pytest
 from typer.testing import CliRunner
 
-from presets import plugins
 from telenano.cli.lazy_commands import load_row, package_commands
 from telenano.cli.root import app
+from telenano.presets import plugins
 
 PACKAGES = Path(__file__).parents[3] / "packages"
 FOLDERS = {row.target.partition(".")[0]: row.package for row in plugins.installed("commands").values()}

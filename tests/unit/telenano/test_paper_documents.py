@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from rig_graph import edges
 
-from proto.nodes import name_of
+from telenano.wire.nodes import name_of
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"

@@ -21,7 +21,7 @@ import json, math
 import pytest
 from telenano.extend.testing import NodeBench as Bench
 from test_afm_programs import Imager
-from proto.errors import ConfigError, RefusedError
+from telenano.wire.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.console.command_client import parse_parameters
 from services.runtime.loop.node_state import pack, restore

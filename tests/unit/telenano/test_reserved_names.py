@@ -5,15 +5,15 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from presets import plugins
-from presets.plugins import Plugin
-from proto.errors import ConfigError
 from services.afm_node import config as afm
 from services.afm_node.physics.sample_models import checked_sample
 from services.controller import config as controller
 from services.haptic_node import config as haptic
 from services.runtime.settings.device_drivers import Drivers
 from telenano.cli.new_package import new_package
+from telenano.presets import plugins
+from telenano.presets.plugins import Plugin
+from telenano.wire.errors import ConfigError
 
 MODELS = (
     (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | set(afm.DRIVERS.names)),

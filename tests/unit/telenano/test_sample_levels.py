@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from analysis.image_files import Image, write_gsf
+from telenano.analysis.image_files import Image, write_gsf
 from telenano.cli.root import app
 
 

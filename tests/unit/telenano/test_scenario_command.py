@@ -13,14 +13,14 @@ import yaml
 from rig_graph import edges
 from typer.testing import CliRunner
 
-from presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
-from proto.errors import ConfigError
-from proto.nodes import SERVICES
 from services.launcher.plan import UpRequest, make_plan
 from services.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
 from services.runtime.settings.config import read_yaml
 from telenano.cli import completion
 from telenano.cli.root import app
+from telenano.presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
+from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import SERVICES
 
 RUNNER = CliRunner()
 
@@ -35,7 +35,7 @@ def core() -> dict[str, Any]:
     """Return what an installation without packages has: the schema of a scenario, its page, and no entries."""
     program = """
 import json, scenario_page
-from presets.plugins import all_installed
+from telenano.presets.plugins import all_installed
 from services.launcher.scenario_keys import scenario_schema
 found = {"schema": scenario_schema(), "page": scenario_page.page(), "installed": all_installed()}
 print(json.dumps(found))

@@ -8,11 +8,6 @@ import pytest
 import zmq
 from typer.testing import CliRunner
 
-from presets import DEFAULT_SITE_FILE
-from proto import TOPICS
-from proto.errors import RigError
-from proto.messages import InputHealth, Message, NodeHealth
-from proto.sequence import Arrival
 from services.launcher.rig_status import (
     NEEDED,
     RigStatus,
@@ -31,6 +26,11 @@ from services.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.cli.commands import status
 from telenano.cli.root import app
 from telenano.cli.tables import health_cells
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire import TOPICS
+from telenano.wire.errors import RigError
+from telenano.wire.messages import InputHealth, Message, NodeHealth
+from telenano.wire.sequence import Arrival
 
 RIG = [
     "haptic_node@master",

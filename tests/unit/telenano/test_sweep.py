@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError, RigError
 from telenano.cli import lazy_commands, sweep
 from telenano.cli.options import table_formats
 from telenano.cli.root import app
 from telenano.cli.sweep import points_of, run_sweep, without_sweep
+from telenano.wire.errors import ConfigError, RigError
 
 RUNNER = CliRunner()
 

@@ -12,10 +12,6 @@ import numpy as np
 import pytest
 from recorder_samples import sample
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import RigError, TelenanoError
-from proto.messages import Array
-from proto.nodes import TIP
 from services.console.command_client import send_control
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import ZmqPublisher
@@ -28,6 +24,10 @@ from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_session import Session
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.wire.errors import RigError, TelenanoError
+from telenano.wire.messages import Array
+from telenano.wire.nodes import TIP
 
 
 @pytest.fixture(autouse=True)

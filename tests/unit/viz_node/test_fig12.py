@@ -10,13 +10,13 @@ import pytest
 from figure_layout import arrows, faults
 from matplotlib.text import Text
 
-from analysis.report import read_session
-from recording.multi_file import open_recordings
 from services.viz_node.fig12 import SessionSeries, TipStates, draw_fig12, retracting
 from services.viz_node.figure_style import figure_options, styled
+from telenano.analysis.report import read_session
+from telenano.recording.multi_file import open_recordings
 
 Series = npt.NDArray[np.float64]
-DEMO = Path(__file__).resolve().parents[3] / "presets" / "demo.mcap"
+DEMO = Path(__file__).resolve().parents[3] / "telenano" / "presets" / "demo.mcap"
 BEGINS, ENDS = {"meniscus": "meniscus forms", "contact": "contact begins"}, {
     "meniscus": "meniscus breaks", "contact": "contact ends",
 }  # fmt: skip

@@ -10,10 +10,10 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from analysis.verdict import KINDS
-from proto.errors import ConfigError
 from services.viz_node.fig12 import SessionSeries, draw_fig12, fig12_files
 from services.viz_node.figure_style import COLUMN_IN, VERDICTS, drawn, figure_options
+from telenano.analysis.verdict import KINDS
+from telenano.wire.errors import ConfigError
 
 Colour = npt.NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 import pytest
 
-from proto.errors import ConfigError
 from services.viz_node.access import Access, Role, is_loopback
+from telenano.wire.errors import ConfigError
 
 OPERATOR, OBSERVER = "o" * 20, "p" * 20
 

@@ -12,16 +12,16 @@ import pytest
 from forged_files import copied, wide_index
 from made_sessions import Made
 
-from proto.errors import RefusedError
-from recording.arrays import columns
-from recording.indexed import IndexedRecording
-from recording.reader import Recording
 from services.viz_node import document as document_module
 from services.viz_node import level_cache
 from services.viz_node.document import RecordingDocument
 from services.viz_node.level_cache import LevelCache
 from services.viz_node.levels import Levels
 from services.viz_node.streams import STREAMS
+from telenano.recording.arrays import columns
+from telenano.recording.indexed import IndexedRecording
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RefusedError
 
 FORCE = [column.name for column in STREAMS[2].columns].index("force")
 

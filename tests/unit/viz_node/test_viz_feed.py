@@ -10,12 +10,11 @@ import msgpack
 import numpy as np
 import pytest
 
-import proto
 from services.viz_node.feed import Feed, Seen
 from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import STREAMS, described
 
-VECTORS = json.loads((Path(proto.__file__).parent / "golden" / "vectors.json").read_text())
+VECTORS = json.loads((Path(__file__).parents[3] / "proto" / "golden" / "vectors.json").read_text())
 START_NS = 10**18
 WAYS = ("forward", "backward")
 

@@ -21,9 +21,6 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from wire_contract import examples
 
-from proto import TOPICS
-from proto.experiment_messages import Question
-from proto.messages import Array, Message
 from services.viz_node import hub as hubs
 from services.viz_node import server
 from services.viz_node.access import Access
@@ -33,6 +30,9 @@ from services.viz_node.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPictu
 from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
+from telenano.wire import TOPICS
+from telenano.wire.experiment_messages import Question
+from telenano.wire.messages import Array, Message
 
 TOKEN = "participant-token-01"
 ACCESS = Access(
@@ -361,8 +361,8 @@ def test_a_shorter_delay_shows_what_was_held_and_in_order() -> None:
 
 
 def test_a_participant_has_a_token_of_its_own() -> None:
-    from proto.errors import ConfigError
     from services.viz_node.access import Role
+    from telenano.wire.errors import ConfigError
 
     access = Access.made(participant="q" * 20)
     assert access.role_of("q" * 20) is Role.PARTICIPANT

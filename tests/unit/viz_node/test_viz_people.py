@@ -16,7 +16,6 @@ from starlette.websockets import WebSocketDisconnect
 from test_viz_server import ACCESS, Page, Rig, command, until
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError
 from services.runtime.loop.loop_age import Part
 from services.viz_node import hub as hubs
 from services.viz_node import server
@@ -26,6 +25,7 @@ from services.viz_node.metrics import metrics_text
 from services.viz_node.people import People
 from telenano.cli.commands import view as view_command
 from telenano.cli.root import app
+from telenano.wire.errors import ConfigError
 
 ADDRESSES = [
     "view: http://127.0.0.1:8650/#secret",

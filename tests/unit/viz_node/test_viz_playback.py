@@ -6,14 +6,14 @@ import pytest
 from recorder_samples import EPOCH_NS, haptic_state
 from wire_contract import examples
 
-from proto import TOPICS, encode
-from proto.errors import RecordingError, RefusedError
-from proto.messages import Array
-from recording.reader import Recording
-from recording.writer import FileSettings, RecordingWriter
 from services.viz_node import playback as playback_module
 from services.viz_node.feed import Feed
 from services.viz_node.playback import RecordingPlayback
+from telenano.recording.reader import Recording
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS, encode
+from telenano.wire.errors import RecordingError, RefusedError
+from telenano.wire.messages import Array
 
 MS = 1_000_000
 

@@ -18,7 +18,6 @@ from test_viz_server import Rig
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from proto.errors import EndpointError
 from services.console import lease
 from services.viz_node import connections as limits
 from services.viz_node import hub as hubs
@@ -30,6 +29,7 @@ from services.viz_node.hub import Hub
 from services.viz_node.requests import LARGEST_FRAME, PROTOCOL
 from services.viz_node.serve import PageServer, bind, make_server
 from services.viz_node.source import NoTransport
+from telenano.wire.errors import EndpointError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123")
 # far beyond what is expected: only keeps a broken server from holding the suite

@@ -18,7 +18,6 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from proto.errors import RigError
 from services.haptic_node.operator_config import InteractiveConfig
 from services.viz_node import hub as hubs
 from services.viz_node import server
@@ -28,6 +27,7 @@ from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
 from services.viz_node.source import NoTransport
+from telenano.wire.errors import RigError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
 HEADERS = {"origin": "http://testserver"}

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from proto.errors import known_names
 from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.device_drivers import missing_driver
 from telenano.extend.commands import ConfigError, run_ahead
+from telenano.wire.errors import known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
 

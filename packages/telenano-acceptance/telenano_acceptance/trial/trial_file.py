@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from presets.plugins import all_installed
-from proto.errors import ConfigError
 from telenano.extend.exports import whole_file
 from telenano.extend.readers import open_regular
+from telenano.presets.plugins import all_installed
+from telenano.wire.errors import ConfigError
 from telenano_acceptance.handle.checks import HANDLE
 from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
 from telenano_acceptance.instrument.checks import INSTRUMENT

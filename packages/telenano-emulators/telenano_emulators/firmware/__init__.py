@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import presets
-from presets.regular_files import is_own, is_own_path
-from proto.errors import TelenanoError
 from services.signals import children
+from telenano.presets.regular_files import is_own, is_own_path
+from telenano.wire.errors import TelenanoError
 
-SOURCES = Path(presets.__file__).parents[1] / "firmware" / "handle"
+SOURCES = Path(__file__).parent / "handle"
 _FILES = ("core/frame.c", "core/handle.c", "boards/posix/posix.c")
 _HEADERS = ("core/frame.h", "core/handle.h")
 _FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")

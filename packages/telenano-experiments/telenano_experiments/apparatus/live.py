@@ -14,11 +14,6 @@ from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import RecordingError, RigError
-from proto.messages import AfmState, HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
-from proto.nodes import HAND, LINK, RECORDER, TIP
-from recording.reader import Recording
 from services.console.command_client import send_control
 from services.console.coupling import couple_anew
 from services.console.lease import EXPERIMENT
@@ -29,6 +24,11 @@ from services.haptic_node.config import HapticConfig
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command, CommandName
 from services.runtime.wiring.observer import Observer
+from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RecordingError, RigError
+from telenano.wire.messages import AfmState, HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
+from telenano.wire.nodes import HAND, LINK, RECORDER, TIP
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
 from telenano_experiments.apparatus.marks import END, Marks, code_of
 from telenano_experiments.apparatus.page_hand import PageHand

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from proto.errors import RigError
-from proto.messages import HapticState, TeleopBackward
-from proto.nodes import HAND, LINK
 from services.controller.config import ControllerConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.runtime.bus.address_book import load_site
 from services.runtime.wiring.participant import OBSERVER, Participant, open_participant
 from services.viz_node.commander import RigHand
-from studies.loops.across import steering_force_n
-from studies.loops.push_hand import Hand, hand_moves
+from telenano.lockstep.across import steering_force_n
+from telenano.lockstep.push_hand import Hand, hand_moves
+from telenano.wire.errors import RigError
+from telenano.wire.messages import HapticState, TeleopBackward
+from telenano.wire.nodes import HAND, LINK
 from telenano_experiments.operators import PRESSES
 
 # A page sends a force thirty times a second; an arm is faster.

@@ -11,11 +11,11 @@ from typing import Any
 
 import yaml
 
-from proto.errors import RigError
 from services.launcher.rigs import running_rigs
 from services.runtime.bus.local_endpoint import RIG_VARIABLE
 from services.signals import children
 from services.signals.interrupts import kept_from_children
+from telenano.wire.errors import RigError
 
 # A rig is ready within half a minute also where its models have to be compiled first.
 _READY_S = 120.0

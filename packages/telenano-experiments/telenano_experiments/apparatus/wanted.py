@@ -4,13 +4,13 @@ import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from proto.messages import Scalar
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, flattened
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from services.runtime.settings.config import flatten, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+from telenano.wire.messages import Scalar
 from telenano_experiments.plan import changes_while_running
 
 NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}

@@ -17,8 +17,8 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.delay_node.config import EVEN, network_name
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import validate
-from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Series, Trajectory, build_rig, simulate
+from telenano.lockstep.link import Schedule, schedule_of
+from telenano.lockstep.lockstep import Series, Trajectory, build_rig, simulate
 from telenano_experiments.benchmark.etvo import Offsets, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 

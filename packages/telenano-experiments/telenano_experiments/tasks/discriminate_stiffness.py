@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from proto.experiment_messages import Question
 from telenano.extend.tasks import (
     COMMON,
     Interval,
@@ -20,6 +19,7 @@ from telenano.extend.tasks import (
     common_of,
     tip_of,
 )
+from telenano.wire.experiment_messages import Question
 
 ANSWER, FIRST, SECOND = "stiffer", "first", "second"
 

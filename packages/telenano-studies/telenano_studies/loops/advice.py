@@ -3,8 +3,8 @@
 The laws are tuned by one rule (`tuning`), and run in lockstep on the network with several seeds and four
 hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same force
 if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these runs
-is stable by `analysis.verdict` and came to rest with the force that it should, unstruck. Those that are suited are
-ranked by a price, the sum of
+is stable by `telenano.analysis.verdict` and came to rest with the force that it should, unstruck. Those that are suited
+are ranked by a price, the sum of
 
 - the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
 - the share by which the greatest force at the tip exceeds the hand's, and
@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from proto.errors import ConfigError
 from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.settings.config import Settings as StrictSettings
 from services.runtime.settings.option import Option
 from telenano.extend.sessions import profile_named
+from telenano.wire.errors import ConfigError
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.tuning import Settings, tuned

@@ -17,9 +17,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from analysis.holds import STRUCK_FORCES as STRUCK_FORCES
-from analysis.holds import FactKind, judge_holds
-from proto.errors import ConfigError, known_names
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.afm_node.physics.cantilever import Plant
 from services.afm_node.physics.disturbances import DisturbanceConfig
@@ -35,9 +32,12 @@ from services.haptic_node.operator_config import ARMS
 from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
-from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate, time_to_place_s
-from studies.loops.simulation import instrument_of, known_of, programme_of
+from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
+from telenano.analysis.holds import FactKind, judge_holds
+from telenano.lockstep.link import Schedule, schedule_of
+from telenano.lockstep.lockstep import Rig, Series, Trajectory, build_rig, simulate, time_to_place_s
+from telenano.lockstep.simulation import instrument_of, known_of, programme_of
+from telenano.wire.errors import ConfigError, known_names
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
@@ -145,7 +145,7 @@ class Cell(Conditions):
         default=None, description="A link that is uneven in time both ways, instead of jitter and loss"
     )
     network: str | None = Field(
-        default=None, description="A network of presets/networks both ways, instead of delay, jitter and loss"
+        default=None, description="A network of telenano/presets/networks both ways, instead of delay, jitter and loss"
     )
     uneven_ms: float = Field(default=30.0, gt=0.0, le=1e4, description="Its slots, outages, pauses or teeth [ms]")
 
@@ -258,15 +258,16 @@ class Cell(Conditions):
 class CellResult:
     """What became of a cell.
 
-    verdict: see `analysis.verdict`, with its reason in words; growth_per_s [1/s] or None; peak_to_peak_n of alpha_f F_s
-    at the end of the hold [N]; out_of_contact_share: part of the judged hold that the tip was off the surface;
+    verdict: see `telenano.analysis.verdict`, with its reason in words; growth_per_s [1/s] or None; peak_to_peak_n of
+    alpha_f F_s at the end of the hold [N]; out_of_contact_share: part of the judged hold that the tip was off the
+    surface;
     hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed; lowest_energy_j: the least that the
     hand had put into the two-port, at its device, more than it gave to the tip, at the hand's scale [J]: below zero
     two-port and device have made energy; guarded: whether the instrument's safety chain ended the session; peak_n:
     greatest alpha_f F_s of the session [N]. In the later half of the hold, on average: tip_n, alpha_f F_s [N]; hand_n,
     F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J].
     guarded_share: part of the session in which a guard had taken over: the instrument did not follow, or the motor was
-    off. facts: what else is true of the hold, by `analysis.holds.FactKind`.
+    off. facts: what else is true of the hold, by `telenano.analysis.holds.FactKind`.
     """
 
     cell: Cell

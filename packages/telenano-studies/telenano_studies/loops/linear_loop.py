@@ -19,12 +19,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
 from services.runtime.settings.config import Settings, merge, nested, validate
+from telenano.wire.errors import ConfigError, known_names
 from telenano_studies.loops.theory import (
     Arm,
     Complex,

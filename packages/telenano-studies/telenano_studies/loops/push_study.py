@@ -18,8 +18,6 @@ import numpy as np
 from pydantic import Field
 from telenano_microscopy.particle_bench import bench
 
-from analysis.intervals import wilson
-from proto.errors import ConfigError, known_names
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.particles.push import KINETIC, RADIUS
 from services.afm_node.physics.particles.tip_shape import touch_distance_m
@@ -27,10 +25,12 @@ from services.afm_node.physics.step import initial_afm_state
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import Settings, validate
-from studies.loops import push_hand as h
-from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Rig, build_rig, simulate, time_to_place_s
-from studies.loops.simulation import instrument_params
+from telenano.analysis.intervals import wilson
+from telenano.lockstep import push_hand as h
+from telenano.lockstep.link import Schedule, schedule_of
+from telenano.lockstep.lockstep import Rig, build_rig, simulate, time_to_place_s
+from telenano.lockstep.simulation import instrument_params
+from telenano.wire.errors import ConfigError, known_names
 from telenano_studies.loops.cells import sources
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.sweep import Kind

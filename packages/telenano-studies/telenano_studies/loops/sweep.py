@@ -16,10 +16,10 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from proto.errors import ConfigError, RigError
-from recording.whole_files import locked
 from services.signals import children
 from services.signals.interrupts import kept_from_children
+from telenano.recording.whole_files import locked
+from telenano.wire.errors import ConfigError, RigError
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"

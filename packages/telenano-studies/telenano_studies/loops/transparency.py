@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
-from studies.loops.lockstep import Trajectory
+from telenano.lockstep.lockstep import Trajectory
 from telenano_studies.loops.cells import Cell, course_of, run_cell, scales_of
 
 FREQUENCY_HZ = 0.5

@@ -31,16 +31,16 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from analysis.holds import lacks_of
-from analysis.report import read_session
-from proto.errors import ConfigError, RecordingError, TelenanoError
-from recording.arrays import columns, last_programme
-from recording.reader import Recording
-from recording.site_clock import Timeline
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.launcher.child_session import reason_of, run_session
-from studies.loops.lockstep import Trajectory, simulate
+from telenano.analysis.holds import lacks_of
+from telenano.analysis.report import read_session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.recording.arrays import columns, last_programme
+from telenano.recording.reader import Recording
+from telenano.recording.site_clock import Timeline
+from telenano.wire.errors import ConfigError, RecordingError, TelenanoError
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
     Cell,

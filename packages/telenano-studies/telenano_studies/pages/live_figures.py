@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from presets import SCENARIO_DIRECTORY
-from proto.errors import RigError
-from recording.arrays import columns
-from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.launcher.child_session import reason_of, run_session
 from services.runtime.settings.scenario import load_scenario
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.presets import SCENARIO_DIRECTORY
+from telenano.recording.arrays import columns
+from telenano.recording.reader import Recording
+from telenano.wire.errors import RigError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,7 +19,7 @@ from services.controller.config import LAWS
 from services.controller.laws.tactile import impedance_scaled
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.physics.motor import bandwidth_hz, closed_loop_poles
-from studies.loops.simulation import SimulatedSession, simulate_scenario
+from telenano.lockstep.simulation import SimulatedSession, simulate_scenario
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 
 

@@ -11,8 +11,6 @@ from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
-from proto.errors import RigError
-from recording.whole_files import whole_file
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import volts_per_m
 from services.afm_node.physics.contact.capillary import meniscus_force, meniscus_radius_m
@@ -20,6 +18,8 @@ from services.afm_node.physics.contact.contact_table import table_force
 from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
 from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
 from services.afm_node.physics.contact.tip_sample import branch_force
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import RigError
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
@@ -229,7 +229,7 @@ def _add_curve(page: Page, curve: Curve) -> dict[str, object]:
 
 
 def _add_image(page: Page, found: SimulatedImage) -> dict[str, object]:
-    from analysis.image_files import Image, image_figure
+    from telenano.analysis.image_files import Image, image_figure
 
     titles = {"Height": found.height_m, "Surface as the tip sees it": found.truth_m,
               "Difference": found.height_m - found.truth_m}  # fmt: skip

@@ -27,11 +27,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from presets.regular_files import open_regular
-from proto.errors import ConfigError
-from recording.whole_files import whole_file
 from services.afm_node.physics.recorded_map import MapParams
 from services.afm_node.physics.sample.surface_files import METRES
+from telenano.presets.regular_files import open_regular
+from telenano.recording.whole_files import whole_file
+from telenano.wire.errors import ConfigError
 
 Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from proto.errors import ConfigError
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.sample.force_map import Span, span_of
 from services.afm_node.physics.sample.surface import (
@@ -23,6 +22,7 @@ from services.afm_node.physics.sample.surface import (
 )
 from services.afm_node.physics.sample.surface_files import SHAPES, read_surface
 from services.runtime.settings.config import Settings, refused_code
+from telenano.wire.errors import ConfigError
 
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {
     "centre": centred,

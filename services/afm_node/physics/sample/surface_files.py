@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from presets.regular_files import open_regular
-from proto.errors import ConfigError, probably_meant
-from recording.text_tables import as_number, read_table
-from recording.units import unit_of
 from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
 from services.runtime.untrusted.file_readers import read_by_package
+from telenano.presets.regular_files import open_regular
+from telenano.recording.text_tables import as_number, read_table
+from telenano.recording.units import unit_of
+from telenano.wire.errors import ConfigError, probably_meant
 
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LONGEST_GSF_HEADER = 1 << 16

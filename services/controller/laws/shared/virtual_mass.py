@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from proto.topics import deadline_of
 from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal, TipMeasurement
 from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
 from services.numerics.compiled import compiled
 from services.runtime.settings.config import Settings, filled
+from telenano.wire.topics import deadline_of
 
 # No hand and no tip comes so far; in an unstable loop a reference stays finite here.
 FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9

@@ -17,7 +17,7 @@ const STILL_TURNS = 2;
  * Find an oscillation that goes on at the end of values at times [s]: three turns, each about as long as the one
  * before, of at least `least` from peak to peak. Returns undefined where there is none.
  *
- * `analysis/swings.py` finds them in a recording by the same rule, and `test/swings.json` holds both to it.
+ * `telenano/analysis/swings.py` finds them in a recording by the same rule, and `test/swings.json` holds both to it.
  */
 export function oscillationIn(times: ArrayLike<number>, given: ArrayLike<number>, least: number): Oscillation | undefined {
   const values = middleOfThree(given);
