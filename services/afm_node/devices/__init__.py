@@ -1,1 +1,0 @@
-"""Real instruments over Modbus."""

@@ -1,1 +1,0 @@
-"""The simulated instrument: stage, cantilever, read-out, and what disturbs them."""

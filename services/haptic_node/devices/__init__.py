@@ -1,1 +1,0 @@
-"""Real handles on a serial line, and their calibration."""

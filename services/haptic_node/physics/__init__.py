@@ -1,1 +1,0 @@
-"""The simulated haptic device: motor, arm, and the operator who holds it."""

@@ -1,1 +1,0 @@
-"""Scenario and settings of a process, from file, environment, and command line."""
