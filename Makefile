@@ -138,11 +138,11 @@ reliability: setup ## Inject faults into real rigs and renew the table of docs/r
 
 # what editors complete scenario and site files by, the schema of summary.json, and the pages of keys and commands
 schemas: setup ## Write the schemas of scenarios, sites and summary.json, and the pages of their keys and of the commands.
-	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/telenano scenario schema >telenano/presets/schemas/scenario.json
-	$(BIN)/telenano scenario schema --site >telenano/presets/schemas/site.json
+	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/telenano scenario schema >telenano/settings/schemas/scenario.json
+	$(BIN)/telenano scenario schema --site >telenano/settings/schemas/site.json
 	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/python tests/doubles/scenario_page.py
 	$(BIN)/python tests/doubles/command_page.py
-	$(BIN)/python -P -m telenano.analysis.summary >telenano/presets/schemas/summary.json
+	$(BIN)/python -P -m telenano.analysis.summary >telenano/settings/schemas/summary.json
 	$(BIN)/python -P -m telenano.analysis.summary --markdown >docs/summary.md
 
 # the documents with their reference and the results of the notebooks, in out/site
@@ -158,7 +158,7 @@ site: setup ## Build the documents as a site in out/site.
 # the pictures of the gallery and of the tutorial, each by the command beside it; look at them before you commit them
 pictures: setup ## Draw the pictures of the documents again, and the curves of the measured networks on the page.
 	$(BIN)/telenano link picture --out out/lines $(foreach line,cicv5g starlink att verizon private_5g urllc,\
-	  $(basename $(notdir $(wildcard telenano/presets/networks/$(line)_*.yaml))))
+	  $(basename $(notdir $(wildcard telenano/settings/networks/$(line)_*.yaml))))
 	cp out/lines/networks.json services/viz_node/web/gallery/networks.json
 	TELENANO_PICTURES=docs $(BIN)/pytest -m endurance tests/stack/test_pictures.py
 

@@ -16,9 +16,9 @@ from typing import Protocol
 
 import zmq
 
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage
-from services.runtime.settings.scenario import RealtimeConfig
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage
+from telenano.settings.scenario import RealtimeConfig
 from telenano.wire import encode
 from telenano.wire.messages import (
     AfmCommand,

@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from services.signals import children
+from telenano.signals import children
 
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
 PROJECT = f"telenano-bench-{os.getpid()}"

@@ -23,19 +23,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.modbus_frames import Conversation, Operation
-from services.afm_node.instrument import modbus_driver
-from services.afm_node.section_config import ModbusConfig
-from services.haptic_node.config import LimitsConfig
-from services.haptic_node.devices.calibration import read_calibration
-from services.haptic_node.devices.serial_driver import SerialHandle
-from services.haptic_node.driver import DriveCommand
-from services.haptic_node.safety import MODE_OFF
-from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.realtime import apply_realtime, freeze_garbage, use_huge_pages
-from services.runtime.settings.scenario import RealtimeConfig
-from services.signals import children
+from telenano.afm.config import AfmConfig
+from telenano.afm.section_config import ModbusConfig
+from telenano.devices.afm.instrument import modbus_driver
+from telenano.devices.afm.modbus_frames import Conversation, Operation
+from telenano.devices.hand.calibration import read_calibration
+from telenano.devices.hand.serial_driver import SerialHandle
+from telenano.hand.config import LimitsConfig
+from telenano.hand.driver import DriveCommand
+from telenano.hand.safety import MODE_OFF
+from telenano.runtime.loop.log import StructuredLog, configure_logging
+from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage, use_huge_pages
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals import children
 
 PERIOD_S = 1e-3
 START_S = 60.0

@@ -26,11 +26,11 @@ from typing import Any, cast
 
 from empty_loop import EmptyLoops
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import dynamic_afm
-from services.afm_node.physics.sim import simulated_afm
-from services.signals import children
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
+from telenano.devices.afm.instrument import dynamic_afm
 from telenano.recording.reader import Recording
+from telenano.signals import children
 from telenano.wire import decode
 from telenano.wire.messages import AfmState, NodeHealth
 

@@ -22,11 +22,11 @@ from pathlib import Path
 
 import zmq
 
-from services.console.command_client import send_control
-from services.runtime.bus.address_book import load_site
-from services.runtime.loop.commands import Command
-from services.signals import children
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.command_client import send_control
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.loop.commands import Command
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.signals import children
 from telenano.wire.errors import TelenanoError
 
 AFM = "afm_node@slave"

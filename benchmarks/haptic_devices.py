@@ -18,7 +18,7 @@ from typing import Any
 
 from side_by_side import figures
 
-from services.signals import children
+from telenano.signals import children
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "packages" / "telenano-haptic-devices" / "tests"))
 

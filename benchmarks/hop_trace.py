@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from services.runtime.bus.bus import Subscriber, ZmqBus
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.log import StructuredLog
+from telenano.runtime.bus.bus import Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.log import StructuredLog
 
 # in the order of a hop; `act` is all that a node does besides: its step, the journal, the loop around both
 PARTS = ("take", "decode", "act", "build", "send", "after")

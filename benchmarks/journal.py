@@ -23,18 +23,18 @@ import numpy as np
 import zmq
 from wire_examples import ordinary_example
 
-from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
-from services.delay_node.config import parse_settings
 from services.delay_node.node import DelayNode
-from services.runtime.bus.bus import Received, Subscriber, ZmqBus
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.loop.journal import InputJournal
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.loop.realtime import RealtimeStatus
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import parse_settings
+from telenano.runtime.bus.bus import Received, Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.journal import InputJournal
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, decode, encode
 from telenano.wire.sequence import Arrival
 

@@ -24,13 +24,13 @@ import numpy as np
 import yaml
 import zmq
 
-from services.runtime.bus.bus import Subscriber
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import apply_realtime, freeze_garbage, shallow_idle
-from services.runtime.settings.scenario import RealtimeConfig
-from services.signals import children
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage, shallow_idle
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals import children
+from telenano.timing.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 
 BURST = 3
 PERIOD_NS = 1_000_000

@@ -14,16 +14,16 @@ import statistics
 import sys
 from pathlib import Path
 
-from services.signals import children
+from telenano.signals import children
 
 HERE = Path(__file__).resolve().parents[1]
 NETWORKS = ("clean", "wifi", "lte", "cicv5g_n78_arterial", "starlink_driving", "verizon_driving")
 REFERENCE = "lte"
 CARRY = """
 import sys, time
-from services.delay_node.config import parse_settings
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.profiles import PROFILES
+from telenano.link.config import parse_settings
+from telenano.link.direction import DirectionEngine
+from telenano.link.profiles import PROFILES
 name = sys.argv[1] if sys.argv[1] in PROFILES else sys.argv[2]
 engine = DirectionEngine("forward", parse_settings({"profile": name, "seed": 3}), 0)
 topics, payload, best = ("teleop/forward", "law/status", "node/health"), bytes(300), 1e9

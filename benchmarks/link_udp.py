@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from services.signals import children
+from telenano.signals import children
 
 SIZE_BYTES = 200
 _STAMP = struct.Struct("<Q")

@@ -18,13 +18,13 @@ from telenano_studies import option_values
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
 from telenano_studies.loops.links import symmetric_link
 
-from services.afm_node.physics.step import AfmInputs
-from services.afm_node.physics.step import step as instrument_step
-from services.haptic_node.physics.step import HapticInputs
-from services.haptic_node.physics.step import step as haptic_step
-from services.numerics.compiled import always_compiled
+from telenano.afm.step import AfmInputs
+from telenano.afm.step import step as instrument_step
+from telenano.hand.step import HapticInputs
+from telenano.hand.step import step as haptic_step
 from telenano.lockstep.link import schedule_of
 from telenano.lockstep.lockstep import Rig, Trajectory, simulate
+from telenano.numerics.compiled import always_compiled
 
 AIM = 2000.0
 _SETTLE_TICKS = 300

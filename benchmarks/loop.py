@@ -29,9 +29,9 @@ from typing import Any, NamedTuple, cast
 from chains import measure_sockets, measure_zeromq
 from hop_trace import PARTS
 
-from services.runtime.loop.realtime import shallow_idle
-from services.signals import children
 from telenano.recording.reader import Recording
+from telenano.runtime.loop.realtime import shallow_idle
+from telenano.signals import children
 from telenano.wire import decode
 from telenano.wire.messages import HapticState
 

@@ -25,17 +25,17 @@ from link import ANSWER, SIGNAL
 
 from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
-from services.runtime.bus.address_book import RELAY, AddressBook, LinkTransport
-from services.runtime.clock import SystemClock
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage, shallow_idle
-from services.runtime.relay.protocol import split_host_port
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
-from services.runtime.settings.scenario import RealtimeConfig
-from services.runtime.wiring.participant import Participant
-from services.runtime.wiring.transport import Transport, open_context
-from services.signals import children
+from telenano.runtime.bus.address_book import RELAY, AddressBook, LinkTransport
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage, shallow_idle
+from telenano.runtime.relay.protocol import split_host_port
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
+from telenano.runtime.wiring.participant import Participant
+from telenano.runtime.wiring.transport import Transport, open_context
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals import children
+from telenano.timing.clock import SystemClock
 
 PERIOD_NS = 1_000_000
 # the two ends of the link between machines

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from services.signals import children
+from telenano.signals import children
 
 KINDS = ("none", "direct", "shared", "pages")
 # The sessions begin some seconds after the processes; the observers connect when the rig runs.
@@ -24,9 +24,9 @@ START_S, MARGIN_S = 4.0, 2.0
 # They have imported all that they need when the rig starts: that takes more processor time than to listen.
 OBSERVER = """
 import sys
-from telenano.presets import DEFAULT_SITE_FILE
-from services.runtime.wiring.observer import Observer
-from services.runtime.wiring.main import load_site
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.runtime.wiring.observer import Observer
+from telenano.runtime.wiring.main import load_site
 print("ready", flush=True)
 sys.stdin.readline()
 observer, count = Observer(load_site(DEFAULT_SITE_FILE), shared=sys.argv[1] == "shared"), 0

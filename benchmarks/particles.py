@@ -22,9 +22,9 @@ from telenano_learning import PUSH
 from telenano_learning.engine import CONTROL_S
 from telenano_learning.push_env import PushVectorEnv
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.devices.afm.instrument import driver_of
+from telenano.settings.config import validate
 
 ROWS = 64
 _PRESSED_M = 30e-9

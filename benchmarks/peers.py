@@ -24,7 +24,7 @@ from typing import Any
 from chains import OpenEnd, measure_ends, measure_sockets, measure_zeromq
 from loop import measure_rig
 
-from services.runtime.loop.realtime import shallow_idle
+from telenano.runtime.loop.realtime import shallow_idle
 
 _MOST_BYTES = 1024
 

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from services.signals import children
+from telenano.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("services", "telenano")
@@ -23,8 +23,8 @@ STUDY = (
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
 )
 # what is done, the file, a text in it and what takes its place
-LAW = "services/controller/laws/virtual_impedance.py"
-MODEL = "services/afm_node/physics/contact/lennard_jones.py"
+LAW = "telenano/laws/virtual_impedance.py"
+MODEL = "telenano/afm/contact/lennard_jones.py"
 FIGURES = "telenano_studies/pages/figures.py"
 EDITS = (
     ("nothing", LAW, "", ""),

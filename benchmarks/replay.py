@@ -39,18 +39,18 @@ from services.player.node import PlaySettings
 from services.player.plan import node_of
 from services.player.run import ReplayRequest, run_replay
 from services.recorder.begin_recording import begin_recording
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus.bus import Subscriber
-from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK
-from services.runtime.clock import SystemClock
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import apply_realtime, freeze_garbage, on_time, shallow_idle
-from services.runtime.settings.scenario import RealtimeConfig
-from services.signals import children
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import SEND_HIGH_WATER_MARK
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage, on_time, shallow_idle
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals import children
+from telenano.timing.clock import SystemClock
 from telenano.wire import encode
 from telenano.wire.messages import Message
 from telenano.wire.nodes import PLAYER

@@ -14,8 +14,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from services.signals import children
 from telenano.recording.reader import Recording
+from telenano.signals import children
 
 BASELINE = (1, 1000.0)
 # These are in the loop, or carry it.

@@ -33,11 +33,11 @@ import numpy as np
 import yaml
 from empty_loop import EmptyLoops
 
-from services.signals import children
 from services.viz_node.requests import PROTOCOL
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.presets import SCENARIO_DIRECTORY
 from telenano.recording.reader import Recording
+from telenano.settings import SCENARIO_DIRECTORY
+from telenano.signals import children
 from telenano.wire import TOPICS
 
 # caches, free lists and the recorder's buffers find their size in the first part of a run

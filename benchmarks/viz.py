@@ -35,9 +35,9 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from services.signals import children
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.signals import children
 from telenano.wire import TOPICS
 from telenano.wire.topics import LOOP_DEADLINE_S
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from services.signals import children
+from telenano.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
 TUN_CABLE = ROOT / "tests" / "stack" / "tun_cable.py"
@@ -71,7 +71,7 @@ def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, s
 
 def send(way: str, seconds: float, folder: Path) -> None:
     """Be the sending end."""
-    from services.runtime.loop.realtime import shallow_idle
+    from telenano.runtime.loop.realtime import shallow_idle
 
     with shallow_idle():
         if way == "link":
@@ -103,7 +103,7 @@ def _send_plain(way: str) -> None:
 
 def receive(way: str, seconds: float, folder: Path) -> list[float]:
     """Be the receiving end; gives the age of the newest sample at each millisecond [ms]."""
-    from services.runtime.loop.realtime import shallow_idle
+    from telenano.runtime.loop.realtime import shallow_idle
 
     with shallow_idle():
         return _run_link(seconds, folder, sending=False) if way == "link" else _receive_plain(way, seconds)
@@ -145,12 +145,12 @@ def _run_link(seconds: float, folder: Path, *, sending: bool) -> list[float]:
     """Run an end of the link itself, its keys agreed over CURVE as in a rig; gives the ages at the receiving one."""
     from link import ANSWER, SIGNAL
 
-    from services.runtime.bus.address_book import AddressBook
-    from services.runtime.clock import SystemClock
-    from services.runtime.loop.log import StructuredLog
-    from services.runtime.security.keyring import Keyring
-    from services.runtime.wiring.participant import Participant
-    from services.runtime.wiring.transport import Transport, open_context
+    from telenano.runtime.bus.address_book import AddressBook
+    from telenano.runtime.loop.log import StructuredLog
+    from telenano.runtime.security.keyring import Keyring
+    from telenano.runtime.wiring.participant import Participant
+    from telenano.runtime.wiring.transport import Transport, open_context
+    from telenano.timing.clock import SystemClock
 
     nodes = {"delay_node@slave": f"tcp://{THERE}:{PORT}", "controller@slave": f"tcp://{HERE}:{PORT + 7}"}
     book = AddressBook.model_validate({"machines": {"master": THERE, "slave": HERE}, "nodes": nodes})
@@ -210,7 +210,7 @@ def measure(way: str, delay_s: float, loss: float, seconds: float) -> tuple[list
 
 def make_keys(folder: Path) -> None:
     """Have both machines know each other."""
-    from services.runtime.security.keyring import Keyring
+    from telenano.runtime.security.keyring import Keyring
 
     rings = {name: Keyring(folder / name) for name in ("master", "slave")}
     public = {name: ring.create(name).public.decode() for name, ring in rings.items()}

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import yaml
 
-from services.launcher.plan import anchored
-from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE
-from services.runtime.security.private_files import check_runtime_directory
-from services.runtime.settings.config import ENVIRONMENT_PREFIX, layered
-from services.runtime.wiring.main import EXIT_BAD_START
-from services.signals import children
-from telenano import presets
+from telenano import settings as presets
+from telenano.launcher.plan import anchored
+from telenano.runtime.bus.local_endpoint import runtime_directory
+from telenano.runtime.security.private_files import check_runtime_directory
+from telenano.runtime.wiring.main import EXIT_BAD_START
+from telenano.settings.config import ENVIRONMENT_PREFIX, layered
+from telenano.signals import children
+from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.errors import ConfigError
 
 # the cache that the build filled; the image is read-only, and a study compiles more

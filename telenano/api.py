@@ -190,7 +190,7 @@ def check_law(name: str) -> dict[str, list[str]]:
         ConfigError: There is no such law, or the law of a package cannot be used; the message names the laws there are,
             or the reason.
     """
-    from services.controller.law_rules import broken_rules, known_law
+    from telenano.laws.law_rules import broken_rules, known_law
 
     known_law(name)
     return broken_rules(name)
@@ -204,9 +204,9 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
         ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
         RigError: No rig of the site file runs.
     """
-    from services.runtime.bus.address_book import load_site
-    from services.runtime.wiring.observer import Observer, require_rig
-    from telenano.presets import DEFAULT_SITE_FILE
+    from telenano.runtime.bus.address_book import load_site
+    from telenano.runtime.wiring.observer import Observer, require_rig
+    from telenano.settings import DEFAULT_SITE_FILE
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
     book = load_site(path)

@@ -13,7 +13,7 @@ if (node := next((name for name in _TRACED if name in sys.orig_argv), "")) and "
     sys.path.insert(0, str(Path(__file__).parents[1]))
     import hop_trace
 
-    from services.runtime.loop.log import StructuredLog
+    from telenano.runtime.loop.log import StructuredLog
 
     site = sys.orig_argv[sys.orig_argv.index("--site") + 1]
     atexit.register(hop_trace.install(StructuredLog(f"{node.rpartition('.')[2]}@{site}")))

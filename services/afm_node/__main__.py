@@ -9,12 +9,12 @@ if __name__ == "__main__":
 import sys
 from contextlib import nullcontext
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of
 from services.afm_node.node import INPUTS, AfmNode
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.realtime import ordinary_scheduling
-from services.runtime.wiring.main import NodeKind, ordinary, run_node
+from telenano.afm.config import AfmConfig
+from telenano.devices.afm.instrument import driver_of
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.realtime import ordinary_scheduling
+from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:

@@ -4,34 +4,34 @@ import contextlib
 import math
 from typing import Any, ClassVar, NamedTuple
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.capabilities import refusal
-from services.afm_node.driver import AfmDriver
-from services.afm_node.felt import FeltState
-from services.afm_node.guarded import AfmMemory, GuardedInstrument, Step, line_fields, parts_of
-from services.afm_node.instrument import pointed, reach_of, runner_of, sample_text
-from services.afm_node.physics.step import LONGEST_STEP_NS, command_wait_ns
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import Wanted
-from services.afm_node.programs.runner import RunnerState
-from services.afm_node.programs.settings import (
+from telenano.afm import safety
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import AfmDriver
+from telenano.afm.felt import FeltState
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.program import Wanted
+from telenano.afm.programs.runner import RunnerState
+from telenano.afm.programs.settings import (
     STIFFNESS,
     InstrumentRequest,
     changed_simulation,
     is_of_simulation,
     requested,
 )
-from services.afm_node.programs.table import CHANGES
-from services.numerics.frames import to_paper_axis
-from services.runtime.bus.bus import Received
-from services.runtime.loop.device_node import DeviceNode
-from services.runtime.loop.freshness import FreshnessState
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_state import FindInput, Part, part
+from telenano.afm.programs.table import CHANGES
+from telenano.afm.step import LONGEST_STEP_NS, command_wait_ns
+from telenano.devices.afm.capabilities import refusal
+from telenano.devices.afm.guarded import AfmMemory, GuardedInstrument, Step, line_fields, parts_of
+from telenano.devices.afm.instrument import pointed, reach_of, runner_of, sample_text
+from telenano.numerics.frames import to_paper_axis
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.device_node import DeviceNode
+from telenano.runtime.loop.node import NodeContext
+from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError, cause
 from telenano.wire.instrument import MOST_TEXT
 from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
+from telenano.wire.node_state import FindInput, Part, part
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 _PROGRAM_PERIOD_NS = 100_000_000

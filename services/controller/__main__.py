@@ -8,12 +8,12 @@ if __name__ == "__main__":
 
 import sys
 
-from services.controller.config import ControllerConfig
 from services.controller.half import ControllerHalf
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from services.runtime.loop.node import Node, NodeBus, NodeContext
-from services.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.laws.config import ControllerConfig
+from telenano.runtime.loop.node import Node, NodeBus, NodeContext
+from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
 from telenano.wire.nodes import site_of
 
 HALVES: dict[str, type[ControllerHalf]] = {"master": MasterController, "slave": SlaveController}

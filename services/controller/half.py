@@ -3,13 +3,13 @@
 from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
-from services.controller import energy
-from services.controller.clamp import clamped
-from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
-from services.controller.deadband import DeadbandState, deadband, initial_deadband_state
-from services.controller.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
-from services.controller.lateral import NO_STORE, Across, Store
-from services.controller.law import (
+from telenano.laws import energy
+from telenano.laws.clamp import clamped
+from telenano.laws.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
+from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
+from telenano.laws.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
+from telenano.laws.lateral import NO_STORE, Across, Store
+from telenano.laws.law import (
     NO_SIGNAL,
     NO_TIP,
     EnergyAccount,
@@ -20,13 +20,13 @@ from services.controller.law import (
     changed_in_contact,
     port_signal,
 )
-from services.numerics.frames import to_paper_axis, to_site_frame
-from services.runtime.bus.bus import Received
-from services.runtime.loop.freshness import FreshnessState
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.node_state import Part, part
+from telenano.numerics.frames import to_paper_axis, to_site_frame
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import SessionControl, TeleopBackward, TeleopForward
+from telenano.wire.node_state import Part, part
 
 STATUS_PERIOD_S = 0.01
 ROUND_TRIP_UNKNOWN = (0.0, False)

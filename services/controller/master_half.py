@@ -3,11 +3,11 @@
 import math
 from typing import Any, NamedTuple, cast
 
-from services.controller import energy, integration
-from services.controller.config import ControllerConfig
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
-from services.controller.integration import MasterTiming, TimingParams
-from services.controller.lateral import (
+from telenano.laws import energy, integration
+from telenano.laws.config import ControllerConfig
+from telenano.laws.integration import MasterTiming, TimingParams
+from telenano.laws.lateral import (
     DIRECT,
     LOST,
     MET,
@@ -19,12 +19,12 @@ from services.controller.lateral import (
     lateral_at_rest,
     lateral_master_step,
 )
-from services.controller.law import EnergyAccount, HandSample, MasterReference
-from services.numerics.frames import to_paper_axis, to_site_frame
-from services.runtime.bus.bus import Received
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_state import FindInput
+from telenano.laws.law import EnergyAccount, HandSample, MasterReference
+from telenano.numerics.frames import to_paper_axis, to_site_frame
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import NodeContext
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
+from telenano.wire.node_state import FindInput
 
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")

@@ -2,21 +2,21 @@
 
 from typing import Any, Literal, NamedTuple, cast
 
-from services.controller import energy, integration
-from services.controller.clamp import clamped
-from services.controller.config import ControllerConfig
-from services.controller.entering import LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from services.controller.half import ZERO_XY, ControllerHalf, HalfState
-from services.controller.integration import Settled, SlaveTiming, TimingParams
-from services.controller.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
-from services.controller.law import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
-from services.numerics.frames import to_paper_axis
-from services.runtime.bus.bus import Received
-from services.runtime.loop.freshness import DEADLINES_S
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_state import FindInput
+from telenano.laws import energy, integration
+from telenano.laws.clamp import clamped
+from telenano.laws.config import ControllerConfig
+from telenano.laws.entering import LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
+from telenano.laws.integration import Settled, SlaveTiming, TimingParams
+from telenano.laws.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
+from telenano.laws.law import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
+from telenano.numerics.frames import to_paper_axis
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import NodeContext
+from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
+from telenano.wire.node_state import FindInput
 
 # A program that is silent for so long is over [ns]: it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000
@@ -54,7 +54,7 @@ class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out.
 
     Whatever the law says, a command asks the instrument to follow only where the hand was armed in the sample behind
-    it, and says so. The guard of the instrument judges the same by itself (`services.afm_node.safety`).
+    it, and says so. The guard of the instrument judges the same by itself (`telenano.afm.safety`).
     """
 
     inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")

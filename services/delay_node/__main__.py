@@ -8,11 +8,11 @@ if __name__ == "__main__":
 
 import sys
 
-from services.delay_node.config import LinkSettings, changes_text
 from services.delay_node.node import DelayNode
-from services.runtime.loop.node import Node, NodeBus
-from services.runtime.loop.realtime import has_fifo
-from services.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.link.config import LinkSettings, changes_text
+from telenano.runtime.loop.node import Node, NodeBus
+from telenano.runtime.loop.realtime import has_fifo
+from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
 from telenano.wire.errors import ConfigError
 
 

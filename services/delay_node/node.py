@@ -5,21 +5,21 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
-from services.delay_node.config import LinkSettings, Setting, changed, flattened, network_name
-from services.delay_node.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.engine import LinkEngine, LinkState
-from services.delay_node.fate import Direction, Fate, Release
-from services.runtime.bus.bus import Received
-from services.runtime.bus.publisher import publish_end
-from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter, OffsetState
-from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.deferred import Task
-from services.runtime.loop.node import Node, NodeBus, NodeContext
-from services.runtime.loop.node_state import FindInput
+from telenano.link.config import LinkSettings, Setting, changed, flattened, network_name
+from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import LinkEngine, LinkState
+from telenano.link.fate import Direction, Fate, Release
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.deferred import Task
+from telenano.runtime.loop.node import Node, NodeBus, NodeContext
+from telenano.timing.clock_offset import Exchange, Offset, OffsetFilter, OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import ClockPong, LinkClock, LinkDirection, Message, SessionControl
+from telenano.wire.node_state import FindInput
 from telenano.wire.nodes import LINK
 from telenano.wire.ranges import limited
 from telenano.wire.topics import output_name

@@ -9,12 +9,12 @@ if __name__ == "__main__":
 import sys
 from pathlib import Path
 
-from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
-from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
-from services.haptic_node.physics.disturbances import DisturbedHaptic
-from services.runtime.loop.node import LOOP_PERIOD_S, NodeContext
-from services.runtime.wiring.main import NodeKind, ordinary, run_node
+from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
+from telenano.hand.disturbances import DisturbedHaptic
+from telenano.hand.driver import HapticDevice
+from telenano.runtime.loop.node import LOOP_PERIOD_S, NodeContext
+from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
@@ -32,8 +32,8 @@ def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevi
         return DisturbedHaptic(
             config.to_simulated_params(), config.device.start_position_m, config.disturbances, declared
         )
-    from services.haptic_node.devices.calibration import read_calibration
-    from services.haptic_node.devices.serial_driver import SerialHandle
+    from telenano.devices.hand.calibration import read_calibration
+    from telenano.devices.hand.serial_driver import SerialHandle
 
     calibration = read_calibration(Path(config.serial.calibration))
     return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits, period_s=period_s)

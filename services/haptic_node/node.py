@@ -2,24 +2,24 @@
 
 from typing import ClassVar, NamedTuple
 
-from services.haptic_node import safety
-from services.haptic_node.config import HapticConfig, changed_operator
-from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
-from services.haptic_node.driver import DeviceReading, DeviceReport, DriveCommand, HapticDevice
-from services.haptic_node.operator_config import InteractiveConfig
 from services.haptic_node.parts import HapticMemory, Tick, parts_of
-from services.haptic_node.physics.disturbances import DisturbedHaptic
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.numerics.frames import to_paper_axis, to_site_frame
-from services.runtime.bus.bus import Received
-from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.device_node import DeviceNode, Parts
-from services.runtime.loop.freshness import FreshnessState
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_state import FindInput, Part, part
-from services.runtime.settings.config import changed_disturbances
+from telenano.hand import safety
+from telenano.hand.config import HapticConfig, changed_operator
+from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
+from telenano.hand.disturbances import DisturbedHaptic
+from telenano.hand.driver import DeviceReading, DeviceReport, DriveCommand, HapticDevice
+from telenano.hand.operator_config import InteractiveConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.numerics.frames import to_paper_axis, to_site_frame
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.device_node import DeviceNode, Parts
+from telenano.runtime.loop.node import NodeContext
+from telenano.settings.config import changed_disturbances
+from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
+from telenano.wire.node_state import FindInput, Part, part
 from telenano.wire.nodes import is_meant
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import msgspec
 
-from services.haptic_node import safety
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import FAULTS, GATE_ACTIVE
-from services.haptic_node.driver import (
+from telenano.hand import safety
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupling import FAULTS, GATE_ACTIVE
+from telenano.hand.driver import (
     Capabilities,
     DeviceReading,
     DeviceReport,
@@ -18,11 +18,11 @@ from services.haptic_node.driver import (
     SpatialCommand,
     SpatialReading,
 )
-from services.haptic_node.operator_config import InteractiveConfig
-from services.haptic_node.physics.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop.device_node import StepPart
-from services.runtime.loop.freshness import age_s
+from telenano.hand.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
+from telenano.hand.operator_config import InteractiveConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.runtime.loop.device_node import StepPart
+from telenano.timing.freshness import age_s
 from telenano.wire.messages import HapticCommand
 
 # Place [m], velocity [m/s], own force and shown force [N] of the hand across the sample, (x, y) each.

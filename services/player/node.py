@@ -17,10 +17,10 @@ import zmq
 
 from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, PlaybackClock, is_state
-from services.runtime.bus.publisher import SNDMORE, ZmqPublisher
-from services.runtime.clock import Clock
-from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.runtime.bus.publisher import SNDMORE, ZmqPublisher
+from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
+from telenano.timing.clock import Clock
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar, SessionControl
 

@@ -1,9 +1,9 @@
 """What of a recording is played: its nodes and channels."""
 
-from services.runtime.bus.address_book import AddressBook
 from telenano.recording.channel_filter import Selection
 from telenano.recording.messages import RecordedChannel
 from telenano.recording.multi_file import RecordingSource
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import LAUNCHER, LINK, is_console, name_of
 

@@ -10,14 +10,14 @@ import zmq
 from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, Span
-from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.loop.realtime import on_time, shallow_idle
-from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
-from telenano.presets import DEFAULT_SITE_FILE
 from telenano.recording.channel_filter import Selection
 from telenano.recording.indexed import open_indexed
 from telenano.recording.messages import RecordedChannel
 from telenano.recording.multi_file import RecordingSource
+from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.loop.realtime import on_time, shallow_idle
+from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RecordingError, RigError
 from telenano.wire.nodes import LINK, PLAYER, is_console, name_of

@@ -9,14 +9,14 @@ if __name__ == "__main__":
 import sys
 
 from services.recorder.begin_recording import begin_recording
-from services.recorder.config import RecorderConfig, is_bulk
 from services.recorder.intake import Intake
-from services.recorder.listener import Listener
-from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.runtime.loop.node import Node, NodeBus
-from services.runtime.wiring.main import NodeKind, Wiring, run_node
-from services.runtime.wiring.participant import SITES
+from telenano.console.listener import Listener
+from telenano.console.live_recording import connect
+from telenano.recording.recorder_config import RecorderConfig, is_bulk
+from telenano.runtime.loop.node import Node, NodeBus
+from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.runtime.wiring.participant import SITES
 from telenano.wire import TOPICS
 from telenano.wire.ends import END_TOPIC
 from telenano.wire.nodes import FAR_RECORDER, site_of

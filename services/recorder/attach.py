@@ -7,12 +7,12 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from services.recorder.begin_recording import begin_recording
-from services.recorder.config import RecorderConfig
-from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.publisher import NullPublisher
-from services.runtime.wiring.participant import OBSERVER, StopSignals, open_participant, run_loop
+from telenano.console.live_recording import connect
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import NullPublisher
+from telenano.runtime.wiring.participant import OBSERVER, StopSignals, open_participant, run_loop
 from telenano.wire.nodes import site_of
 
 

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
-from services.recorder.provenance import write_provenance
 from services.recorder.rotation import FileRotation
-from services.runtime.clock import Clock
+from telenano.recording.provenance import write_provenance
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.timing.clock import Clock
 from telenano.wire.errors import RecordingError
 
 

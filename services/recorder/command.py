@@ -7,16 +7,16 @@ from typing import Annotated
 import typer
 
 from services.recorder.attach import run_record
-from services.recorder.config import RecorderConfig
 from services.recorder.node import RecorderNode
-from services.runtime.bus.address_book import load_site
-from services.runtime.settings.config import validate
-from services.runtime.wiring.observer import RIG_HINT, nobody_runs
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.config import validate
 from telenano.wire.errors import TelenanoError
 
 _KEYS_TEXT = "s new file · q end"

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from services.recorder.listener import Listener, Stream
 from services.recorder.rotation import FileRotation, QuotaError
-from services.runtime.bus.bus import Received, split_frames
+from telenano.console.listener import Listener, Stream
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.info import END_NAME
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
+from telenano.runtime.bus.bus import Received, split_frames
 from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError

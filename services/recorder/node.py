@@ -6,15 +6,15 @@ from typing import ClassVar
 
 import zmq
 
-from services.recorder.config import RecorderConfig
-from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
-from services.recorder.listener import Listener
-from services.runtime.bus.bus import NetworkEvents, Received, ZmqBus
-from services.runtime.bus.publisher import Publisher
-from services.runtime.clock import Clock
-from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.node import Node, NodeContext
+from telenano.console.listener import Listener
+from telenano.recording.disk_watch import DiskWatch
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.runtime.bus.bus import NetworkEvents, Received, ZmqBus
+from telenano.runtime.bus.publisher import Publisher
+from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.timing.clock import Clock
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import MAX_TEXT, SessionControl
 

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from services.recorder.config import RecorderConfig
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire.errors import RecordingError
 

@@ -10,13 +10,13 @@ from threading import Thread
 from typing import Any
 
 from services.relay.site_end import SiteEnd
-from services.runtime.bus.address_book import RELAY, AddressBook, load_site
-from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.realtime import ahead_of_others, raise_file_limit
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import Keyring
-from services.runtime.wiring.main import EXIT_BAD_START, parse_arguments
-from services.signals.children import die_with_parent
+from telenano.runtime.bus.address_book import RELAY, AddressBook, load_site
+from telenano.runtime.loop.log import StructuredLog, configure_logging
+from telenano.runtime.loop.realtime import ahead_of_others, raise_file_limit
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.wiring.main import EXIT_BAD_START, parse_arguments
+from telenano.signals.children import die_with_parent
 from telenano.wire.errors import ConfigError, EndpointError, TelenanoError
 
 

@@ -14,7 +14,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from services.runtime.relay.protocol import (
+from telenano.runtime.relay.protocol import (
     CHALLENGE_BYTES,
     MAGIC,
     PUBLIC_BYTES,
@@ -24,8 +24,8 @@ from services.runtime.relay.protocol import (
     raw_key,
     unpack,
 )
-from services.runtime.security.keyring import KeyPair
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.security.keyring import KeyPair
+from telenano.runtime.security.sealed import RejectedError
 
 # Who has not shown its key after so long is let go.
 HELLO_S = 5.0

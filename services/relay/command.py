@@ -7,15 +7,15 @@ import typer
 
 from services.relay.__main__ import run_site_end, until_stopped
 from services.relay.server import DEFAULT_PORT, Relay
-from services.runtime.bus.address_book import RELAY, load_site
-from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.realtime import ahead_of_others, raise_file_limit
-from services.runtime.relay.protocol import split_host_port
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import Keyring
 from telenano.cli.options import SiteFileOption
 from telenano.cli.output import report_errors
-from telenano.presets import TWO_SITES_FILE
+from telenano.runtime.bus.address_book import RELAY, load_site
+from telenano.runtime.loop.log import StructuredLog, configure_logging
+from telenano.runtime.loop.realtime import ahead_of_others, raise_file_limit
+from telenano.runtime.relay.protocol import split_host_port
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import Keyring
+from telenano.settings import TWO_SITES_FILE
 from telenano.wire.errors import ConfigError
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.relay.channel import Budget
-from services.runtime.datagram.sealing import MOST_BYTES
-from services.runtime.relay.protocol import (
+from telenano.runtime.datagram.sealing import MOST_BYTES
+from telenano.runtime.relay.protocol import (
     COOKIE,
     COOKIE_BYTES,
     MAGIC,
@@ -26,8 +26,8 @@ from services.runtime.relay.protocol import (
     parse_request,
     unpack,
 )
-from services.runtime.security.keyring import KeyPair
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.security.keyring import KeyPair
+from telenano.runtime.security.sealed import RejectedError
 
 Address = tuple[Any, ...]
 Pair = tuple[bytes, bytes]

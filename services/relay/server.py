@@ -14,10 +14,10 @@ from typing import Any
 
 from services.relay.channel import CHUNK_BYTES, HELLO_S, Budget, Channel, Gone, abort, meet, splice, tend
 from services.relay.forwarder import Forwarder
-from services.runtime.loop.log import StructuredLog
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import KeyPair, key_text
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import KeyPair, key_text
+from telenano.runtime.security.sealed import RejectedError
 from telenano.wire.errors import ConfigError, EndpointError
 
 DEFAULT_PORT = 5750

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from services.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
-from services.runtime.bus.address_book import AddressBook, split_tcp
-from services.runtime.loop.log import StructuredLog
-from services.runtime.relay.protocol import raw_key, split_host_port
-from services.runtime.security.access_control import AccessControl, relay_key
+from telenano.runtime.bus.address_book import AddressBook, split_tcp
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.relay.protocol import raw_key, split_host_port
+from telenano.runtime.security.access_control import AccessControl, relay_key
 from telenano.wire.errors import ConfigError, EndpointError
 
 _PING_S, _SILENCE_S = 4.0, 12.0

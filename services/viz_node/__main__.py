@@ -3,10 +3,10 @@
 import sys
 from functools import partial
 
-from services.runtime.loop.node import Node, NodeBus
-from services.runtime.wiring.main import NodeKind, Wiring, run_node
-from services.viz_node.config import ViewConfig
-from services.viz_node.serve import addresses_of, announced, inherited, missing_for_view
+from telenano.runtime.loop.node import Node, NodeBus
+from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.serving.config import ViewConfig
+from telenano.serving.serve import addresses_of, announced, inherited, missing_for_view
 from telenano.wire.errors import ConfigError
 
 

@@ -11,25 +11,12 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from services.launcher.restart_policy import RestartTracker
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.clock import SystemClock
-from services.runtime.loop.realtime import behind_others
-from services.runtime.wiring.main import EXIT_DIED
-from services.runtime.wiring.observer import nobody_runs
-from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
-from services.viz_node.access import LOOPBACK, Access
-from services.viz_node.config import ViewConfig
-from services.viz_node.connections import Listener
 from services.viz_node.document import RecordingDocument
 from services.viz_node.hub import Hub
 from services.viz_node.level_cache import LevelCache
 from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
-from services.viz_node.people import ROLES, People
 from services.viz_node.playback import RecordingPlayback
-from services.viz_node.serve import PageServer, Tls, addresses_of, announced, missing_for_view, served_addresses
 from telenano.cli.options import (
     AllowOption,
     CertificateKeyOption,
@@ -39,9 +26,22 @@ from telenano.cli.options import (
     SiteFileOption,
 )
 from telenano.cli.output import report_errors
-from telenano.presets import DEFAULT_SITE_FILE, DEMO_RECORDING
+from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.indexed import open_indexed
 from telenano.recording.multi_file import RecordingSource
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.local_endpoint import runtime_directory
+from telenano.runtime.loop.realtime import behind_others
+from telenano.runtime.wiring.main import EXIT_DIED
+from telenano.runtime.wiring.observer import nobody_runs
+from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
+from telenano.serving.access import LOOPBACK, Access
+from telenano.serving.config import ViewConfig
+from telenano.serving.connections import Listener
+from telenano.serving.people import ROLES, People
+from telenano.serving.serve import PageServer, Tls, addresses_of, announced, missing_for_view, served_addresses
+from telenano.settings import DEFAULT_SITE_FILE, DEMO_RECORDING
+from telenano.timing.clock import SystemClock
 from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.nodes import PAGE
 

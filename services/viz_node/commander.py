@@ -5,14 +5,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from services.console.command_client import arm_devices, send_control
-from services.console.coupling import couple_anew
-from services.console.emergency_stop import Answer, LocalRig, emergency_stop
-from services.numerics.frames import to_site_frame
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.publisher import publish_end
-from services.runtime.loop.commands import Command, CommandName
-from services.runtime.wiring.participant import open_participant
+from telenano.console.command_client import arm_devices, send_control
+from telenano.console.coupling import couple_anew
+from telenano.console.emergency_stop import Answer, LocalRig, emergency_stop
+from telenano.numerics.frames import to_site_frame
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.loop.commands import Command, CommandName
+from telenano.runtime.wiring.participant import open_participant
 from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.messages import Scalar
 from telenano.wire.nodes import TIP, VIEW
@@ -111,10 +111,10 @@ class RigHand:
 def forms() -> dict[str, Any]:
     """Return the JSON schemas of what `set` changes, by node, and the profiles of the link."""
     # the models of the laws take a second to import, which only a page needs
-    from services.afm_node.programs.settings import InstrumentRequest
-    from services.controller.config import LAWS, ControllerConfig
-    from services.delay_node.config import LinkSettings
-    from services.delay_node.profiles import PROFILES
+    from telenano.afm.programs.settings import InstrumentRequest
+    from telenano.laws.config import LAWS, ControllerConfig
+    from telenano.link.config import LinkSettings
+    from telenano.link.profiles import PROFILES
 
     return {
         "afm_node": InstrumentRequest.model_json_schema(),

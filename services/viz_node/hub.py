@@ -11,17 +11,12 @@ from typing import Any, Protocol, TypeVar
 
 import msgpack
 
-from services.console.lease import FREE_COMMANDS, Party
-from services.console.lease_register import LeaseRegister
-from services.runtime.loop.loop_age import LoopAge, Part
-from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.metrics import metrics_text
 from services.viz_node.page_session import REQUESTS_PER_S, Session
 from services.viz_node.participant import ParticipantPicture
-from services.viz_node.people import Person
 from services.viz_node.requests import (
     AnswerRequest,
     CommandRequest,
@@ -36,7 +31,12 @@ from services.viz_node.requests import (
 )
 from services.viz_node.source import AGE_TOPICS, Source
 from services.viz_node.streams import described
+from telenano.console.lease import FREE_COMMANDS, Party
+from telenano.console.lease_register import LeaseRegister
 from telenano.recording.messages import LeftOut
+from telenano.serving.access import Role
+from telenano.serving.people import Person
+from telenano.timing.loop_age import LoopAge, Part
 from telenano.wire.errors import RefusedError, TelenanoError
 from telenano.wire.messages import Scalar
 from telenano.wire.nodes import TIP

@@ -6,7 +6,9 @@ from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any
 
-from services.console.lease import (
+from services.viz_node.page_session import Session
+from services.viz_node.requests import LeaseRequest
+from telenano.console.lease import (
     BEAT_S,
     EXPERIMENT,
     Lease,
@@ -22,9 +24,7 @@ from services.console.lease import (
     take,
     withdrawn,
 )
-from services.console.lease_register import LeaseRegister, Step
-from services.viz_node.page_session import Session
-from services.viz_node.requests import LeaseRequest
+from telenano.console.lease_register import LeaseRegister, Step
 from telenano.recording.messages import LeftOut
 from telenano.wire.errors import RefusedError, RigError
 

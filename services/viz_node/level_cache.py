@@ -15,7 +15,7 @@ import msgpack
 import zstandard
 
 from services.viz_node.levels import Levels
-from telenano.recording.whole_files import whole_file
+from telenano.files.whole_files import whole_file
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16

@@ -4,10 +4,10 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.wiring.participant import OBSERVER, open_participant
 from services.viz_node.feed import Seen, seen
 from services.viz_node.source import AGE_TOPICS, LOOP_TOPICS, TOPICS_SHOWN, NoTransport
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.wiring.participant import OBSERVER, open_participant
 from telenano.wire.nodes import site_of
 
 # So many batches of a node are taken at once: ten seconds of the busiest topics come in several calls.

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from services.runtime.loop.loop_age import Part
+from telenano.timing.loop_age import Part
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _STATES = ("starting", "ready", "running", "safe", "stopping", "ended")

@@ -4,18 +4,18 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
-from services.console.lease import Party
-from services.console.lease_register import LeaseRegister
-from services.runtime.bus.bus import Received, Refusals, ZmqBus
-from services.runtime.bus.publisher import NullPublisher, Publisher
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.wiring.participant import Participant
-from services.viz_node.access import Access
 from services.viz_node.commander import RigCommander, RigHand, forms
-from services.viz_node.connections import Listener
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
-from services.viz_node.serve import PageServer, Tls
+from telenano.console.lease import Party
+from telenano.console.lease_register import LeaseRegister
+from telenano.runtime.bus.bus import Received, Refusals, ZmqBus
+from telenano.runtime.bus.publisher import NullPublisher, Publisher
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.wiring.participant import Participant
+from telenano.serving.access import Access
+from telenano.serving.connections import Listener
+from telenano.serving.serve import PageServer, Tls
 from telenano.wire.errors import EndpointError
 
 

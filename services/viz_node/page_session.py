@@ -4,10 +4,10 @@ import asyncio
 import secrets
 from collections import deque
 
-from services.console.lease import Party
-from services.viz_node.access import Role
 from services.viz_node.hand_age import HandAge
-from services.viz_node.people import Person
+from telenano.console.lease import Party
+from telenano.serving.access import Role
+from telenano.serving.people import Person
 
 # two seconds: a page that is further behind begins anew
 MOST_QUEUED = 60

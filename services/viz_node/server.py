@@ -15,14 +15,14 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from services.runtime.clock import SystemClock
-from services.viz_node.access import Access, Role, is_loopback
-from services.viz_node.connections import SILENCE_S, Connections
 from services.viz_node.hub import REVOKED, Hub
 from services.viz_node.metrics import MEDIA_TYPE
 from services.viz_node.page_session import Session
-from services.viz_node.people import Person
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
+from telenano.serving.access import Access, Role, is_loopback
+from telenano.serving.connections import SILENCE_S, Connections
+from telenano.serving.people import Person
+from telenano.timing.clock import SystemClock
 
 MOST_PAGES = 32
 _HELLO_S = SILENCE_S

@@ -24,15 +24,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.contact.electrostatic import (
+from telenano.afm.contact.electrostatic import (
     MOST_TURNS,
     SETTLED_M,
     electrostatic_force_n,
     electrostatic_strength_n_m2,
 )
-from services.afm_node.physics.contact.tip_sample import TipSample, branch_force
-from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
-from services.numerics.compiled import compiled
+from telenano.afm.contact.tip_sample import TipSample, branch_force
+from telenano.afm.part import AfmSample, Part, PlantInputs, register
+from telenano.numerics.compiled import compiled
 
 _TOLERANCE_M = 1e-17
 _MOST_ITERATIONS = 200

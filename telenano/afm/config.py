@@ -9,32 +9,23 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from services.afm_node.felt import FeelConfig
-from services.afm_node.over_map import guard_of, require_feelable
-from services.afm_node.physics.cantilever import Plant, build_plant, volts_per_m
-from services.afm_node.physics.contact.friction import FrictionParams, adhesion_n
-from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
-from services.afm_node.physics.contact.tip_sample import (
-    AS_PRINTED,
-    CONSISTENT,
-    TipSampleProperties,
-    build_tip_sample,
-    hamaker_of,
-)
-from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.particles.settings import ParticlesConfig
-from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
-from services.afm_node.physics.sample.force_map import Span
-from services.afm_node.physics.sample.made_samples import SampleConfig
-from services.afm_node.physics.sample.surface import Surface, dilated
-from services.afm_node.physics.sample_models import checked_sample
-from services.afm_node.physics.spring import spring_params
-from services.afm_node.physics.step import AfmParams
-from services.afm_node.physics.torsion import TorsionConfig
-from services.afm_node.programs.lateral import LateralParams
-from services.afm_node.programs.settings import InstrumentRequest
-from services.afm_node.programs.table import PROGRAMS
-from services.afm_node.section_config import (
+from telenano.afm.cantilever import Plant, build_plant, volts_per_m
+from telenano.afm.contact.friction import FrictionParams, adhesion_n
+from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
+from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
+from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm.felt import FeelConfig
+from telenano.afm.over_map import guard_of, require_feelable
+from telenano.afm.particles.settings import ParticlesConfig
+from telenano.afm.particles.tip_shape import Spring, tip_shape
+from telenano.afm.programs.lateral import LateralParams
+from telenano.afm.programs.settings import InstrumentRequest
+from telenano.afm.programs.table import PROGRAMS
+from telenano.afm.sample.force_map import Span
+from telenano.afm.sample.made_samples import SampleConfig
+from telenano.afm.sample.surface import Surface, dilated
+from telenano.afm.sample_models import checked_sample
+from telenano.afm.section_config import (
     MOST_CONTRADICTION,
     CantileverConfig,
     FrictionConfig,
@@ -44,14 +35,17 @@ from services.afm_node.section_config import (
     SpringConfig,
     TipSampleConfig,
 )
-from services.runtime.settings.config import Settings, filled
-from services.runtime.settings.device_drivers import Drivers
-from telenano.presets.plugins import load, refuse
+from telenano.afm.spring import spring_params
+from telenano.afm.step import AfmParams
+from telenano.afm.torsion import TorsionConfig
+from telenano.settings.config import Settings, filled
+from telenano.settings.device_drivers import Drivers
+from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_install
 
 if TYPE_CHECKING:
-    from services.afm_node.physics.dynamic_plant import DynamicPlant
+    from telenano.afm.dynamic_plant import DynamicPlant
 
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
@@ -271,7 +265,7 @@ class _OwnSections(Settings):
         if self.sample is None or self.sample.particles is None:
             return within
         try:
-            from services.afm_node.physics.particles.layer import particle_layer
+            from telenano.afm.particles.layer import particle_layer
         except ImportError as error:
             raise ConfigError(f"afm_node.sample.particles: needs numba: {how_to_install('studies')}") from error
         p, plant = self.sample.particles, self.to_params().plant
@@ -314,7 +308,7 @@ class _OwnSections(Settings):
             ValueError: The values admit no model; the message names value and unit.
         """
         # a node that asks for no dynamics does not import them
-        from services.afm_node.physics.dynamic_plant import FINEST, Damping, build_dynamic
+        from telenano.afm.dynamic_plant import FINEST, Damping, build_dynamic
 
         c, t = self.cantilever, self.tip_sample
         damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)

@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
-from services.numerics.normal_numbers import normal_number
-from services.runtime.settings.config import Settings
+from telenano.numerics.normal_numbers import normal_number
+from telenano.settings.config import Settings
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 

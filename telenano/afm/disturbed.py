@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.cantilever import Plant
-from services.afm_node.physics.disturbances import (
+from telenano.afm.cantilever import Plant
+from telenano.afm.disturbances import (
     CreepConfig,
     DisturbanceConfig,
     HysteresisConfig,
@@ -24,8 +24,8 @@ from services.afm_node.physics.disturbances import (
     noise_start,
     noise_step,
 )
-from services.afm_node.physics.part import AfmSample, Part, PlantInputs, part_start, part_step, register
-from services.numerics.compiled import compiled
+from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register
+from telenano.numerics.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 

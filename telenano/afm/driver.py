@@ -8,10 +8,10 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.part import AfmSample, Particles
-from services.afm_node.physics.part import Oscillation as Oscillation
-from services.afm_node.physics.sample.surface import Surface
+from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm.part import AfmSample, Particles
+from telenano.afm.part import Oscillation as Oscillation
+from telenano.afm.sample.surface import Surface
 from telenano.wire.errors import ConfigError
 
 

@@ -1,6 +1,6 @@
 """The constants of a dynamic cantilever: its exact motion over a step, its drive, its noise, the force of its sample.
 
-What they are for is told where it moves, in `services.afm_node.physics.dynamic`.
+What they are for is told where it moves, in `telenano.afm.dynamic`.
 """
 
 import math
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.cantilever import Plant
-from services.afm_node.physics.contact.force_grid import ForceGrid, Passages, build_force_grid
+from telenano.afm.cantilever import Plant
+from telenano.afm.contact.force_grid import ForceGrid, Passages, build_force_grid
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 # draws of thermal noise in a period, and the standard normal numbers that they take

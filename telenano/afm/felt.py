@@ -15,9 +15,9 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from services.afm_node.physics.sample.force_map import SI_UNITS, UNITS
-from services.afm_node.programs.lateral import Place
-from services.runtime.settings.config import Settings
+from telenano.afm.programs.lateral import Place
+from telenano.afm.sample.force_map import SI_UNITS, UNITS
+from telenano.settings.config import Settings
 
 ChannelName = Literal["frequency_shift", "current", "amplitude", "phase"]
 # These names say what has changed or ended the force of the table.

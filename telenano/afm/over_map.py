@@ -4,13 +4,13 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.afm_node.physics.cantilever import volts_per_m
-from services.afm_node.physics.recorded_map import MapParams
-from services.afm_node.physics.sample.force_map import SI_UNITS, ForceMap, map_params, read_map
-from services.afm_node.safety import SafetyParams
+from telenano.afm.cantilever import volts_per_m
+from telenano.afm.recorded_map import MapParams
+from telenano.afm.safety import SafetyParams
+from telenano.afm.sample.force_map import SI_UNITS, ForceMap, map_params, read_map
 
 if TYPE_CHECKING:
-    from services.afm_node.config import _OwnSections
+    from telenano.afm.config import _OwnSections
 
 
 def require_feelable(config: "_OwnSections", path: str) -> None:

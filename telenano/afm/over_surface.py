@@ -5,8 +5,8 @@ The tip follows the stage: what friction holds it back moves it less than a pixe
 
 from typing import Any, NamedTuple
 
-from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, friction_step
-from services.afm_node.physics.part import (
+from telenano.afm.contact.friction import FrictionParams, FrictionState, friction_step
+from telenano.afm.part import (
     AfmSample,
     Part,
     PlantInputs,
@@ -16,8 +16,8 @@ from services.afm_node.physics.part import (
     part_step,
     register,
 )
-from services.afm_node.physics.sample.surface import PLANE, Surface, height_over_middle
-from services.numerics.compiled import compiled
+from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
+from telenano.numerics.compiled import compiled
 
 # Only the slopes matter here.
 _SMOOTH = FrictionParams(0.0, 0.0, 1.0, 1.0)

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
-from services.numerics.compiled import compiled
+from telenano.afm.part import AfmSample, Part, PlantInputs, register
+from telenano.numerics.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 

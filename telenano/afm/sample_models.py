@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from services.afm_node.physics.part import Part, PlantInputs, register
+from telenano.afm.part import Part, PlantInputs, register
 
 Step = Callable[..., Any]
 

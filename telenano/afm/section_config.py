@@ -4,8 +4,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.afm_node.physics.contact.capillary import meniscus_radius_m
-from services.runtime.settings.config import Settings
+from telenano.afm.contact.capillary import meniscus_radius_m
+from telenano.settings.config import Settings
 from telenano.wire.topics import deadline_of
 
 BasePosition = Annotated[float, Field(ge=-1e-4, le=1e-4)]

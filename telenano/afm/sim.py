@@ -4,19 +4,13 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from services.afm_node.driver import LateralStage, Relief, Simulation, VibratingCantilever
-from services.afm_node.physics.cantilever import Plant
-from services.afm_node.physics.contact.friction import FrictionParams
-from services.afm_node.physics.disturbances import DisturbanceConfig, NoiseState, noise_start, noise_step
-from services.afm_node.physics.disturbed import (
-    DisturbedState,
-    PiezoState,
-    disturbed_params,
-    disturbed_step,
-    piezo_at_rest,
-)
-from services.afm_node.physics.over_surface import over_surface
-from services.afm_node.physics.part import (
+from telenano.afm.cantilever import Plant
+from telenano.afm.contact.friction import FrictionParams
+from telenano.afm.disturbances import DisturbanceConfig, NoiseState, noise_start, noise_step
+from telenano.afm.disturbed import DisturbedState, PiezoState, disturbed_params, disturbed_step, piezo_at_rest
+from telenano.afm.driver import LateralStage, Relief, Simulation, VibratingCantilever
+from telenano.afm.over_surface import over_surface
+from telenano.afm.part import (
     AfmSample,
     Oscillation,
     Particles,
@@ -26,9 +20,9 @@ from services.afm_node.physics.part import (
     part_start,
     part_step,
 )
-from services.afm_node.physics.sample.surface import Surface
-from services.afm_node.physics.spring import SpringParams, spring_params
-from services.afm_node.physics.step import AfmParams
+from telenano.afm.sample.surface import Surface
+from telenano.afm.spring import SpringParams, spring_params
+from telenano.afm.step import AfmParams
 
 _AT_REST = Oscillation(0.0, 0.0)
 _QUIET = DisturbanceConfig()

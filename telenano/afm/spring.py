@@ -6,8 +6,8 @@ It is a spring on the base itself, so there is no deflection. The distance repor
 import math
 from typing import NamedTuple
 
-from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
-from services.numerics.compiled import compiled
+from telenano.afm.part import AfmSample, Part, PlantInputs, register
+from telenano.numerics.compiled import compiled
 
 
 class SpringParams(NamedTuple):

@@ -11,8 +11,8 @@ at most base_speed dt.
 import math
 from typing import Any, NamedTuple
 
-from services.afm_node.physics.part import AfmSample, inputs_at, part_start, part_step
-from services.afm_node.safety import (
+from telenano.afm.part import AfmSample, inputs_at, part_start, part_step
+from telenano.afm.safety import (
     SafetyInputs,
     SafetyOutputs,
     SafetyParams,
@@ -20,7 +20,7 @@ from services.afm_node.safety import (
     initial_safety_state,
     safety_step,
 )
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 # the guard's speed limit allows no more than this much motion at once, however long the process was held up
 LONGEST_STEP_NS = 10_000_000

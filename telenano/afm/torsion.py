@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from services.afm_node.physics.part import (
+from telenano.afm.part import (
     AfmSample,
     Motion,
     Oscillation,
@@ -27,8 +27,8 @@ from services.afm_node.physics.part import (
     part_step,
     register,
 )
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import Settings
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import Settings
 
 _CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta."
 

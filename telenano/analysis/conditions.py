@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from services.controller.config import ControllerConfig
-from services.delay_node.config import EVEN, LinkSettings, network_name
-from services.runtime.settings.config import validate
-from services.runtime.settings.scenario import Scenario
 from telenano.analysis.plugins import recorded_plugins, require_installed
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import EVEN, LinkSettings, network_name
 from telenano.recording.arrays import columns
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import Timeline
+from telenano.settings.config import validate
+from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import LINK
 
 _MASTER = "controller@master"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.viz_node.figure_style import (
+from telenano.analysis.figure_style import (
     COLUMN_IN,
     HAND,
     ON_SCREEN,

@@ -124,7 +124,7 @@ class Instrument(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """A report of the instrument that it withdraws: when [s], and why, as `services.afm_node.safety` names it."""
+    """A report of the instrument that it withdraws: when [s], and why, as `telenano.afm.safety` names it."""
 
     time_s: float
     reason: str

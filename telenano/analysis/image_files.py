@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.sample.surface_files import GSF_MAGIC
+from telenano.afm.sample.surface_files import GSF_MAGIC
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from services.console.live_program import LiveImage
+    from telenano.console.live_program import LiveImage
 
 
 class Image(NamedTuple):

@@ -4,11 +4,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from services.runtime.settings.scenario import named_in
-from services.runtime.untrusted.printable import printable
-from telenano.presets.known_packages import KNOWN_PACKAGES
-from telenano.presets.plugins import installed
+from telenano.files.printable import printable
 from telenano.recording.multi_file import RecordingSource
+from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.plugins import installed
+from telenano.settings.scenario import named_in
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.extras import how_to_add_package
 

@@ -12,16 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.section_config import SafetyConfig
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.haptic_node.config import LimitsConfig, recorded_hand
-from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
-from services.runtime.loop import loop_age
-from services.runtime.settings.config import parse_yaml, validate
-from services.runtime.settings.scenario import Scenario
-from services.viz_node.fig12 import SessionSeries, TipStates, fig12_files
-from services.viz_node.figure_style import ON_SCREEN, FigureOptions
+from telenano.afm.section_config import SafetyConfig
 from telenano.analysis.conditions import conditions, described, title
+from telenano.analysis.fig12 import SessionSeries, TipStates, fig12_files
+from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
 from telenano.analysis.holds import (
     ANSWERS,
     HAND,
@@ -49,13 +43,19 @@ from telenano.analysis.intervals import half_width, with_error
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import Spans, cut_off, gaps, recording_facts
 from telenano.analysis.summary import Summary
+from telenano.files.whole_files import whole_results
+from telenano.hand.config import LimitsConfig, recorded_hand
+from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.recording.arrays import columns, last_session
 from telenano.recording.indexed import open_indexed
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.site_clock import Timeline
-from telenano.recording.whole_files import whole_results
+from telenano.settings.config import parse_yaml, validate
+from telenano.settings.scenario import Scenario
+from telenano.timing import loop_age
 from telenano.wire import TOPICS, extras
 from telenano.wire.errors import RecordingError, ReportError
 from telenano.wire.nodes import HAND as HAND_NODE

@@ -24,7 +24,7 @@ _PAGE = """# The keys of `summary.json`
 `telenano up` and `telenano report` write `summary.json` beside the figure, `telenano report --json` prints it, and
 `telenano.open(FILE).summary` returns it as a dictionary.
 Everything in it is read from the recording. What the session does not show is `null`.
-`telenano/presets/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
+`telenano/settings/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
 `telenano/analysis/summary.py`, which every summary has to fit, by `make schemas`.
 
 `[]` stands for each item of a list, `<name>` for any key of a map.

@@ -24,7 +24,7 @@ def main() -> None:
         if request is not None:
             raise SystemExit(run_estop(request))
     # The import is this late because a stop needs none of it.
-    from services.signals import interrupts
+    from telenano.signals import interrupts
 
     interrupts.install()
     # What imports make stays: looking through it for garbage, again and again, takes a sixth of their time.

@@ -5,7 +5,7 @@ from typing import Any
 
 def scenario_names(incomplete: str) -> list[str]:
     """Return the known scenarios that begin so."""
-    from telenano.presets import known_scenarios
+    from telenano.settings import known_scenarios
 
     return [name for name in known_scenarios() if name.startswith(incomplete)]
 
@@ -21,7 +21,7 @@ def scenario_keys(incomplete: str) -> list[str]:
     """Return what can follow in `SECTION.KEY=VALUE`: a section with its dot, a key with its `=`, a value of a list."""
     import json
 
-    from telenano.presets import SCHEMA_DIRECTORY
+    from telenano.settings import SCHEMA_DIRECTORY
 
     schema = json.loads((SCHEMA_DIRECTORY / "scenario.json").read_text(encoding="utf-8"))
     key, sign, value = incomplete.partition("=")
@@ -77,8 +77,8 @@ def law_names(incomplete: str) -> list[str]:
 
 def law_name(incomplete: str) -> list[str]:
     """Return the laws that begin so, those of installed packages included, without importing one."""
-    from services.controller.law_names import LAW_NAMES
-    from telenano.presets.plugins import installed
+    from telenano.laws.law_names import LAW_NAMES
+    from telenano.settings.plugins import installed
 
     return [name for name in (*LAW_NAMES, *installed("laws")) if name.startswith(incomplete)]
 

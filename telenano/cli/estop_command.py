@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from services.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
-from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
-from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
+from telenano.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from telenano.wire.errors import ConfigError, RigError, TelenanoError
 
 
@@ -177,8 +177,8 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
     """Send the command as any other: over a network, to nodes of an older version, to what is not a device."""
     # This import brings models and keys, which takes longer.
-    from services.console.command_client import send_control
-    from services.runtime.loop.commands import Command
+    from telenano.console.command_client import send_control
+    from telenano.runtime.loop.commands import Command
 
     site: Literal["master", "slave"] = "slave" if request.site == "slave" else "master"
     command = Command("estop", request.target)

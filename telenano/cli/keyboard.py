@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from telenano.presets.optional_modules import optional_module
+from telenano.files.optional_modules import optional_module
 
 # Windows has neither: commands are then ended by Ctrl-C alone
 termios, tty = optional_module("termios"), optional_module("tty")

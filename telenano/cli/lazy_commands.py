@@ -12,10 +12,10 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
-from services.signals import interrupts
-from telenano.presets import plugins
-from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
+from telenano.settings import plugins
+from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, probably_meant
 
 # what the wheel installs at the top level
@@ -191,8 +191,8 @@ def _choose_rig(name: str | None) -> None:
     if name is None:
         return
     # An emergency stop has no time for these imports.
-    from services.runtime.security.private_files import check_rig_name
     from telenano.cli.output import report_errors
+    from telenano.runtime.security.private_files import check_rig_name
 
     with report_errors("--json" in sys.argv):
         os.environ[RIG_VARIABLE] = check_rig_name(name)

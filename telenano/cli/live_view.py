@@ -10,10 +10,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from services.launcher.rig_node import Phase, RigNode
-from services.launcher.rig_status import node_facts
-from services.launcher.session import SessionNode
 from telenano.cli.tables import LEVEL_STYLES, health_cells
+from telenano.launcher.rig_node import Phase, RigNode
+from telenano.launcher.rig_status import node_facts
+from telenano.launcher.session import SessionNode
 
 _REFRESH_TICKS = 5
 # A line repeats at this interval what is still waited for.

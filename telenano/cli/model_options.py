@@ -17,9 +17,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from services.runtime.settings.config import bounds_of
-from services.runtime.settings.option import Option
 from telenano.cli.completion import law_names, node_names, scenario_keys, scenario_names
+from telenano.settings.config import bounds_of
+from telenano.settings.option import Option
 from telenano.wire.errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., Any])

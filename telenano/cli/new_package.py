@@ -8,8 +8,8 @@ from pathlib import Path
 from string import Template
 from typing import Literal
 
-from telenano.presets.plugins import NAME
-from telenano.recording.whole_files import whole_folder
+from telenano.files.whole_files import whole_folder
+from telenano.settings.plugins import NAME
 from telenano.wire.errors import ConfigError
 
 # What a package can bring.
@@ -34,11 +34,11 @@ _MORE_FILES = {"command": {"command_body.py.txt": "command.py"}}
 def _taken(kind: Kind) -> Collection[str]:
     # The import is here because no other command of this module needs the models.
     if kind == "law":
-        from services.controller.config import TAKEN as TAKEN_LAWS
+        from telenano.laws.config import TAKEN as TAKEN_LAWS
 
         return TAKEN_LAWS
     if kind == "task":
-        from telenano.presets.known_packages import KNOWN_PACKAGES
+        from telenano.settings.known_packages import KNOWN_PACKAGES
 
         return [words.removeprefix("task ") for words in KNOWN_PACKAGES if words.startswith("task ")]
     if kind == "command":
@@ -47,12 +47,12 @@ def _taken(kind: Kind) -> Collection[str]:
         return LAZY_COMMANDS
     if kind == "check":
         return ()
-    from services.afm_node.config import TAKEN as TAKEN_AFM
+    from telenano.afm.config import TAKEN as TAKEN_AFM
 
     if kind == "sample":
         return TAKEN_AFM
-    from services.haptic_node.config import TAKEN as TAKEN_HAPTIC
-    from services.haptic_node.physics.operator_models import OWN_OPERATORS
+    from telenano.hand.config import TAKEN as TAKEN_HAPTIC
+    from telenano.hand.operator_models import OWN_OPERATORS
 
     return TAKEN_HAPTIC | TAKEN_AFM if kind in ("device", "instrument") else OWN_OPERATORS
 

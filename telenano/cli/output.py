@@ -15,14 +15,14 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from services.runtime.untrusted.printable import printable
-from services.signals import interrupts
 from telenano.analysis.intervals import with_error
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
-from telenano.presets.plugins import known_problems
-from telenano.recording.whole_files import WRITE_ERRORS, new_folder
+from telenano.files.printable import printable
+from telenano.files.whole_files import WRITE_ERRORS, new_folder
+from telenano.settings.plugins import known_problems
+from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 
 _PIPE_COLUMNS = 140

@@ -34,7 +34,7 @@ def root(
 ) -> None:
     """Run a rig, inspect its bus, read its recordings."""
     if show_version:
-        from telenano.presets.plugins import all_installed
+        from telenano.settings.plugins import all_installed
 
         packages = sorted({f"{row.package} {row.version}" for row in all_installed()})
         typer.echo("\n".join([version("telenano"), *packages]))

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.runtime.settings.config import ALLOW_CODE_VARIABLE, flag_overrides, validate
-from telenano.recording.whole_files import whole_results
+from telenano.files.whole_files import whole_results
+from telenano.settings.config import ALLOW_CODE_VARIABLE, flag_overrides, validate
 from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.extras import how_to_install
 
 if TYPE_CHECKING:
-    from services.afm_node.physics.sample.made_samples import SampleConfig
+    from telenano.afm.sample.made_samples import SampleConfig
 
 SampleOption = Annotated[
     str,
@@ -47,7 +47,7 @@ def sample_config(
     name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
 ) -> "SampleConfig":
     """Return the sample that the options describe; ConfigError names the option or key."""
-    from services.afm_node.physics.sample.made_samples import SampleConfig
+    from telenano.afm.sample.made_samples import SampleConfig
 
     if ":" in name:
         # a person has named this function here, and no file of somebody else

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from services.launcher.child_session import run_session
-from services.launcher.plan import UpRequest
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.cli.model_options import validated
+from telenano.launcher.child_session import run_session
+from telenano.launcher.plan import UpRequest
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
 # The delay of the link has no single key in a scenario, and an option of its own.

@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from services.runtime.untrusted.printable import printable
+from telenano.files.printable import printable
 
 # A value other than zero in these columns is a loss.
 _ALARMING = ("missing", "lost", "damage", "skipped_bytes")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, TextIO
 
-from services.runtime.untrusted.printable import printable
+from telenano.files.printable import printable
 
 STREAMS = {"stdout": "standard output", "stderr": "standard error"}
 

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import zmq
 
-from services.console.lease import FREE_COMMANDS, MOST_LETTERS
-from services.console.lease_register import NAME_VARIABLE, Hold, acting
-from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.bus.publisher import ZmqPublisher, publish_end
-from services.runtime.loop.arming import ARM
-from services.runtime.loop.commands import Command, CommandClient
-from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
-from services.runtime.wiring.observer import RIG_HINT, require_rig
-from services.runtime.wiring.participant import Participant, open_participant
+from telenano.console.lease import FREE_COMMANDS, MOST_LETTERS
+from telenano.console.lease_register import NAME_VARIABLE, Hold, acting
+from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.publisher import ZmqPublisher, publish_end
+from telenano.runtime.loop.arming import ARM
+from telenano.runtime.loop.commands import Command, CommandClient
+from telenano.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
+from telenano.runtime.wiring.observer import RIG_HINT, require_rig
+from telenano.runtime.wiring.participant import Participant, open_participant
 from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.messages import Message, NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of

@@ -14,12 +14,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol
 
-from services.console.command_client import send_control
-from services.numerics.frames import to_paper_axis
-from services.runtime.bus.address_book import load_site
-from services.runtime.loop.arming import ARM_TIP
-from services.runtime.loop.commands import Command
-from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
+from telenano.console.command_client import send_control
+from telenano.numerics.frames import to_paper_axis
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.loop.arming import ARM_TIP
+from telenano.runtime.loop.commands import Command
+from telenano.runtime.wiring.observer import RIG_HINT, Observer, require_rig
 from telenano.wire.errors import RigError
 from telenano.wire.messages import AfmState, HapticState, TeleopBackward
 from telenano.wire.nodes import TIP, name_of

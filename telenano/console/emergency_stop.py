@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import msgpack
 import zmq
 
-from services.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_stop_path, local_endpoint
-from services.runtime.clock import SystemClock
-from services.runtime.loop.kept_stop import keep
+from telenano.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_stop_path, local_endpoint
+from telenano.runtime.loop.kept_stop import keep
+from telenano.timing.clock import SystemClock
 from telenano.wire.errors import RigError
 from telenano.wire.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
 
@@ -73,8 +73,8 @@ class LocalRig:
     @classmethod
     def read(cls, site_file: Path) -> "LocalRig":
         """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
-        from services.runtime.untrusted.yaml_text import LARGEST_BYTES, yaml_value
-        from telenano.presets.regular_files import read_regular
+        from telenano.files.regular_files import read_regular
+        from telenano.files.yaml_text import LARGEST_BYTES, yaml_value
 
         try:
             return cls(yaml_value(read_regular(site_file, LARGEST_BYTES).decode())["nodes"])

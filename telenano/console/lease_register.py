@@ -8,10 +8,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from services.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
-from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.security.private_files import check_runtime_directory
-from telenano.recording.whole_files import changed
+from telenano.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
+from telenano.files.whole_files import changed
+from telenano.runtime.bus.local_endpoint import runtime_directory
+from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.wire.errors import ConfigError, RefusedError, RigError
 
 NAME_VARIABLE = "TELENANO_NAME"

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from services.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.bus import Subscriber
 from telenano.wire.sequence import SequenceTracker
 from telenano.wire.topics import Topic
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from services.console.command_client import send_control
-from services.console.lease_register import holding
-from services.runtime.bus.address_book import load_site
-from services.runtime.loop.commands import Command
-from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
-from services.signals import interrupts
+from telenano.console.command_client import send_control
+from telenano.console.lease_register import holding
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.loop.commands import Command
+from telenano.runtime.wiring.observer import RIG_HINT, Observer, require_rig
+from telenano.signals import interrupts
 from telenano.wire.errors import RigError
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import AfmScanline, AfmState, NodeHealth, Scalar

@@ -7,11 +7,11 @@ from typing import Self
 
 import zmq
 
-from services.recorder.listener import Listener
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.wiring.participant import OBSERVER, SITES, Participant, open_participant
+from telenano.console.listener import Listener
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.writer import channel_topic
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.wiring.participant import OBSERVER, SITES, Participant, open_participant
 from telenano.wire import TOPICS
 from telenano.wire.nodes import site_of
 

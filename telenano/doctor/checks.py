@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from services.launcher.processors import FOR_A_RIG, fits_text
-from services.signals import children
+from telenano.launcher.processors import FOR_A_RIG, fits_text
+from telenano.signals import children
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import extra_in
 
 if TYPE_CHECKING:
-    from services.runtime.security.keyring import Keyring
+    from telenano.runtime.security.keyring import Keyring
 
 Level = Literal["ok", "warning", "problem"]
 

@@ -35,7 +35,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
     It is connected to and asked nothing: a rig may be driving it.
     """
-    from services.afm_node.instrument import calibration_of_file
+    from telenano.devices.afm.instrument import calibration_of_file
 
     network = calibration_of_file(calibration).network
     where = f"{network.host}:{network.port}"
@@ -56,7 +56,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
 
 def _held(ports: Sequence[Path], processes: Path) -> Iterator[Finding]:
-    from services.haptic_node.devices.port import holder_of
+    from telenano.devices.hand.port import holder_of
 
     for port in ports:
         holder = holder_of(str(port), processes)

@@ -18,19 +18,27 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from services.launcher.processors import held, shared_folder
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.devices import check_instrument, check_serial_ports
-from telenano.presets import DEFAULT_SITE_FILE
-from telenano.presets.plugins import KINDS, all_installed, function_of, installed, known_problems, load, scenario_files
+from telenano.launcher.processors import held, shared_folder
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.plugins import (
+    KINDS,
+    all_installed,
+    function_of,
+    installed,
+    known_problems,
+    load,
+    scenario_files,
+)
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.extras import extra_of, how_to_install
 
 if TYPE_CHECKING:
-    from services.runtime.bus.address_book import AddressBook
+    from telenano.runtime.bus.address_book import AddressBook
 
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 
@@ -58,7 +66,7 @@ def doctor(
 
 def compile_models(*, as_json: bool) -> None:
     """Simulate two ticks of each law, so that what later sessions run lies compiled in the user's cache."""
-    from services.controller.config import KNOWN_LAWS
+    from telenano.laws.config import KNOWN_LAWS
     from telenano.lockstep.simulation import compile_scenario
 
     if importlib.util.find_spec("numba") is None:
@@ -143,9 +151,9 @@ def extensions() -> list[Finding]:
     rows = all_installed()
     if not rows:
         return []
-    from services.afm_node.config import DRIVERS as INSTRUMENTS
-    from services.haptic_node.config import DRIVERS as HANDLES
-    from services.runtime.wiring.main import node_kind
+    from telenano.afm.config import DRIVERS as INSTRUMENTS
+    from telenano.hand.config import DRIVERS as HANDLES
+    from telenano.runtime.wiring.main import node_kind
     from telenano.wire.nodes import SERVICES
 
     for name in SERVICES:
@@ -182,7 +190,7 @@ def _installed(name: str) -> str | None:
 
 def rig(site_file: Path) -> list[Finding]:
     """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
-    from services.runtime.bus.address_book import load_site
+    from telenano.runtime.bus.address_book import load_site
 
     try:
         return _addresses(load_site(site_file))
@@ -191,7 +199,7 @@ def rig(site_file: Path) -> list[Finding]:
 
 
 def _addresses(book: "AddressBook") -> list[Finding]:
-    from services.runtime.security.keyring import Keyring, this_machine
+    from telenano.runtime.security.keyring import Keyring, this_machine
 
     keyring = Keyring()
     machine = this_machine(keyring)

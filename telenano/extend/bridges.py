@@ -7,10 +7,10 @@ from typing import Protocol
 
 import typer
 
-from services.recorder.live import LiveRecording as LiveRecording
-from services.runtime.bus.address_book import load_site
-from services.runtime.wiring.observer import RIG_HINT, nobody_runs
+from telenano.console.live_recording import LiveRecording as LiveRecording
 from telenano.recording.messages import RecordedMessage as RecordedMessage
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
 from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from services.afm_node.driver import AfmDriver
+from telenano.afm.driver import AfmDriver
 from telenano.cli.commands.device_files import section_of
 
 
@@ -21,8 +21,8 @@ def simulated_afm(scenario: Path | None = None) -> SimulatedAfm:
     Raises:
         ConfigError: There is no such scenario, or a key of it cannot be used.
     """
-    from services.afm_node.config import AfmConfig
-    from services.afm_node.instrument import driver_of
+    from telenano.afm.config import AfmConfig
+    from telenano.devices.afm.instrument import driver_of
 
     config = section_of(scenario, "afm_node", AfmConfig).model_copy(update={"driver": "simulated"})
     afm, plant = driver_of(config), config.to_params().plant

@@ -3,32 +3,32 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import GATE_ACTIVE as GATE_ACTIVE
-from services.haptic_node.coupling import GATE_DEADMAN as GATE_DEADMAN
-from services.haptic_node.coupling import GATE_DEVICE_SILENT as GATE_DEVICE_SILENT
-from services.haptic_node.coupling import GATE_FROZEN as GATE_FROZEN
-from services.haptic_node.coupling import GATE_JUMP as GATE_JUMP
-from services.haptic_node.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
-from services.haptic_node.coupling import GATE_READY as GATE_READY
-from services.haptic_node.coupling import GATE_RELEASED as GATE_RELEASED
-from services.haptic_node.coupling import GATE_REST as GATE_REST
-from services.haptic_node.coupling import GATE_RUNAWAY as GATE_RUNAWAY
-from services.haptic_node.coupling import GATE_SILENT as GATE_SILENT
-from services.haptic_node.coupling import GATES as GATES
-from services.haptic_node.coupling import CouplingSettings as CouplingSettings
-from services.haptic_node.devices.servo_process import ProcessLink as ProcessLink
-from services.haptic_node.devices.servo_process import ServoLoop as ServoLoop
-from services.haptic_node.devices.servo_process import SharedServo as SharedServo
-from services.haptic_node.impedance_config import CouplingConfig as CouplingConfig
-from services.haptic_node.physics.coupled import arm_step as arm_step
-from services.haptic_node.physics.operator import OperatorInputs as OperatorInputs
-from services.haptic_node.physics.operator_models import operator_at_rest as operator_at_rest
-from services.haptic_node.physics.operator_models import operator_step as operator_step
-from services.haptic_node.servo import ServoCommand as ServoCommand
-from services.haptic_node.servo import ServoSample as ServoSample
+from telenano.devices.hand.servo_process import ProcessLink as ProcessLink
+from telenano.devices.hand.servo_process import ServoLoop as ServoLoop
+from telenano.devices.hand.servo_process import SharedServo as SharedServo
 from telenano.extend.commands import section_of
 from telenano.extend.impedance import ZERO, Vector
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupled import arm_step as arm_step
+from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE
+from telenano.hand.coupling import GATE_DEADMAN as GATE_DEADMAN
+from telenano.hand.coupling import GATE_DEVICE_SILENT as GATE_DEVICE_SILENT
+from telenano.hand.coupling import GATE_FROZEN as GATE_FROZEN
+from telenano.hand.coupling import GATE_JUMP as GATE_JUMP
+from telenano.hand.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
+from telenano.hand.coupling import GATE_READY as GATE_READY
+from telenano.hand.coupling import GATE_RELEASED as GATE_RELEASED
+from telenano.hand.coupling import GATE_REST as GATE_REST
+from telenano.hand.coupling import GATE_RUNAWAY as GATE_RUNAWAY
+from telenano.hand.coupling import GATE_SILENT as GATE_SILENT
+from telenano.hand.coupling import GATES as GATES
+from telenano.hand.coupling import CouplingSettings as CouplingSettings
+from telenano.hand.impedance_config import CouplingConfig as CouplingConfig
+from telenano.hand.operator import OperatorInputs as OperatorInputs
+from telenano.hand.operator_models import operator_at_rest as operator_at_rest
+from telenano.hand.operator_models import operator_step as operator_step
+from telenano.hand.servo import ServoCommand as ServoCommand
+from telenano.hand.servo import ServoSample as ServoSample
 
 
 class HandMotion(NamedTuple):

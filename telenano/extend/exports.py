@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from services.recorder.config import RecorderConfig
-from services.recorder.provenance import versions as versions
+from telenano.files.whole_files import whole_file as whole_file
+from telenano.files.whole_files import whole_folder as whole_folder
 from telenano.recording.channel_filter import Selection as Selection
 from telenano.recording.export import Payload as Payload
 from telenano.recording.export import export_recording as export_recording
@@ -17,11 +17,11 @@ from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
 from telenano.recording.messages import RawChannel as RawChannel
 from telenano.recording.messages import RecordedChannel as RecordedChannel
 from telenano.recording.messages import RecordedMessage as RecordedMessage
+from telenano.recording.provenance import versions as versions
 from telenano.recording.reader import Recording as Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyResult as CopyResult
 from telenano.recording.tables import plain as plain
-from telenano.recording.whole_files import whole_file as whole_file
-from telenano.recording.whole_files import whole_folder as whole_folder
 from telenano.recording.writer import RecordingWriter
 
 

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import typer
 
-from services.console.live_program import LiveImage as LiveImage
 from telenano.analysis.image_files import Image as Image
 from telenano.analysis.image_files import ImageFacts as ImageFacts
 from telenano.analysis.image_files import images_of_lines as images_of_lines
 from telenano.cli.sample_options import results_in as results_in
-from telenano.presets import plugins
+from telenano.console.live_program import LiveImage as LiveImage
+from telenano.settings import plugins
 
 
 def write_images(
@@ -24,8 +24,8 @@ def write_images(
         instrument: What took the image.
         sample: The sample, where it is known.
     """
-    from services.recorder.provenance import versions
     from telenano.analysis.image_files import write_gsf, write_gwy, write_png
+    from telenano.recording.provenance import versions
 
     write_gsf(out / "scan.gsf", images["height"])
     write_gwy(out / "scan.gwy", images)

@@ -8,27 +8,27 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from services.haptic_node.coupling import ZERO as ZERO
-from services.haptic_node.coupling import Vector as Vector
-from services.haptic_node.devices.impedance_wire import ImpedanceWire as ImpedanceWire
-from services.haptic_node.devices.impedance_wire import Turn as Turn
-from services.haptic_node.devices.impedance_wire import quaternion_of as quaternion_of
-from services.haptic_node.driver import UPRIGHT as UPRIGHT
-from services.haptic_node.driver import Capabilities as Capabilities
-from services.haptic_node.driver import DeviceError as DeviceError
-from services.haptic_node.driver import HapticDevice
-from services.haptic_node.driver import Quaternion as Quaternion
-from services.haptic_node.safety import MODE_OFF as MODE_OFF
-from services.haptic_node.safety import MODE_POSITION as MODE_POSITION
-from services.haptic_node.servo import DeviceSample as DeviceSample
-from services.runtime.loop.log import StructuredLog as StructuredLog
-from services.runtime.settings.config import Settings as Settings
-from services.runtime.settings.config import refused_code as refused_code
-from services.runtime.settings.device_drivers import DeviceDriver
+from telenano.devices.hand.impedance_wire import ImpedanceWire as ImpedanceWire
+from telenano.devices.hand.impedance_wire import Turn as Turn
+from telenano.devices.hand.impedance_wire import quaternion_of as quaternion_of
+from telenano.hand.coupling import ZERO as ZERO
+from telenano.hand.coupling import Vector as Vector
+from telenano.hand.driver import UPRIGHT as UPRIGHT
+from telenano.hand.driver import Capabilities as Capabilities
+from telenano.hand.driver import DeviceError as DeviceError
+from telenano.hand.driver import HapticDevice
+from telenano.hand.driver import Quaternion as Quaternion
+from telenano.hand.safety import MODE_OFF as MODE_OFF
+from telenano.hand.safety import MODE_POSITION as MODE_POSITION
+from telenano.hand.servo import DeviceSample as DeviceSample
+from telenano.runtime.loop.log import StructuredLog as StructuredLog
+from telenano.settings.config import Settings as Settings
+from telenano.settings.config import refused_code as refused_code
+from telenano.settings.device_drivers import DeviceDriver
 
 if TYPE_CHECKING:
     # The process of the servo does not need it.
-    from services.haptic_node.impedance_config import CouplingConfig
+    from telenano.hand.impedance_config import CouplingConfig
 
 
 def impedance_driver(
@@ -45,8 +45,8 @@ def impedance_driver(
     """
 
     def build(settings: BaseModel, limits: Any, *, coupling: "CouplingConfig", period_s: float) -> HapticDevice:
-        from services.haptic_node.devices.servo_process import ProcessLink
-        from services.haptic_node.impedance import ImpedanceDevice
+        from telenano.devices.hand.impedance import ImpedanceDevice
+        from telenano.devices.hand.servo_process import ProcessLink
 
         return ImpedanceDevice(ProcessLink(name, settings.model_dump(mode="json")), coupling, period_s)
 

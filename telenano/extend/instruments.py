@@ -3,21 +3,21 @@
 from pathlib import Path
 from typing import TypeVar
 
-from services.afm_node.devices import modbus_line as modbus_line
-from services.afm_node.devices.capabilities import Capabilities
-from services.afm_node.devices.capabilities import refusal as refusal
-from services.afm_node.devices.converter_calibration import CantileverCalibration as CantileverCalibration
-from services.afm_node.devices.converter_calibration import Readings as Readings
-from services.afm_node.devices.modbus_line import Connect as Connect
-from services.afm_node.devices.modbus_line import Line as Line
-from services.afm_node.devices.tcp_driver import STALE_CYCLES as STALE_CYCLES
-from services.afm_node.devices.tcp_driver import TcpDriver as TcpDriver
-from services.afm_node.driver import DeviceError as DeviceError
-from services.afm_node.driver import OwnImage as OwnImage
-from services.afm_node.driver import OwnLine as OwnLine
-from services.afm_node.felt import ChannelName as ChannelName
-from services.afm_node.section_config import AfmControllerConfig
-from services.runtime.settings.config import Settings, read_yaml, validate
+from telenano.afm.driver import DeviceError as DeviceError
+from telenano.afm.driver import OwnImage as OwnImage
+from telenano.afm.driver import OwnLine as OwnLine
+from telenano.afm.felt import ChannelName as ChannelName
+from telenano.afm.section_config import AfmControllerConfig
+from telenano.devices.afm import modbus_line as modbus_line
+from telenano.devices.afm.capabilities import Capabilities
+from telenano.devices.afm.capabilities import refusal as refusal
+from telenano.devices.afm.converter_calibration import CantileverCalibration as CantileverCalibration
+from telenano.devices.afm.converter_calibration import Readings as Readings
+from telenano.devices.afm.modbus_line import Connect as Connect
+from telenano.devices.afm.modbus_line import Line as Line
+from telenano.devices.afm.tcp_driver import STALE_CYCLES as STALE_CYCLES
+from telenano.devices.afm.tcp_driver import TcpDriver as TcpDriver
+from telenano.settings.config import Settings, read_yaml, validate
 from telenano.wire.errors import TelenanoError as TelenanoError
 
 AfmCapabilities = Capabilities

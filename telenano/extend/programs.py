@@ -6,27 +6,27 @@
 from collections.abc import Iterator
 from typing import Any
 
-from services.afm_node.driver import Oscillation
-from services.afm_node.programs.feedback import gain_fault as gain_fault
-from services.afm_node.programs.feedback import integral_share as integral_share
-from services.afm_node.programs.lateral import Place as Place
-from services.afm_node.programs.lateral import moved
-from services.afm_node.programs.program import APPROACH as APPROACH
-from services.afm_node.programs.program import ARRIVED as ARRIVED
-from services.afm_node.programs.program import RISE as RISE
-from services.afm_node.programs.program import WAY_TEXTS as WAY_TEXTS
-from services.afm_node.programs.program import Begun as Begun
-from services.afm_node.programs.program import Inputs as Inputs
-from services.afm_node.programs.program import Instrument as Instrument
-from services.afm_node.programs.program import Program as Program
-from services.afm_node.programs.program import Progress as Progress
-from services.afm_node.programs.program import Wanted as Wanted
-from services.afm_node.programs.program import way_to_surface as way_to_surface
-from services.afm_node.programs.program_settings import Force as Force
-from services.afm_node.programs.program_settings import Length as Length
-from services.afm_node.programs.program_settings import Position as Position
-from services.afm_node.programs.program_settings import ProgramSettings as ProgramSettings
-from services.afm_node.programs.program_settings import Speed as Speed
+from telenano.afm.driver import Oscillation
+from telenano.afm.programs.feedback import gain_fault as gain_fault
+from telenano.afm.programs.feedback import integral_share as integral_share
+from telenano.afm.programs.lateral import Place as Place
+from telenano.afm.programs.lateral import moved
+from telenano.afm.programs.program import APPROACH as APPROACH
+from telenano.afm.programs.program import ARRIVED as ARRIVED
+from telenano.afm.programs.program import RISE as RISE
+from telenano.afm.programs.program import WAY_TEXTS as WAY_TEXTS
+from telenano.afm.programs.program import Begun as Begun
+from telenano.afm.programs.program import Inputs as Inputs
+from telenano.afm.programs.program import Instrument as Instrument
+from telenano.afm.programs.program import Program as Program
+from telenano.afm.programs.program import Progress as Progress
+from telenano.afm.programs.program import Wanted as Wanted
+from telenano.afm.programs.program import way_to_surface as way_to_surface
+from telenano.afm.programs.program_settings import Force as Force
+from telenano.afm.programs.program_settings import Length as Length
+from telenano.afm.programs.program_settings import Position as Position
+from telenano.afm.programs.program_settings import ProgramSettings as ProgramSettings
+from telenano.afm.programs.program_settings import Speed as Speed
 from telenano.wire.errors import RefusedError as RefusedError
 
 _PERIOD_S = 1e-3
@@ -50,7 +50,7 @@ def trial(
         TimeoutError: It is not done within most_s.
     """
     # it holds the settings of every program, and so imports the packages that import this
-    from services.afm_node.config import AfmConfig
+    from telenano.afm.config import AfmConfig
 
     config = AfmConfig()
     limits, lateral = config.to_params().safety, config.to_lateral_params()

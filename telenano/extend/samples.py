@@ -1,7 +1,7 @@
 """A sample of one's own under the tip: settings, and a pure step from a position of the base to force and distance."""
 
-from services.afm_node.physics.part import AfmSample as AfmSample
-from services.afm_node.physics.part import PlantInputs as PlantInputs
-from services.afm_node.physics.sample_models import SampleModel as SampleModel
-from services.numerics.compiled import compiled as compiled
-from services.runtime.settings.config import Settings as Settings
+from telenano.afm.part import AfmSample as AfmSample
+from telenano.afm.part import PlantInputs as PlantInputs
+from telenano.afm.sample_models import SampleModel as SampleModel
+from telenano.numerics.compiled import compiled as compiled
+from telenano.settings.config import Settings as Settings

@@ -4,16 +4,16 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
-from services.controller.law import changed_in_contact as changed_in_contact
-from services.controller.law import longest_pause_periods as longest_pause_periods
-from services.controller.law import paced as paced
-from services.controller.law_rules import known_law as known_law
-from services.runtime.bus.bus import Received
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
-from services.runtime.settings.config import merge as merge
-from services.runtime.settings.config import validate as validate
 from telenano.extend.messages import RecordedMessage, example, recorded
+from telenano.laws.law import changed_in_contact as changed_in_contact
+from telenano.laws.law import longest_pause_periods as longest_pause_periods
+from telenano.laws.law import paced as paced
+from telenano.laws.law_rules import known_law as known_law
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.settings.config import merge as merge
+from telenano.settings.config import validate as validate
 from telenano.wire import TOPICS, encode
 from telenano.wire.errors import RefusedError as RefusedError
 from telenano.wire.messages import Message
@@ -131,14 +131,14 @@ class NodeBench:
 
 def afm_config(section: Mapping[str, Any] | None = None) -> Any:
     """Return the settings of a section `afm_node`, validated; ValueError names what is wrong."""
-    from services.afm_node.config import AfmConfig
+    from telenano.afm.config import AfmConfig
 
     return AfmConfig.model_validate(section or {})
 
 
 def instrument_of(section: Mapping[str, Any] | None = None) -> Any:
     """Return the driver of a section `afm_node`, not yet open: the simulated instrument where it names none."""
-    from services.afm_node.instrument import driver_of
+    from telenano.devices.afm.instrument import driver_of
 
     return driver_of(afm_config(section))
 
@@ -156,6 +156,6 @@ def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = 
 
 def refused_laws(driver: str) -> dict[str, str]:
     """Return the laws that cannot be used with a driver of the instrument, and why, by their names."""
-    from services.launcher import plan
+    from telenano.launcher import plan
 
     return plan.refused_laws(driver)

@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from services.signals import children
+from telenano.signals import children
 
 # Other systems have no such limits; there the headers and the wall time are checked.
 try:

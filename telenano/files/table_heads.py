@@ -4,7 +4,7 @@ import csv
 import re
 from collections.abc import Sequence
 
-from telenano.recording.units import unit_of
+from telenano.files.units import unit_of
 
 COMMENT = re.compile(r"\s*(?:#|%|//|\*|!)+\s*")
 _ROW_NAMES = re.compile(r"(?i)\s*(?:columns?|fields?|names?|units?|headers?)\s*[:=]\s*")

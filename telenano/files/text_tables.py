@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.presets.regular_files import read_regular
-from telenano.recording.table_heads import COMMENT, LONGEST_LINE, named, split, split_head, titles_of
-from telenano.recording.units import Unit, unit_of
+from telenano.files.regular_files import read_regular
+from telenano.files.table_heads import COMMENT, LONGEST_LINE, named, split, split_head, titles_of
+from telenano.files.units import Unit, unit_of
 from telenano.wire.errors import ConfigError
 
 Array = npt.NDArray[np.float64]

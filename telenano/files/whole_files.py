@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from telenano.presets.optional_modules import optional_module
+from telenano.files.optional_modules import optional_module
 from telenano.wire.errors import RigError
 
 # A change takes milliseconds, so a process that has had the lock for this long stands still [s].

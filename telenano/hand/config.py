@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
-from services.haptic_node.impedance_config import CouplingConfig, SimulatedImpedanceConfig
-from services.haptic_node.operator_config import ForceProfileConfig, OperatorConfig
-from services.haptic_node.physics import step
-from services.haptic_node.physics.coupled import CoupledParams
-from services.haptic_node.physics.disturbances import HandDisturbanceConfig
-from services.haptic_node.physics.lateral_hand import LateralHandConfig
-from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
-from services.haptic_node.safety import SafetyParams
-from services.runtime.settings.config import Settings, filled, validate
-from services.runtime.settings.device_drivers import Drivers
+from telenano.hand import step
+from telenano.hand.coupled import CoupledParams
+from telenano.hand.disturbances import HandDisturbanceConfig
+from telenano.hand.impedance_config import CouplingConfig, SimulatedImpedanceConfig
+from telenano.hand.lateral_hand import LateralHandConfig
+from telenano.hand.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
+from telenano.hand.operator_config import ForceProfileConfig, OperatorConfig
+from telenano.hand.safety import SafetyParams
+from telenano.settings.config import Settings, filled, validate
+from telenano.settings.device_drivers import Drivers
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 from telenano.wire.topics import deadline_of

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.haptic_node.coupling import (
+from telenano.hand.coupling import (
     GATE_ACTIVE,
     GATE_READY,
     ZERO,
@@ -25,11 +25,11 @@ from services.haptic_node.coupling import (
     coupling_at_start,
     coupling_step,
 )
-from services.haptic_node.driver import UPRIGHT, DeviceReading, DriveCommand, Pair, SpatialReading
-from services.haptic_node.physics.operator import OperatorInputs, interpolate
-from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
-from services.haptic_node.safety import MODE_POSITION
-from services.numerics.compiled import compiled
+from telenano.hand.driver import UPRIGHT, DeviceReading, DriveCommand, Pair, SpatialReading
+from telenano.hand.operator import OperatorInputs, interpolate
+from telenano.hand.operator_models import operator_at_rest, operator_step
+from telenano.hand.safety import MODE_POSITION
+from telenano.numerics.compiled import compiled
 
 
 class LateralHand(NamedTuple):

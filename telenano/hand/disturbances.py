@@ -11,12 +11,12 @@ from typing import NamedTuple, cast
 
 from pydantic import Field
 
-from services.haptic_node.driver import Capabilities, DeviceReading
-from services.haptic_node.physics.coupled import CoupledParams
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.haptic_node.physics.step import PlantParams
-from services.numerics.normal_numbers import normal_number
-from services.runtime.settings.config import Settings
+from telenano.hand.coupled import CoupledParams
+from telenano.hand.driver import Capabilities, DeviceReading
+from telenano.hand.sim import SimulatedHaptic
+from telenano.hand.step import PlantParams
+from telenano.numerics.normal_numbers import normal_number
+from telenano.settings.config import Settings
 
 _TREMOR_Q = 8.0
 

@@ -5,20 +5,20 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from services.haptic_node.coupling import (
+from telenano.hand.coupled import CoupledParams, LateralHand
+from telenano.hand.coupling import (
     STABLE_MARGIN,
     CouplingSettings,
     least_mass_kg,
     passive_stiffness_n_per_m,
     stable_stiffness_n_per_m,
 )
-from services.haptic_node.driver import Capabilities, DeviceError
-from services.haptic_node.physics.coupled import CoupledParams, LateralHand
-from services.haptic_node.physics.lateral_hand import Course, LateralPoint
-from services.haptic_node.physics.operator import OperatorParams
-from services.haptic_node.physics.reacting import ReactingParams
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.runtime.settings.config import Settings, filled
+from telenano.hand.driver import Capabilities, DeviceError
+from telenano.hand.lateral_hand import Course, LateralPoint
+from telenano.hand.operator import OperatorParams
+from telenano.hand.reacting import ReactingParams
+from telenano.hand.safety import MODE_OFF, MODE_POSITION
+from telenano.settings.config import Settings, filled
 
 # From no force to the greatest one takes so long at least [s].
 _FULL_FORCE_S = 0.01

@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from services.haptic_node.physics.operator import interpolate
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import Settings, filled
+from telenano.hand.operator import interpolate
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import Settings, filled
 
 Array = NDArray[np.float64]
 Across = Annotated[float, Field(ge=-0.5, le=0.5)]

@@ -16,8 +16,8 @@ of 10 N at the arm is 0.28 mN m at the motor, a tenth of its friction.
 import math
 from typing import NamedTuple
 
-from services.haptic_node.safety import MODE_POSITION
-from services.numerics.compiled import compiled
+from telenano.hand.safety import MODE_POSITION
+from telenano.numerics.compiled import compiled
 
 # Inside one regime (servo, voltage limit, torque limit) a sub-step of any length is exact. Where a limit acts at one of
 # its ends it is done again in finer ones, as the moment at which the regime changes is then not known. These are at

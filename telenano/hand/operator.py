@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 FORCE_PROFILE = 0
 IMPEDANCE = 1

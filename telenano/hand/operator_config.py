@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from services.haptic_node.physics.lateral_hand import Corner, Course
-from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
-from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
-from services.haptic_node.physics.reacting import ReactingParams
-from services.runtime.settings.config import Settings, filled
+from telenano.hand.lateral_hand import Corner, Course
+from telenano.hand.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
+from telenano.hand.operator_models import OPERATOR_MODELS, unusable_config
+from telenano.hand.reacting import ReactingParams
+from telenano.settings.config import Settings, filled
 
 
 class ForcePoint(Corner):

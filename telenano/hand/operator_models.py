@@ -6,11 +6,11 @@ from typing import Any, Literal, Self, cast, get_args
 
 from pydantic import BaseModel, model_validator
 
-from services.haptic_node.physics import operator, reacting
-from services.haptic_node.physics.operator import OperatorParams, OperatorState
-from services.haptic_node.physics.reacting import ReactingParams
-from services.numerics.compiled import chosen_step
-from telenano.presets.plugins import load
+from telenano.hand import operator, reacting
+from telenano.hand.operator import OperatorParams, OperatorState
+from telenano.hand.reacting import ReactingParams
+from telenano.numerics.compiled import chosen_step
+from telenano.settings.plugins import load
 
 Step = Callable[..., Any]
 

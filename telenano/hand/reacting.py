@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.haptic_node.physics.operator import OperatorInputs, OperatorOutputs, interpolate
-from services.numerics.compiled import compiled
+from telenano.hand.operator import OperatorInputs, OperatorOutputs, interpolate
+from telenano.numerics.compiled import compiled
 
 
 class ReactingParams(NamedTuple):

@@ -8,13 +8,13 @@ reference starts at the present position and moves towards the commanded one at 
 control comes back by itself as soon as commands are fresh, and no distance is too great for that.
 
 Arming is for the tip: it follows only a hand that a person has armed since its start and since its last emergency stop
-(`services.afm_node.safety`). The motor of a hand that was never armed is off because nothing follows it.
+(`telenano.afm.safety`). The motor of a hand that was never armed is off because nothing follows it.
 """
 
 import math
 from typing import NamedTuple
 
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 MODE_OFF, MODE_POSITION, MODE_FORCE = range(3)
 MODE_NAMES: dict[int, str] = {MODE_OFF: "off", MODE_POSITION: "position", MODE_FORCE: "force"}

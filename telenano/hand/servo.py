@@ -14,7 +14,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from services.haptic_node.coupling import (
+from telenano.hand.coupling import (
     GATE_REST,
     ZERO,
     CouplingReading,
@@ -24,7 +24,7 @@ from services.haptic_node.coupling import (
     coupling_at_start,
     coupling_step,
 )
-from services.haptic_node.driver import UPRIGHT, Capabilities, Quaternion
+from telenano.hand.driver import UPRIGHT, Capabilities, Quaternion
 
 # An error is a sentence of at most so many bytes.
 ERROR_BYTES = 240

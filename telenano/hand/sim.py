@@ -8,11 +8,11 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, Pair
-from services.haptic_node.physics.coupled import CoupledParams
-from services.haptic_node.physics.operator_models import operator_at_rest
-from services.haptic_node.physics.step import PlantParams, found, initial_plant, plant_step
-from services.haptic_node.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
+from telenano.hand.coupled import CoupledParams
+from telenano.hand.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, Pair
+from telenano.hand.operator_models import operator_at_rest
+from telenano.hand.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
+from telenano.hand.step import PlantParams, found, initial_plant, plant_step
 
 SAMPLE_TIME_S = 1e-3
 _OFF = DriveCommand(MODE_OFF, 0.0, 0.0)

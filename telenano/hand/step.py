@@ -6,12 +6,11 @@ studies. Both are the same functions, so a study and a rig cannot differ.
 
 from typing import Any, NamedTuple
 
-from services.haptic_node import safety
-from services.haptic_node.driver import DeviceReading, DriveCommand, SpatialCommand
-from services.haptic_node.physics import motor, operator
-from services.haptic_node.physics.coupled import CoupledParams, coupled_plant_step, initial_coupled, waits
-from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
-from services.numerics.compiled import chosen_step, compiled
+from telenano.hand import motor, operator, safety
+from telenano.hand.coupled import CoupledParams, coupled_plant_step, initial_coupled, waits
+from telenano.hand.driver import DeviceReading, DriveCommand, SpatialCommand
+from telenano.hand.operator_models import operator_at_rest, operator_step
+from telenano.numerics.compiled import chosen_step, compiled
 
 
 class PlantParams(NamedTuple):

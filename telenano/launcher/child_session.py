@@ -5,8 +5,8 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 
-from services.signals import children
-from services.signals.interrupts import kept_from_children
+from telenano.signals import children
+from telenano.signals.interrupts import kept_from_children
 
 _LOOK_S = 0.5
 

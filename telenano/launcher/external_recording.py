@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from services.runtime.clock import Clock
-from services.runtime.loop.commands import Command
 from telenano.recording.reader import Recording
+from telenano.runtime.loop.commands import Command
+from telenano.timing.clock import Clock
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import NodeHealth, SessionControl, SessionEvent
 

@@ -6,10 +6,10 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 
-from services.launcher.plan import Plan
-from services.runtime.bus.address_book import LONGEST_IPC_PATH
-from services.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
-from services.signals import children
+from telenano.launcher.plan import Plan
+from telenano.runtime.bus.address_book import LONGEST_IPC_PATH
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
+from telenano.signals import children
 from telenano.wire.nodes import NODES
 
 _STOP_S = 2.0
@@ -37,7 +37,7 @@ def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
     # It ends when its standard input does, so also with a launcher that is killed.
     endpoints = endpoints_of(plan)
     process = children.start(
-        [sys.executable, "-m", "services.runtime.bus.fan_out", *endpoints],
+        [sys.executable, "-m", "telenano.runtime.bus.fan_out", *endpoints],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

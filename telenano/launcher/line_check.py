@@ -1,6 +1,6 @@
 """Whether the line between two sites carries a session, by what the ends of its datagrams measured at the start."""
 
-from services.runtime.clock import Clock
+from telenano.timing.clock import Clock
 from telenano.wire.messages import Message
 from telenano.wire.network_messages import LinkNetwork
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from services.runtime.clock import Clock
+from telenano.timing.clock import Clock
 
 # node/health comes twice a second
 NODE_TIMEOUT_S = 3.0

@@ -4,11 +4,11 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from services.launcher.plan import Plan
-from services.launcher.processes import Inherited
-from services.viz_node.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE, PARTICIPANT_VARIABLE
-from services.viz_node.config import ViewConfig
-from services.viz_node.serve import SOCKET_VARIABLE, addresses_of, announced, missing_for_view
+from telenano.launcher.plan import Plan
+from telenano.launcher.processes import Inherited
+from telenano.serving.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE, PARTICIPANT_VARIABLE
+from telenano.serving.config import ViewConfig
+from telenano.serving.serve import SOCKET_VARIABLE, addresses_of, announced, missing_for_view
 from telenano.wire.errors import TelenanoError
 from telenano.wire.nodes import PAGE, name_of
 

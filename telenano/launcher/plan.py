@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field
 
-from services.afm_node.config import DRIVERS as INSTRUMENTS
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.capabilities import loop_refusal, refusal
-from services.afm_node.physics.sample.force_map import read_map
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.delay_node.config import EVEN, LinkSettings, changes_text, network_name
-from services.delay_node.pipeline import read_files
-from services.launcher.scenario_keys import with_meant
-from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
-from services.runtime.settings.option import Option
-from services.runtime.settings.scenario import LoadedScenario, Scenario, scenario_document
-from services.runtime.wiring.main import node_kind
-from telenano.presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
+from telenano.afm.config import DRIVERS as INSTRUMENTS
+from telenano.afm.config import AfmConfig
+from telenano.afm.sample.force_map import read_map
+from telenano.devices.afm.capabilities import loop_refusal, refusal
+from telenano.launcher.scenario_keys import with_meant
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.link.config import EVEN, LinkSettings, changes_text, network_name
+from telenano.link.pipeline import read_files
+from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.wiring.main import node_kind
+from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
+from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
+from telenano.settings.option import Option
+from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
 from telenano.wire.errors import ConfigError, RigError, known_names
 from telenano.wire.nodes import (
     FAR_RECORDER,
@@ -37,7 +37,7 @@ from telenano.wire.nodes import (
 )
 
 if TYPE_CHECKING:
-    from services.recorder.config import RecorderConfig
+    from telenano.recording.recorder_config import RecorderConfig
 
 RECORDING_NAME = "session.mcap"
 ATTENDED = ("afm_node.attended=true",)
@@ -173,7 +173,7 @@ class Plan:
     @property
     def _recorder(self) -> "RecorderConfig":
         # a container of a node anchors its scenario by this module, and its image has no writer of recordings
-        from services.recorder.config import RecorderConfig
+        from telenano.recording.recorder_config import RecorderConfig
 
         return self.loaded.section("recorder", RecorderConfig)
 
@@ -223,7 +223,7 @@ def _declared(afm: AfmConfig, period_s: float) -> tuple[float | None, float]:
     A sample is never felt stiffer than the cantilever. Where the file cannot be read there is no stiffness: it may be
     on another machine, and the instrument's own node names what is wrong with it.
     """
-    from services.afm_node.instrument import driver_of
+    from telenano.devices.afm.instrument import driver_of
 
     package = INSTRUMENTS.find(afm.driver)
     try:
@@ -401,7 +401,7 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
 
 def driver_is_absent(loaded: LoadedScenario, name: str) -> bool:
     """Return whether no package on this machine has the driver that the section of a node names."""
-    from services.haptic_node.config import DRIVERS as HANDLES
+    from telenano.hand.config import DRIVERS as HANDLES
 
     drivers = {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
     return drivers is not None and drivers.is_absent(getattr(loaded.scenario, name).get("driver"))

@@ -11,10 +11,10 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from services.runtime.bus.publisher import LINGER_S
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE
-from services.runtime.settings.config import ENVIRONMENT_PREFIX
-from services.signals import children
+from telenano.runtime.bus.publisher import LINGER_S
+from telenano.settings.config import ENVIRONMENT_PREFIX
+from telenano.signals import children
+from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.nodes import name_of
 
 # a node is safe within milliseconds and then publishes how much it has sent

@@ -11,7 +11,7 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
-from telenano.presets.optional_modules import optional_module
+from telenano.files.optional_modules import optional_module
 
 # Windows has no such module, and no processes of a rig.
 fcntl = optional_module("fcntl")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from services.runtime.clock import Clock
+from telenano.timing.clock import Clock
 from telenano.wire import TOPICS
 from telenano.wire.messages import NodeHealth
 

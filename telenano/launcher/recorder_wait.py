@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from services.launcher.liveness import NODE_TIMEOUT_S
-from services.launcher.readiness import input_ages_s
-from services.runtime.clock import Clock
+from telenano.launcher.liveness import NODE_TIMEOUT_S
+from telenano.launcher.readiness import input_ages_s
+from telenano.timing.clock import Clock
 from telenano.wire.messages import NodeHealth
 
 Report = Callable[[str], None]

@@ -5,9 +5,9 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from services.runtime.clock import Clock
-from services.runtime.loop import hang_guard
-from services.runtime.wiring.main import EXIT_BAD_START
+from telenano.runtime.loop import hang_guard
+from telenano.runtime.wiring.main import EXIT_BAD_START
+from telenano.timing.clock import Clock
 
 _EXITS_KEPT = 8
 # The delay of a restart doubles from the first to the last of these; a life as long as the third resets it [s].

@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import ClassVar, Literal
 
-from services.launcher.liveness import Change, LivenessMonitor
-from services.launcher.processes import StopObserver
-from services.launcher.recorder_wait import has_last
-from services.launcher.supervisor import Supervisor
-from services.runtime.bus.bus import Received
-from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.node import Node, NodeContext
+from telenano.launcher.liveness import Change, LivenessMonitor
+from telenano.launcher.processes import StopObserver
+from telenano.launcher.recorder_wait import has_last
+from telenano.launcher.supervisor import Supervisor
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.ends import read_end
 from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of

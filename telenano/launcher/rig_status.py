@@ -3,9 +3,9 @@
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeVar
 
-from services.launcher.readiness import oldest_input_s, unmet
-from services.runtime.loop.loop_age import STAGES, LoopAge
-from services.runtime.wiring.observer import RIG_HINT, Observer
+from telenano.launcher.readiness import oldest_input_s, unmet
+from telenano.runtime.wiring.observer import RIG_HINT, Observer
+from telenano.timing.loop_age import STAGES, LoopAge
 from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 from telenano.wire.messages import (

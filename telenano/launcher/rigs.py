@@ -12,21 +12,21 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from services.launcher import processors
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
-from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
-from services.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
-from services.runtime.security.private_files import check_runtime_directory
-from services.runtime.settings.scenario import RealtimeConfig
-from telenano.presets.optional_modules import optional_module
-from telenano.recording.whole_files import write_whole
+from telenano.files.optional_modules import optional_module
+from telenano.files.whole_files import write_whole
+from telenano.launcher import processors
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
+from telenano.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
+from telenano.runtime.security.private_files import check_runtime_directory
+from telenano.settings.scenario import RealtimeConfig
 from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.nodes import site_of
 
 if TYPE_CHECKING:
     # Whoever only asks which rigs run needs no models of nodes.
-    from services.launcher.plan import Plan
+    from telenano.launcher.plan import Plan
 
 fcntl = optional_module("fcntl")
 _NAMES = (FIRST_RIG, *map(str, range(2, 100)))

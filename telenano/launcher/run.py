@@ -10,26 +10,26 @@ from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
-from services.launcher.external_recording import ExternalRecording, readable_here
-from services.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
-from services.launcher.plan import RECORDING_NAME, Plan
-from services.launcher.processes import Inherited, NodeProcesses, node_command
-from services.launcher.rig_node import RigNode
-from services.launcher.session import SessionNode
-from services.launcher.site_node import SiteNode
-from services.launcher.supervisor import Supervisor
-from services.launcher.watchdog import ProcFiles, Watchdog
-from services.recorder.config import RecorderConfig
-from services.recorder.disk_watch import free_bytes
-from services.runtime.bus.address_book import RELAY
-from services.runtime.bus.bus import ZmqBus
-from services.runtime.loop.kept_stop import forget
-from services.runtime.loop.log import configure_logging
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.realtime import shallow_idle
-from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
-from services.viz_node.figure_style import ON_SCREEN, FigureOptions
+from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
+from telenano.launcher.external_recording import ExternalRecording, readable_here
+from telenano.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
+from telenano.launcher.plan import RECORDING_NAME, Plan
+from telenano.launcher.processes import Inherited, NodeProcesses, node_command
+from telenano.launcher.rig_node import RigNode
+from telenano.launcher.session import SessionNode
+from telenano.launcher.site_node import SiteNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.launcher.watchdog import ProcFiles, Watchdog
+from telenano.recording.disk_watch import free_bytes
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.runtime.bus.address_book import RELAY
+from telenano.runtime.bus.bus import ZmqBus
+from telenano.runtime.loop.kept_stop import forget
+from telenano.runtime.loop.log import configure_logging
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.realtime import shallow_idle
+from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
 from telenano.wire.errors import RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 

@@ -5,11 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.settings.config import merge, read_yaml
-from services.runtime.settings.scenario import LoadedScenario, Scenario
-from services.runtime.wiring.main import node_kind
-from telenano.presets import scenarios
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.wiring.main import node_kind
+from telenano.settings import scenarios
+from telenano.settings.config import merge, read_yaml
+from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.nodes import SERVICES
 

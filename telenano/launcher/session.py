@@ -3,17 +3,17 @@
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
-from services.launcher.external_recording import ExternalRecording
-from services.launcher.line_check import LineCheck
-from services.launcher.liveness import LivenessMonitor
-from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate
-from services.launcher.recorder_wait import LastMessages, RecorderWait
-from services.launcher.rig_node import RigNode
-from services.launcher.supervisor import Supervisor
-from services.runtime.bus.bus import Received
-from services.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
-from services.runtime.loop.commands import Command, CommandClient
-from services.runtime.loop.node import NodeContext
+from telenano.launcher.external_recording import ExternalRecording
+from telenano.launcher.line_check import LineCheck
+from telenano.launcher.liveness import LivenessMonitor
+from telenano.launcher.readiness import READY_DEADLINE_S, ReadinessGate
+from telenano.launcher.recorder_wait import LastMessages, RecorderWait
+from telenano.launcher.rig_node import RigNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
+from telenano.runtime.loop.commands import Command, CommandClient
+from telenano.runtime.loop.node import NodeContext
 from telenano.wire.messages import NodeHealth, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 

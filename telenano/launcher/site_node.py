@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import ClassVar
 
-from services.launcher.liveness import LivenessMonitor
-from services.launcher.piece_sender import PieceSender
-from services.launcher.readiness import READY_DEADLINE_S, unmet
-from services.launcher.rig_node import RigNode
-from services.launcher.supervisor import Supervisor
-from services.runtime.bus.bus import Received
-from services.runtime.loop.node import NodeContext
+from telenano.launcher.liveness import LivenessMonitor
+from telenano.launcher.piece_sender import PieceSender
+from telenano.launcher.readiness import READY_DEADLINE_S, unmet
+from telenano.launcher.rig_node import RigNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import NodeContext
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import ClockPing, SessionControl
 from telenano.wire.nodes import LINK, TIP

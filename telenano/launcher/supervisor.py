@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Sequence
 
-from services.launcher.processes import Children, StopObserver
-from services.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
-from services.launcher.watchdog import Finding, Watchdog
-from services.runtime.clock import Clock
-from services.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
+from telenano.launcher.processes import Children, StopObserver
+from telenano.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
+from telenano.launcher.watchdog import Finding, Watchdog
+from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
+from telenano.timing.clock import Clock
 from telenano.wire.messages import NodeHealth
 
 # level, sentence, and the facts of a session/event

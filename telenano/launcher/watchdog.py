@@ -4,7 +4,7 @@ A node that hangs and one that was not let run are both silent. What tells them 
 take: a loop that never comes back to its messages takes all that it gets, a process that is stopped, or that waits for
 a processor, takes none. Only the first is ended; the others are only reported, and go on where they stood still.
 
-The limit that the nodes of the loop set themselves (`services/runtime/loop/hang_guard.py`) cannot replace it: recorder
+The limit that the nodes of the loop set themselves (`telenano/runtime/loop/hang_guard.py`) cannot replace it: recorder
 and page have none, and a node that is stopped or starved takes no processor time and so never reaches one.
 """
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
-from services.runtime.clock import Clock
+from telenano.timing.clock import Clock
 from telenano.wire.nodes import RECORDER, name_of
 
 # node/health comes twice a second

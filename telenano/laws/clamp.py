@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import PortSignal, SlaveReference, TipMeasurement
-from services.controller.ranges import DampingNSPerM, ForceOrNoneN
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import Settings
+from telenano.laws.law import PortSignal, SlaveReference, TipMeasurement
+from telenano.laws.ranges import DampingNSPerM, ForceOrNoneN
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import Settings
 
 # the margin of a clamp that is off [N]
 NO_LIMIT_N = 1e9

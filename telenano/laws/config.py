@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator
 
-from services.controller.clamp import ClampConfig, ClampParams
-from services.controller.deadband import DeadbandConfig
-from services.controller.integration import TimingParams
-from services.controller.lateral import LateralParams
-from services.controller.lateral_settings import LateralConfig
-from services.controller.law import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
-from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
-from services.controller.laws.passivity import PASSIVITY, PassivityConfig
-from services.controller.laws.position_force import POSITION_FORCE, PositionForceConfig
-from services.controller.laws.smith import SMITH, SmithConfig
-from services.controller.laws.tactile import TACTILE, TactileConfig
-from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
-from services.controller.laws.wave import WAVE, WaveConfig
-from services.runtime.settings.config import Settings, merge, nested, validate
-from telenano.presets.plugins import load, refuse
+from telenano.laws.clamp import ClampConfig, ClampParams
+from telenano.laws.deadband import DeadbandConfig
+from telenano.laws.integration import TimingParams
+from telenano.laws.lateral import LateralParams
+from telenano.laws.lateral_settings import LateralConfig
+from telenano.laws.law import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
+from telenano.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
+from telenano.laws.passivity import PASSIVITY, PassivityConfig
+from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
+from telenano.laws.smith import SMITH, SmithConfig
+from telenano.laws.tactile import TACTILE, TactileConfig
+from telenano.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
+from telenano.laws.wave import WAVE, WaveConfig
+from telenano.settings.config import Settings, merge, nested, validate
+from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 

@@ -17,10 +17,10 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import PortSignal
-from services.controller.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import Settings
+from telenano.laws.law import PortSignal
+from telenano.laws.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import Settings
 
 
 class DeadbandParams(NamedTuple):

@@ -12,8 +12,8 @@ and its loop is closed while the offset shrinks. A hand that is not beyond the r
 import math
 from typing import NamedTuple
 
-from services.controller.law import TipMeasurement
-from services.numerics.compiled import compiled
+from telenano.laws.law import TipMeasurement
+from telenano.numerics.compiled import compiled
 
 # The approach of Fig. 12 for 1 N at the hand [m/s].
 LET_IN_M_PER_S = 15e-9

@@ -43,9 +43,9 @@ for the same way. Every other half accounts as if the commands had been carried 
 
 from typing import NamedTuple
 
-from services.controller.hand_periods import ANEW, HandClock, no_sample, periods_to
-from services.controller.law import paced
-from services.numerics.compiled import inlined
+from telenano.laws.hand_periods import ANEW, HandClock, no_sample, periods_to
+from telenano.laws.law import paced
+from telenano.numerics.compiled import inlined
 
 # The slave half does one of these on a state of the instrument, or when none has come.
 NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, GO_ON = 0, 1, 2, 3, 4

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from services.controller.lateral import DepthParams, DiscParams, FeelParams, GuideParams, LateralParams, MotionParams
-from services.runtime.settings.config import Settings, filled
+from telenano.laws.lateral import DepthParams, DiscParams, FeelParams, GuideParams, LateralParams, MotionParams
+from telenano.settings.config import Settings, filled
 
 MODES = ("direct", "rate", "position")
 Place = Annotated[float, Field(ge=-1e-3, le=1e-3)]

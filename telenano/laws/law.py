@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 
 class HandSample(NamedTuple):

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from services.controller.clamp import clamped
-from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
-from services.controller.deadband import deadband, initial_deadband_state
-from services.controller.law import (
+from telenano.laws.clamp import clamped
+from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.deadband import deadband, initial_deadband_state
+from telenano.laws.law import (
     LONGEST_BRIDGED_PERIODS,
     NO_SIGNAL,
     NO_TIP,

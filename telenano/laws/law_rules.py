@@ -10,10 +10,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
-from services.controller.law_corners import failures
-from services.numerics.compiled import compiled_form, is_step
+from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
+from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
+from telenano.laws.law_corners import failures
+from telenano.numerics.compiled import compiled_form, is_step
 from telenano.wire.errors import ConfigError, known_names
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)

@@ -39,8 +39,8 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.energy import Port, opened, with_outflow
-from services.controller.law import (
+from telenano.laws.energy import Port, opened, with_outflow
+from telenano.laws.law import (
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -51,9 +51,20 @@ from services.controller.law import (
     port_signal,
     the_hands_force,
 )
-from services.controller.laws.shared.drift import Drift, drifted, error_of, no_drift
-from services.controller.laws.shared.pass_through import slave_send as slave_send
-from services.controller.laws.shared.surface import (
+from telenano.laws.ranges import (
+    ContactNPerM15,
+    DampingNSPerM,
+    EnergyJ,
+    EnergyOrNoneJ,
+    ForceOrNoneN,
+    ForceRateNPerS,
+    LengthM,
+    StiffnessNPerM,
+    TimeS,
+)
+from telenano.laws.shared.drift import Drift, drifted, error_of, no_drift
+from telenano.laws.shared.pass_through import slave_send as slave_send
+from telenano.laws.shared.surface import (
     KAPPA_UNIT,
     NANO,
     Fit,
@@ -67,7 +78,7 @@ from services.controller.laws.shared.surface import (
     root_of,
     unknown,
 )
-from services.controller.laws.shared.virtual_mass import (
+from telenano.laws.shared.virtual_mass import (
     HandPort,
     Mass,
     MassConfig,
@@ -89,18 +100,7 @@ from services.controller.laws.shared.virtual_mass import (
     tip_reference,
     worked,
 )
-from services.controller.ranges import (
-    ContactNPerM15,
-    DampingNSPerM,
-    EnergyJ,
-    EnergyOrNoneJ,
-    ForceOrNoneN,
-    ForceRateNPerS,
-    LengthM,
-    StiffnessNPerM,
-    TimeS,
-)
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 # A drift is seen where the force at the tip changes by less than this [nN/s].
 _STANDS_NN_PER_S = 2.0

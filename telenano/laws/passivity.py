@@ -68,8 +68,8 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.discretisation import approach
-from services.controller.law import (
+from telenano.laws.discretisation import approach
+from telenano.laws.law import (
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -81,7 +81,16 @@ from services.controller.law import (
     the_hands_force,
     tip_signal,
 )
-from services.controller.laws.shared.virtual_mass import (
+from telenano.laws.ranges import (
+    DampingNSPerM,
+    EnergyJ,
+    EnergyOrNoneJ,
+    ForceOrNoneN,
+    SpeedMPerS,
+    StiffnessNPerM,
+    TimeS,
+)
+from telenano.laws.shared.virtual_mass import (
     HandPort,
     Mass,
     MassConfig,
@@ -106,16 +115,7 @@ from services.controller.laws.shared.virtual_mass import (
     unpaid_j,
     worked,
 )
-from services.controller.ranges import (
-    DampingNSPerM,
-    EnergyJ,
-    EnergyOrNoneJ,
-    ForceOrNoneN,
-    SpeedMPerS,
-    StiffnessNPerM,
-    TimeS,
-)
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 # The clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for
 # moments.

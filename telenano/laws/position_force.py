@@ -13,16 +13,9 @@ present delay, with the last force and position held.
 
 from typing import NamedTuple
 
-from services.controller.law import (
-    HandSample,
-    MasterReference,
-    PortSignal,
-    law_of,
-    port_signal,
-    the_hands_force,
-)
-from services.controller.laws.shared import pass_through
-from services.controller.laws.shared.virtual_mass import (
+from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, port_signal, the_hands_force
+from telenano.laws.shared import pass_through
+from telenano.laws.shared.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,
@@ -35,7 +28,7 @@ from services.controller.laws.shared.virtual_mass import (
     resumed,
     tip_reference,
 )
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 
 class PositionForceParams(NamedTuple):

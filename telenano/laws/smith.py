@@ -29,14 +29,14 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from services.controller.discretisation import decay
-from services.controller.law import HandSample, MasterReference, PortSignal, law_of, port_signal
-from services.controller.laws import virtual_impedance as impedance
-from services.controller.laws.shared import pass_through
-from services.controller.laws.shared.virtual_mass import is_retracted, periods_in
-from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
-from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
-from services.numerics.compiled import compiled
+from telenano.laws import virtual_impedance as impedance
+from telenano.laws.discretisation import decay
+from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.laws.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
+from telenano.laws.shared import pass_through
+from telenano.laws.shared.virtual_mass import is_retracted, periods_in
+from telenano.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
+from telenano.numerics.compiled import compiled
 
 # So many references are kept, one a period. The oldest stands for still older ones, so longer delays are bridged in
 # part.

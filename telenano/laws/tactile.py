@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import (
+from telenano.laws.law import (
     HandSample,
     MasterReference,
     PortSignal,
@@ -29,12 +29,12 @@ from services.controller.law import (
     port_signal,
     tip_signal,
 )
-from services.controller.laws.shared.pass_through import SlaveState
-from services.controller.laws.shared.pass_through import slave_start as slave_start
-from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
-from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import filled
+from telenano.laws.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
+from telenano.laws.shared.pass_through import SlaveState
+from telenano.laws.shared.pass_through import slave_start as slave_start
+from telenano.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import filled
 
 # The wire can carry so much [N].
 _MOST_N = 1e6

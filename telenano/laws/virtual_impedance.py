@@ -11,19 +11,13 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.discretisation import Discretisation, exact_discretisation
-from services.controller.law import HandSample, MasterReference, PortSignal, law_of, port_signal
-from services.controller.laws.shared import pass_through
-from services.controller.laws.shared.virtual_mass import (
-    FARTHEST_M,
-    FASTEST_M_PER_S,
-    ScaledConfig,
-    bounded,
-    is_retracted,
-)
-from services.controller.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import filled
+from telenano.laws.discretisation import Discretisation, exact_discretisation
+from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.laws.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
+from telenano.laws.shared import pass_through
+from telenano.laws.shared.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import filled
 
 
 class VirtualImpedanceParams(NamedTuple):

@@ -50,8 +50,8 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.discretisation import approach, decay
-from services.controller.law import (
+from telenano.laws.discretisation import approach, decay
+from telenano.laws.law import (
     MOST_PERIODS_A_STEP,
     EnergyAccount,
     HandSample,
@@ -64,7 +64,8 @@ from services.controller.law import (
     the_hands_force,
     tip_signal,
 )
-from services.controller.laws.shared.virtual_mass import (
+from telenano.laws.ranges import DampingNSPerM, TimeOrNoneS, TimeS
+from telenano.laws.shared.virtual_mass import (
     HandPort,
     Mass,
     MassConfig,
@@ -86,8 +87,7 @@ from services.controller.laws.shared.virtual_mass import (
     tip_reference,
     worked,
 )
-from services.controller.ranges import DampingNSPerM, TimeOrNoneS, TimeS
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 
 class WaveParams(NamedTuple):

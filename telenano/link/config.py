@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from services.delay_node.profiles import PROFILES, refusal_of
-from services.runtime.settings.config import Settings, flatten, merge, nested, validate
+from telenano.link.profiles import PROFILES, refusal_of
+from telenano.settings.config import Settings, flatten, merge, nested, validate
 from telenano.wire.codec import MAX_MESSAGE_BYTES
 from telenano.wire.messages import MAX_KEYS
 

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from services.delay_node.fate import Release
-from services.runtime.loop.clock_offset import Offset
-from services.runtime.loop.freshness import DELAY_STEP_NS
+from telenano.link.fate import Release
+from telenano.timing.clock_offset import Offset
+from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import WireError, decode_header
 
 # the messages that descend from a sample of the hand, and whose age is therefore judged at the other side

@@ -10,13 +10,13 @@ from heapq import heappop, heappush
 from pathlib import Path
 from typing import NamedTuple
 
-from services.delay_node.config import DirectionSettings, LinkSettings
-from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
-from services.delay_node.models.jitter import RandomDelay
-from services.delay_node.models.outages import Outages
-from services.delay_node.models.queueing import ServedQueue, Waiting
-from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
-from services.runtime.loop.node_state import FindInput
+from telenano.link.config import DirectionSettings, LinkSettings
+from telenano.link.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
+from telenano.link.models.jitter import RandomDelay
+from telenano.link.models.outages import Outages
+from telenano.link.models.queueing import ServedQueue, Waiting
+from telenano.link.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
+from telenano.wire.node_state import FindInput
 
 # The limit is a day: no setting asks for more than an hour, but a heavy tail may draw anything.
 _LONGEST_DELAY_NS = 86_400_000_000_000

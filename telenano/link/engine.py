@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.delay_node.config import LinkSettings, parse_settings
-from services.delay_node.direction import DirectionEngine, DirectionState
-from services.delay_node.fate import Direction, Fate
-from services.runtime.loop.node_state import FindInput
+from telenano.link.config import LinkSettings, parse_settings
+from telenano.link.direction import DirectionEngine, DirectionState
+from telenano.link.fate import Direction, Fate
+from telenano.wire.node_state import FindInput
 
 
 class LinkState(NamedTuple):

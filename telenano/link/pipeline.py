@@ -12,14 +12,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
-from services.delay_node.config import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
-from services.delay_node.fate import Direction
-from services.delay_node.models.events import Corruptor, Overtaking
-from services.delay_node.models.jitter import JitterSource, RandomDelay
-from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
-from services.delay_node.models.outages import NO_SESSION_NS, Outages
-from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
-from services.delay_node.models.traces import (
+from telenano.link.config import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
+from telenano.link.fate import Direction
+from telenano.link.models.events import Corruptor, Overtaking
+from telenano.link.models.jitter import JitterSource, RandomDelay
+from telenano.link.models.loss import GilbertElliottChain, MarkovLossChain
+from telenano.link.models.outages import NO_SESSION_NS, Outages
+from telenano.link.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
+from telenano.link.models.traces import (
     DelayCourse,
     LossCourse,
     delay_at,
@@ -30,9 +30,9 @@ from services.delay_node.models.traces import (
     parse_loss_trace,
     read_text,
 )
-from services.delay_node.random_streams import Occurrence, RandomStream, stream
-from services.runtime.loop.node_state import Part, part
+from telenano.link.random_streams import Occurrence, RandomStream, stream
 from telenano.wire.errors import ConfigError
+from telenano.wire.node_state import Part, part
 
 Model = TypeVar("Model")
 NS_PER_S = 1_000_000_000

@@ -1,6 +1,6 @@
 """Named networks: partial settings of the link, each with its source and the statistics that it is held to.
 
-A network is a file of `telenano/presets/networks`, and its name is that of the file. What is in one is `Profile`:
+A network is a file of `telenano/settings/networks`, and its name is that of the file. What is in one is `Profile`:
 `source` says which figures were published where, `assumed` what the source leaves open, and `statistics` what the
 messages of a direction have, which `tests/unit/delay_node/test_network_presets.py` measures. The environment variable
 TELENANO_NETWORKS names a folder of further ones, such as what `telenano link fit` writes. Forward is the operator's
@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from services.runtime.settings.config import Settings, read_yaml, validate
-from telenano.presets import NETWORK_DIRECTORY
+from telenano.settings import NETWORK_DIRECTORY
+from telenano.settings.config import Settings, read_yaml, validate
 from telenano.wire.errors import ConfigError, known_names
 
 Milliseconds = Annotated[float, Field(ge=0.0)]

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.controller.config import ControllerConfig
-from services.controller.lateral import (
+from telenano.hand.lateral_hand import LateralHandConfig, LateralHandParams, LateralHandState, lateral_hand_step
+from telenano.laws.config import ControllerConfig
+from telenano.laws.lateral import (
     LateralFar,
     LateralHand,
     LateralMasterState,
@@ -24,15 +25,9 @@ from services.controller.lateral import (
     lateral_slave_at_rest,
     lateral_slave_step,
 )
-from services.controller.law import HandSample
-from services.haptic_node.physics.lateral_hand import (
-    LateralHandConfig,
-    LateralHandParams,
-    LateralHandState,
-    lateral_hand_step,
-)
-from services.numerics.compiled import compiled, inlined
+from telenano.laws.law import HandSample
 from telenano.lockstep.link import Schedule
+from telenano.numerics.compiled import compiled, inlined
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]

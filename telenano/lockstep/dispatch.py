@@ -8,9 +8,9 @@ Python. Steps handed over as arguments would be compiled anew by every process.
 from collections.abc import Callable
 from typing import Any, cast
 
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.controller.law import Law
-from services.numerics.compiled import chosen_step
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.laws.law import Law
+from telenano.numerics.compiled import chosen_step
 
 Step = Callable[..., Any]
 

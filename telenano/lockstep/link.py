@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.delay_node.config import DirectionSettings, LinkSettings
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.engine import fates_of
-from services.delay_node.fate import Direction
-from services.runtime.datagram.play_out import PlayOut
+from telenano.link.config import DirectionSettings, LinkSettings
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import fates_of
+from telenano.link.fate import Direction
+from telenano.timing.play_out import PlayOut
 
 Times = npt.NDArray[np.int64]
 

@@ -1,6 +1,6 @@
 """The closed loop in one compiled function: hand, law, link and instrument, tick by tick, no process and no clock.
 
-The steps are those that the nodes call, the state machines of the halves (`services.controller.integration`) are those
+The steps are those that the nodes call, the state machines of the halves (`telenano.laws.integration`) are those
 that the nodes run, and the order is that of the bus. At the tick n of the hand, time n Ts:
 
 1. the haptic site steps with the newest command that it has (guard, device, hand);
@@ -17,7 +17,7 @@ The guards judge the age of the hand's sample behind a command, less the delay o
 
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
 delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds half a period to that (`theory`).
-The session begins when the tip is placed, as the instrument says on the bus (`services.afm_node.safety.is_placed`).
+The session begins when the tip is placed, as the instrument says on the bus (`telenano.afm.safety.is_placed`).
 """
 
 import logging
@@ -29,16 +29,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.step import AfmParams, initial_afm_state
-from services.afm_node.safety import REASON_NAMES, SafetyParams, placing_s
-from services.controller.config import ControllerConfig
-from services.controller.deadband import deadband, initial_deadband_state
-from services.controller.lateral import hand_moves as moves_stage
-from services.controller.law import NO_SIGNAL, TipMeasurement
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.physics.step import HapticParams
-from services.haptic_node.physics.step import HapticStepState as HapticChainState
-from services.numerics.compiled import borrowed, compiled, compiled_call, inlined, is_compiled
+from telenano.afm.safety import REASON_NAMES, SafetyParams, placing_s
+from telenano.afm.step import AfmParams, initial_afm_state
+from telenano.hand.config import HapticConfig
+from telenano.hand.step import HapticParams
+from telenano.hand.step import HapticStepState as HapticChainState
+from telenano.laws.config import ControllerConfig
+from telenano.laws.deadband import deadband, initial_deadband_state
+from telenano.laws.lateral import hand_moves as moves_stage
+from telenano.laws.law import NO_SIGNAL, TipMeasurement
 from telenano.lockstep.across import (
     PARTICLE_X,
     PARTICLE_Y,
@@ -74,6 +73,7 @@ from telenano.lockstep.sites import (
     slave_with_signal,
     went_on,
 )
+from telenano.numerics.compiled import borrowed, compiled, compiled_call, inlined, is_compiled
 from telenano.wire.errors import ConfigError, RigError
 
 Series = npt.NDArray[np.float64]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.particles.steering import steered
-from services.numerics.compiled import compiled
+from telenano.afm.particles.steering import steered
+from telenano.numerics.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 

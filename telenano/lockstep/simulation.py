@@ -16,18 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from services.afm_node.config import SAMPLES, AfmConfig
-from services.afm_node.over_map import guard_of as limits_of
-from services.afm_node.over_map import read_params
-from services.afm_node.physics.disturbed import noisy_params
-from services.afm_node.physics.over_surface import over_surface
-from services.afm_node.physics.step import AfmParams
-from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.delay_node.config import EVEN, LinkSettings, network_name
-from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
-from services.runtime.settings.config import merge, nested, read_yaml, validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
+from telenano.afm.config import SAMPLES, AfmConfig
+from telenano.afm.disturbed import noisy_params
+from telenano.afm.over_map import guard_of as limits_of
+from telenano.afm.over_map import read_params
+from telenano.afm.over_surface import over_surface
+from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
+from telenano.afm.step import AfmParams
 from telenano.analysis.holds import (
     NO_PROGRAMME,
     Guard,
@@ -40,12 +35,17 @@ from telenano.analysis.holds import (
     verdict_of,
 )
 from telenano.analysis.interruptions import Told, in_words, interruptions_of
+from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.link.config import EVEN, LinkSettings, network_name
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule, schedule_of
 from telenano.lockstep.lockstep import Trajectory, build_rig, simulate, time_to_place_s
 from telenano.lockstep.push_hand import Hand as PushHand
-from telenano.presets import find_scenario
 from telenano.recording.column_table import ColumnTable
+from telenano.settings import find_scenario
+from telenano.settings.config import merge, nested, read_yaml, validate
+from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.wire.errors import ConfigError
 
 _COLUMNS = {

@@ -7,24 +7,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from services.afm_node import safety as afm_safety
-from services.afm_node.physics.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
-from services.afm_node.physics.step import step as instrument_step
-from services.controller import integration
-from services.controller.clamp import ClampParams, clamped
-from services.controller.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
-from services.controller.entering import Entry, entry_at_start, entry_step, shown_tip
-from services.controller.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
-from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
-from services.haptic_node import safety as haptic_safety
-from services.haptic_node.physics.step import HapticInputs, HapticParams, found
-from services.haptic_node.physics.step import HapticStepState as HapticChainState
-from services.haptic_node.physics.step import step as haptic_step
-from services.numerics.compiled import inlined
-from services.runtime.loop.freshness import DELAY_STEP_NS
+from telenano.afm import safety as afm_safety
+from telenano.afm.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
+from telenano.afm.step import step as instrument_step
+from telenano.hand import safety as haptic_safety
+from telenano.hand.step import HapticInputs, HapticParams, found
+from telenano.hand.step import HapticStepState as HapticChainState
+from telenano.hand.step import step as haptic_step
+from telenano.laws import integration
+from telenano.laws.clamp import ClampParams, clamped
+from telenano.laws.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from telenano.laws.entering import Entry, entry_at_start, entry_step, shown_tip
+from telenano.laws.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
+from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
 from telenano.lockstep.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
+from telenano.numerics.compiled import inlined
+from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire.topics import LOOP_DEADLINE_S
 
 # a rate of the hand that is older than the deadline of the loop moves nothing

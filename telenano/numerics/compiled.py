@@ -19,7 +19,7 @@ from types import FunctionType
 from typing import Any, TypeVar, cast
 
 # imported here because it notes when this process began, before steps are defined
-from services.numerics.source_digest import cache_folder
+from telenano.numerics.source_digest import cache_folder
 from telenano.wire.errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -93,7 +93,7 @@ def is_compiled(function: Callable[..., Any], given: tuple[Any, ...]) -> bool:
     if getattr(function, STEP) is None and not any(cache_folder().glob(kept)):
         return False
     form = _form_of(function)
-    from services.numerics.numba_parts import InterruptibleDispatcher
+    from telenano.numerics.numba_parts import InterruptibleDispatcher
 
     return bool(form.is_ready(given)) if isinstance(form, InterruptibleDispatcher) else True
 
@@ -185,7 +185,7 @@ def _compiler() -> Callable[[Callable[..., object], bool], object]:
     from numba.core import config, types
     from numba.core.typing.typeof import typeof_impl
 
-    from services.numerics.numba_parts import InterruptibleDispatcher, StepCache, register_borrowed
+    from telenano.numerics.numba_parts import InterruptibleDispatcher, StepCache, register_borrowed
 
     register_borrowed(borrowed)
 

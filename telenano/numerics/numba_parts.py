@@ -18,9 +18,9 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.registry import CPUDispatcher
 from numba.extending import lower_builtin, type_callable
 
-from services.numerics.source_digest import cache_folder, digest_covers, stamp
-from services.signals import interrupts
-from telenano.presets.regular_files import is_own, is_own_path
+from telenano.files.regular_files import is_own, is_own_path
+from telenano.numerics.source_digest import cache_folder, digest_covers, stamp
+from telenano.signals import interrupts
 
 _MAIN_THREAD = main_thread().ident
 # numba declares neither

@@ -10,16 +10,16 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from telenano.presets.plugins import digest_of_all, in_lockstep, package_files, with_steps
-from telenano.presets.plugins import modules as package_modules
+from telenano.settings.plugins import digest_of_all, in_lockstep, package_files, with_steps
+from telenano.settings.plugins import modules as package_modules
 
 _ROOT = Path(__file__).resolve().parents[2]
 # These folders and files hold the steps, and everything else that the outcome of a study depends on.
 SOURCES = (
-    *("services/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
+    *("telenano/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
     *("telenano/lockstep", "telenano/analysis/modes.py", "telenano/analysis/verdict.py"),
     # deadlines, which are compiled into the loop
-    *("telenano/wire/topics.py", "services/runtime/loop/freshness.py"),
+    *("telenano/wire/topics.py", "telenano/timing/freshness.py"),
 )
 _SHELLS = ("node.py", "half.py", "__main__.py")
 # Each edit begins a folder of a few megabytes; as many are kept as were used last.

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
-from telenano.recording.clock_line import Bound, ClockLine, are_apart, fitted
+from telenano.timing.clock_line import Bound, ClockLine, are_apart, fitted
 
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.

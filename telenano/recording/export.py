@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.presets import plugins
-from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.files.whole_files import whole_file, whole_folder
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage, file_stem, topic_of
@@ -26,7 +25,8 @@ from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
 from telenano.recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of, write_tables
 from telenano.recording.tables import plain
-from telenano.recording.whole_files import whole_file, whole_folder
+from telenano.settings import plugins
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
 from telenano.wire.extras import how_to_add_package, how_to_install

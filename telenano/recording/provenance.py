@@ -8,13 +8,13 @@ from pathlib import Path
 
 import zmq
 
-from services.recorder.config import RecorderConfig
-from services.runtime.untrusted.yaml_text import LARGEST_BYTES
-from services.signals import children
-from telenano.presets.plugins import in_scenarios
-from telenano.presets.regular_files import read_regular
+from telenano.files.regular_files import read_regular
+from telenano.files.yaml_text import LARGEST_BYTES
 from telenano.recording.mcap_scan import FORMAT
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.settings.plugins import in_scenarios
+from telenano.signals import children
 from telenano.wire import TOPICS
 from telenano.wire.errors import RecordingError
 

@@ -12,7 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
-from telenano.presets.regular_files import open_regular
+from telenano.files.regular_files import open_regular
 from telenano.recording.info import END_NAME, PartInfo, RecordingInfo, RecordingStatistics, attachments_of, notes_of
 from telenano.recording.mcap_index import index_faults
 from telenano.recording.mcap_scan import (

@@ -9,12 +9,12 @@ from typing import IO, Any
 
 from pydantic import BaseModel
 
+from telenano.files.whole_files import whole_file, whole_results
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_messages import MessageWriter
 from telenano.recording.mcap_scan import describe_damage
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.reader import Recording
-from telenano.recording.whole_files import whole_file, whole_results
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError
 
 _CHUNK_BYTES = 1 << 20

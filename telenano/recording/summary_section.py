@@ -20,7 +20,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 
-from telenano.presets.regular_files import open_regular
+from telenano.files.regular_files import open_regular
 from telenano.recording.info import ChannelInfo, RecordingInfo, attachments_of, notes_of
 from telenano.recording.mcap_scan import (
     MAGIC,

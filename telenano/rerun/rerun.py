@@ -14,26 +14,26 @@ from typing import Any, cast
 import zmq
 from pydantic import BaseModel
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Reader, Received, Subscriber, ZmqBus
-from services.runtime.bus.publisher import Publisher, ZmqPublisher
-from services.runtime.clock import TurnClock
-from services.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node
-from services.runtime.loop.node_state import is_whole, restore
-from services.runtime.settings.config import flag_overrides, merge, parse_yaml, validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
-from services.runtime.wiring.main import Wiring, node_kind
 from telenano.analysis.plugins import differences, recorded_plugins
-from telenano.analysis.rerun_bus import DifferenceError, RerunBus, RerunOutlet
-from telenano.analysis.rerun_inputs import JOURNAL, RecordedNode, Turn, start_ns, turns_of
 from telenano.recording.reader import Recording
 from telenano.recording.tolerance import Tolerances
+from telenano.rerun.rerun_bus import DifferenceError, RerunBus, RerunOutlet
+from telenano.rerun.rerun_inputs import JOURNAL, RecordedNode, Turn, start_ns, turns_of
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Reader, Received, Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
+from telenano.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import Node
+from telenano.runtime.wiring.main import Wiring, node_kind
+from telenano.settings.config import flag_overrides, merge, parse_yaml, validate
+from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.timing.clock import TurnClock
 from telenano.wire import Message
 from telenano.wire.errors import ConfigError, RecordingError, TelenanoError, known_names
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionControl
+from telenano.wire.node_state import is_whole, restore
 from telenano.wire.nodes import RERUN_NODES, name_of, no_rerun_reason
 from telenano.wire.sequence import Arrival
 

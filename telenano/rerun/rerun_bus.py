@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from services.runtime.bus.bus import Received
-from services.runtime.clock import TurnClock
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
-from telenano.analysis.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
+from telenano.runtime.bus.bus import Received
+from telenano.timing.clock import TurnClock
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import site_of

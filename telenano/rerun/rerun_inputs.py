@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast
 
-from services.runtime.loop.journal import COMMAND, MESSAGE
 from telenano.analysis.forwarded import Forwarded
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.reader import Recording
 from telenano.recording.records import REJECTED_TOPIC, RejectedRecord
+from telenano.runtime.loop.journal import COMMAND, MESSAGE
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import LINK, endpoints_of, name_of, site_of
 from telenano.wire.topics import output_name

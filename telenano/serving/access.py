@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from services.viz_node.people import People, Person
+from telenano.serving.people import People, Person
 from telenano.wire.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.viz_node.access import LOOPBACK, Access, tokens_given
-from services.viz_node.connections import Listener
-from services.viz_node.serve import Tls, bind, checked_tls
+from telenano.serving.access import LOOPBACK, Access, tokens_given
+from telenano.serving.connections import Listener
+from telenano.serving.serve import Tls, bind, checked_tls
 
 
 class ViewConfig(BaseModel):

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import msgspec
 
-from services.console.lease import MOST_LETTERS
-from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.security.private_files import check_runtime_directory, read_secret
-from services.runtime.untrusted.printable import printable
-from telenano.recording.whole_files import changed
+from telenano.console.lease import MOST_LETTERS
+from telenano.files.printable import printable
+from telenano.files.whole_files import changed
+from telenano.runtime.bus.local_endpoint import runtime_directory
+from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.wire.errors import ConfigError
 
 ROLES = ("observer", "pupil", "operator", "teacher")

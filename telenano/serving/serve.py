@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from services.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
-from services.runtime.security.private_files import check_runtime_directory, read_secret
-from services.viz_node.access import LOOPBACK, Access, is_loopback
-from services.viz_node.connections import Connections, Listener, most_connections
-from telenano.recording.whole_files import write_whole
+from telenano.files.whole_files import write_whole
+from telenano.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
+from telenano.runtime.security.private_files import check_runtime_directory, read_secret
+from telenano.serving.access import LOOPBACK, Access, is_loopback
+from telenano.serving.connections import Connections, Listener, most_connections
 from telenano.wire.errors import ConfigError, EndpointError, RigError, TelenanoError
 from telenano.wire.extras import how_to_install
 

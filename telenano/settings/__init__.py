@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from telenano.presets.plugins import scenario_files
+from telenano.settings.plugins import scenario_files
 from telenano.wire.errors import ConfigError, probably_meant
 
 _FOLDER = Path(__file__).resolve().parent

@@ -10,8 +10,8 @@ from typing import Any, TypeVar, cast, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
-from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_value
-from telenano.presets.regular_files import read_regular
+from telenano.files.regular_files import read_regular
+from telenano.files.yaml_text import LARGEST_BYTES, YamlError, yaml_value
 from telenano.wire.errors import ConfigError, RefusedError, known_names, probably_meant
 
 M = TypeVar("M", bound=BaseModel)

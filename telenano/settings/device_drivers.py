@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
-from telenano.presets.known_packages import KNOWN_PACKAGES
-from telenano.presets.plugins import Loaded, installed, load
+from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.plugins import Loaded, installed, load
 from telenano.wire.extras import how_to_add_package
 
 

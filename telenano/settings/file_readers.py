@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.runtime.untrusted.limited_child import Answer, Limits, limits_for, read_in_child
-from telenano.presets import plugins
-from telenano.presets.known_packages import KNOWN_PACKAGES
-from telenano.presets.regular_files import open_regular
+from telenano.files.limited_child import Answer, Limits, limits_for, read_in_child
+from telenano.files.regular_files import open_regular
+from telenano.settings import plugins
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
 

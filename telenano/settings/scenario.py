@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self, TypeGuard, TypeVar
 
 from pydantic import BaseModel, Field, model_validator
 
-from services.runtime.settings.config import Settings, layered, validate
+from telenano.settings.config import Settings, layered, validate
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -86,7 +86,7 @@ def _is_number(value: object) -> TypeGuard[float]:
 
 
 # A scenario may name what a package brings at these places; each place has a kind of plug-in
-# (`telenano.presets.plugins`).
+# (`telenano.settings.plugins`).
 _NAMED = (
     ("laws", ("controller", "law")),
     ("devices", ("haptic_node", "driver")),

@@ -7,7 +7,7 @@ arrives here at t4. With the delays d_there and d_back and the other clock ahead
     t3 - t4 <= o <= t2 - t1,  round trip = (t4 - t1) - (t3 - t2) = d_there + d_back        (RFC 5905, section 8).
 
 Queues only ever add delay, so the fastest question and the fastest answer of each second are kept, and the line between
-them has offset and drift (`telenano.recording.clock_line`). Only the difference of the two least delays enters, and no
+them has offset and drift (`telenano.timing.clock_line`). Only the difference of the two least delays enters, and no
 exchange can reveal it. Neither is below zero, so the error is never above half of their sum, the uncertainty that is
 given.
 """
@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from telenano.recording.clock_line import MOST_DRIFT, ClockLine, are_apart, fitted
+from telenano.timing.clock_line import MOST_DRIFT, ClockLine, are_apart, fitted
 
 # Two clocks that are not set drift apart by less between two exchanges of a second.
 STEP_NS = 10_000_000

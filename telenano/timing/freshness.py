@@ -9,8 +9,8 @@ from typing import NamedTuple, cast
 
 import msgspec
 
-from services.runtime.bus.bus import Received
-from services.runtime.clock import NEVER_NS
+from telenano.runtime.bus.bus import Received
+from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.runtime.loop.freshness import DelayHistory
+from telenano.timing.freshness import DelayHistory
 from telenano.wire.nodes import site_of
 
 Ints = npt.NDArray[np.int64]

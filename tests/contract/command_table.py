@@ -5,18 +5,18 @@ from pathlib import Path
 from typing import Any
 
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.programs.settings import InstrumentRequest
-from services.controller.config import OWN_LAWS, ControllerConfig
 from services.controller.half import ControllerHalf
-from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.disturbances import HandDisturbanceConfig
 from services.player.node import SETTERS, PlayerNode
 from services.recorder.node import ACTIONS, RecorderNode
-from services.runtime.loop.node import Node
-from services.runtime.settings.config import flatten, nested
+from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm.programs.settings import InstrumentRequest
+from telenano.hand.disturbances import HandDisturbanceConfig
+from telenano.laws.config import OWN_LAWS, ControllerConfig
+from telenano.link.config import LinkSettings, flattened
+from telenano.runtime.loop.node import Node
+from telenano.settings.config import flatten, nested
 
 SPEC = Path(__file__).parents[2] / "proto" / "SPEC.md"
 START, END = "<!-- commands: written by tests/contract/command_table.py -->", "<!-- end of commands -->"

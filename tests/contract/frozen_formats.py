@@ -15,12 +15,12 @@ import msgpack
 from mcap.reader import make_reader
 from wire_contract import examples, schema_of
 
-from services.recorder.config import RecorderConfig
-from services.recorder.provenance import write_provenance
-from telenano.presets import DEFAULT_SITE_FILE
 from telenano.recording.mcap_scan import FORMAT
+from telenano.recording.provenance import write_provenance
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RECORDS, GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import Record
 

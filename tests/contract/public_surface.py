@@ -16,8 +16,8 @@ import telenano
 import telenano.extend
 from telenano.cli import exit_codes
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
-from telenano.presets import SCHEMA_DIRECTORY
-from telenano.presets.plugins import KINDS
+from telenano.settings import SCHEMA_DIRECTORY
+from telenano.settings.plugins import KINDS
 from telenano.wire import TOPICS
 
 FILE = Path(__file__).with_suffix(".json")

@@ -12,9 +12,9 @@ import zmq
 from typer.testing import CliRunner
 from wire_contract import FOLDER
 
-from services.runtime.bus.address_book import load_site
 from telenano.cli.root import app
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.runtime.bus.address_book import load_site
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS
 from telenano.wire.nodes import LINK, name_of, site_of
 

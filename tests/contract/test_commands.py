@@ -10,22 +10,22 @@ import pytest
 import spec_client
 import yaml
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop.commands import CommandHandler
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.settings.config import flatten
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings, flattened
+from telenano.runtime.loop.commands import CommandHandler
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.settings.config import flatten
 from telenano.wire import TOPICS, Message, decode
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import AfmState, SessionControl, SessionEvent

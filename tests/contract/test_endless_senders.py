@@ -22,17 +22,17 @@ from telenano_haptic_devices import haply
 from telenano_networks import udp_ports
 from test_files_and_loops import ROOT, TABLES
 
-from services.afm_node.driver import DeviceError
-from services.console import command_client, emergency_stop
-from services.haptic_node.devices import servo_process
-from services.haptic_node.driver import DeviceError as HandError
 from services.player import node as player
-from services.recorder.live import LiveRecording
 from services.relay import forwarder
-from services.runtime.security import zap_authenticator
-from services.runtime.untrusted import limited_child
-from services.runtime.wiring.observer import Observer
 from services.viz_node import live
+from telenano.afm.driver import DeviceError
+from telenano.console import command_client, emergency_stop
+from telenano.console.live_recording import LiveRecording
+from telenano.devices.hand import servo_process
+from telenano.files import limited_child
+from telenano.hand.driver import DeviceError as HandError
+from telenano.runtime.security import zap_authenticator
+from telenano.runtime.wiring.observer import Observer
 
 # far beyond what any of these loops needs, and before the limit of a test [s]
 PATIENCE_S = 60.0
@@ -240,15 +240,15 @@ LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     "packages/telenano-haptic-devices/telenano_haptic_devices/haply.py: Conversation.drop": service_of_a_handle,
     f"{UDP}: UdpPorts._take_answers": datagrams_of_the_target,
     f"{UDP}: UdpPorts._take_from_clients": datagrams_of_clients,
-    "services/console/command_client.py: _new_subscriptions": console_subscriptions,
-    "services/console/emergency_stop.py: _Inlet.read_subscription": inlet_subscriptions,
-    "services/haptic_node/devices/servo_process.py: ProcessLink.open": answer_of_a_servo,
+    "telenano/console/command_client.py: _new_subscriptions": console_subscriptions,
+    "telenano/console/emergency_stop.py: _Inlet.read_subscription": inlet_subscriptions,
+    "telenano/devices/hand/servo_process.py: ProcessLink.open": answer_of_a_servo,
     "services/player/node.py: ReplayPublisher.read_subscriptions": player_subscriptions,
-    "services/recorder/live.py: LiveRecording.messages": messages_for_a_recorder,
+    "telenano/console/live_recording.py: LiveRecording.messages": messages_for_a_recorder,
     "services/relay/forwarder.py: Forwarder._read": datagrams_at_a_relay,
-    "services/runtime/security/zap_authenticator.py: ZapAuthenticator._answer": handshakes,
-    "services/runtime/untrusted/limited_child.py: _watched": silent_child,
-    "services/runtime/wiring/observer.py: Observer.listen": messages_of_a_rig,
+    "telenano/runtime/security/zap_authenticator.py: ZapAuthenticator._answer": handshakes,
+    "telenano/files/limited_child.py: _watched": silent_child,
+    "telenano/runtime/wiring/observer.py: Observer.listen": messages_of_a_rig,
     "services/viz_node/hub.py: Hub.tick": messages_for_pages,
 }
 # Loops with a test of their own, in a file of tests, and those that end whatever the other side does.
@@ -256,25 +256,25 @@ ELSEWHERE = {
     f"{KIT}: _run": (
         "packages/telenano-conformance/tests/test_conformance.py", "test_a_flood_ends_with_the_examination_and_is_named"
     ),
-    "services/console/emergency_stop.py: emergency_stop": (
+    "telenano/console/emergency_stop.py: emergency_stop": (
         "tests/unit/console/test_emergency_stop.py",
         "test_events_that_come_faster_than_they_are_read_do_not_keep_a_stop_from_being_sent_again",
     ),
-    "services/runtime/bus/bus.py: Subscriber.receive_raw": (
+    "telenano/runtime/bus/bus.py: Subscriber.receive_raw": (
         "tests/unit/runtime/test_runtime_bus.py", "test_a_flood_is_taken_a_bounded_part_at_a_time"
     ),
-    "services/runtime/datagram/end.py: DatagramEnd._take": (
+    "telenano/runtime/datagram/end.py: DatagramEnd._take": (
         "tests/unit/runtime/test_runtime_datagram.py",
         "test_a_flood_of_what_no_key_fits_is_counted_and_ends_no_datagrams",
     ),
-    "services/runtime/loop/healthcheck.py: receive_health": (
+    "telenano/runtime/loop/healthcheck.py: receive_health": (
         "tests/unit/runtime/test_runtime_healthcheck.py", "test_a_flood_of_other_messages_ends_in_time"
     ),
 }  # fmt: skip
 END_BY_THEMSELVES = {
     f"{UDP}: UdpPorts.receive": "what one call of epoll has returned is a list",
-    "services/runtime/bus/bus.py: without_superseded": "a batch is a list",
-    "services/console/command_client.py: send_controls": "it takes a batch of each reader a turn, as Observer.listen",
+    "telenano/runtime/bus/bus.py: without_superseded": "a batch is a list",
+    "telenano/console/command_client.py: send_controls": "it takes a batch of each reader a turn, as Observer.listen",
 }
 
 

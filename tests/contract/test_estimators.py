@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.afm_node.config import AfmConfig
+from telenano.afm.config import AfmConfig
 from telenano.wire.errors import TelenanoError
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "fit.md"
@@ -68,7 +68,7 @@ def phase() -> None:
 
 def particle() -> None:
     find = importlib.import_module("telenano_assembly.find")
-    shape = importlib.import_module("services.afm_node.physics.particles.tip_shape")
+    shape = importlib.import_module("telenano.afm.particles.tip_shape")
     step_m = 62.5e-9
     x, y = np.meshgrid(step_m * np.arange(-24, 24), step_m * np.arange(-24, 24))
     # a block with a flat top and upright sides
@@ -93,7 +93,7 @@ def clocks() -> None:
     draw = np.random.default_rng(1)
     bound = [(n * 10**9, int(draw.exponential(1e6))) for n in range(1, 60)]
     below = [(n * 10**9, -int(draw.exponential(1e6))) for n in range(1, 60)]
-    raise TelenanoError(f"drift {_function('telenano.recording.clock_line:fitted')(bound, below).drift}")  # type: ignore[attr-defined]
+    raise TelenanoError(f"drift {_function('telenano.timing.clock_line:fitted')(bound, below).drift}")  # type: ignore[attr-defined]
 
 
 # what is refused or said of what does not fit, by the name in the table of the page

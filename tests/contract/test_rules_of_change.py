@@ -13,8 +13,6 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 from wire_contract import examples
 
-from services.runtime.bus.bus import Subscriber
-from services.runtime.clock import SystemClock
 from telenano.cli.root import app
 from telenano.recording.export import export_recording
 from telenano.recording.indexed import IndexedRecording
@@ -24,6 +22,8 @@ from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyWriter, merge_recordings
 from telenano.recording.summary_section import quick_info
 from telenano.recording.verify import verify
+from telenano.runtime.bus.bus import Subscriber
+from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, WireError, accept, compose, decode, decode_header, encode, read_header
 from telenano.wire.codec import MAX_PLAIN_BYTES
 from telenano.wire.errors import RecordingError

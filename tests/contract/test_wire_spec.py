@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.bus import Subscriber
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.security.keyring import Keyring
-from services.runtime.wiring.transport import Transport
-from telenano.presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.wiring.transport import Transport
+from telenano.settings import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, decode, encode
 from telenano.wire.messages import AfmScanline, Array, Record, SessionControl
 from telenano.wire.sequence import Arrival, SequenceTracker

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from services.haptic_node.coupling import stable_stiffness_n_per_m
+from telenano.hand.coupling import stable_stiffness_n_per_m
 
 
 def period_map(

@@ -2,8 +2,8 @@
 
 import math
 
-from services.afm_node.physics.cantilever import Plant, branch_force
-from services.afm_node.physics.dynamic_plant import DynamicPlant
+from telenano.afm.cantilever import Plant, branch_force
+from telenano.afm.dynamic_plant import DynamicPlant
 
 
 def base_for(plant: Plant, distance_m: float, contact: bool, meniscus: bool) -> float:

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from services.launcher.scenario_keys import Key, all_keys
+from telenano.launcher.scenario_keys import Key, all_keys
 
 PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
 # sections beside one another that have a key with the same words are named in one line

@@ -221,7 +221,7 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "session.mcap": lambda path: path.write_bytes(mcap_whole()),
     "scenario.yaml": lambda path: path.write_bytes(yaml()),
     "trial.zip": write_trial,
-    "profile.yaml": copy_of("telenano/presets/networks/4g.yaml"),
+    "profile.yaml": copy_of("telenano/settings/networks/4g.yaml"),
     "plan.yaml": copy_of("packages/telenano-experiments/telenano_experiments/plans/delay_and_law.yaml"),
     "key.key_secret": lambda path: path.write_bytes(key()),
 }
@@ -258,7 +258,7 @@ def damaged(whole: bytes, seed: int, count: int) -> Iterator[bytes]:
 
 
 def _read_map(path: Path) -> None:
-    from services.afm_node.physics.sample.surface_files import read_surface
+    from telenano.afm.sample.surface_files import read_surface
 
     surface = read_surface(path, size_m=1e-7 if path.suffix == ".npy" else None)
     assert np.isfinite(surface.height_m).all()
@@ -291,8 +291,8 @@ def _read_mcap(path: Path) -> None:
 
 
 def _read_yaml(path: Path) -> None:
-    from services.runtime.settings.config import read_yaml, validate
-    from services.runtime.settings.scenario import Scenario
+    from telenano.settings.config import read_yaml, validate
+    from telenano.settings.scenario import Scenario
 
     validate(Scenario, read_yaml(path), str(path))
 
@@ -307,8 +307,8 @@ def _read_trial(path: Path) -> None:
 
 
 def _read_profile(path: Path) -> None:
-    from services.delay_node.profiles import Profile
-    from services.runtime.settings.config import read_yaml, validate
+    from telenano.link.profiles import Profile
+    from telenano.settings.config import read_yaml, validate
 
     validate(Profile, read_yaml(path), str(path))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fuzz_frames import Frames
 
-from services.runtime.datagram.body import (
+from telenano.runtime.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
     MOST_SAMPLE_BYTES,
@@ -18,8 +18,8 @@ from services.runtime.datagram.body import (
     packed,
     short_report,
 )
-from services.runtime.datagram.replay_window import WINDOW
-from services.runtime.datagram.sealing import Sealer
+from telenano.runtime.datagram.replay_window import WINDOW
+from telenano.runtime.datagram.sealing import Sealer
 
 MOST = 2**64 - 1
 # a jump beyond the window that is possible now and then

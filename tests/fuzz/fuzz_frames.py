@@ -12,10 +12,10 @@ import msgpack
 import numpy as np
 from wire_contract import examples, schema_of
 
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings, flattened
-from services.runtime.settings.config import flatten
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings, flattened
+from telenano.settings.config import flatten
 from telenano.wire import TOPICS, Topic, encode
 from telenano.wire.messages import Array
 from telenano.wire.nodes import LINK, NODES, name_of

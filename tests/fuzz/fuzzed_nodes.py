@@ -18,36 +18,36 @@ from typing import Any
 import zmq
 from fuzz_frames import Frames, stream
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
 from services.controller.__main__ import half_of_site
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.launcher.processes import StopObserver
-from services.launcher.session import SessionNode
-from services.launcher.supervisor import Supervisor
 from services.player.node import PlayerNode, PlaySettings
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, ZmqBus
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.loop.realtime import RealtimeStatus
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.launcher.processes import StopObserver
+from telenano.launcher.session import SessionNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber, ZmqBus
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP

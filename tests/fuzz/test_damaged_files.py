@@ -303,7 +303,7 @@ def test_much_damage_leads_to_no_traceback(tmp_path: Path, name: str, seed: int)
 
 
 def test_the_files_are_whole_before_they_are_damaged(tmp_path: Path) -> None:
-    from services.afm_node.physics.sample.surface_files import read_surface
+    from telenano.afm.sample.surface_files import read_surface
 
     for name in ("map.gwy", "map.gsf", "map.ibw"):
         if name.endswith("ibw"):

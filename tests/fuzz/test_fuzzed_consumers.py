@@ -26,15 +26,13 @@ from telenano_ros2.crtk import TEXTS, Encoder, Ros2Message
 from wire_contract import examples
 
 from services.recorder.intake import Intake
-from services.recorder.listener import Listener
-from services.runtime.bus.bus import Subscriber
-from services.viz_node.access import Role
 from services.viz_node.document import RecordingDocument
 from services.viz_node.feed import seen
 from services.viz_node.hub import Hub
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from telenano.analysis.report import write_report
+from telenano.console.listener import Listener
 from telenano.extend.testing import VirtualClock
 from telenano.recording.channel_filter import ALL
 from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
@@ -43,6 +41,8 @@ from telenano.recording.reader import Recording
 from telenano.recording.tables import plain
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.recording_document import judged_recording
+from telenano.runtime.bus.bus import Subscriber
+from telenano.serving.access import Role
 from telenano.wire import TOPICS, encode
 
 SEED = 42

@@ -13,7 +13,7 @@ import pytest
 from fuzz_frames import Frames, stream
 from wire_contract import examples
 
-from services.controller.config import OWN_LAWS as LAWS
+from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.wire import TOPICS, accept, encode
 from telenano.wire.sequence import MOST_COUNTED
 

@@ -2,47 +2,47 @@
 
 # tests that run in seconds and that have to notice a change of the module; the quickest come first
 MODULES: dict[str, tuple[str, ...]] = {
-    "services/afm_node/safety.py": (
+    "telenano/afm/safety.py": (
         "tests/unit/afm_node/test_safety_codes.py",
         "tests/unit/afm_node/test_afm_safety.py",
     ),
-    "services/afm_node/programs/feedback.py": (
+    "telenano/afm/programs/feedback.py": (
         "tests/unit/afm_node/test_integral_share.py",
         "tests/unit/afm_node/test_feedback.py",
     ),
-    "services/afm_node/programs/runner.py": ("tests/unit/afm_node/test_program_runner.py",),
-    "services/haptic_node/safety.py": (
+    "telenano/afm/programs/runner.py": ("tests/unit/afm_node/test_program_runner.py",),
+    "telenano/hand/safety.py": (
         "tests/unit/haptic_node/test_haptic_safety.py",
         "tests/unit/afm_node/test_safety_codes.py",
     ),
-    "services/runtime/loop/freshness.py": (
+    "telenano/timing/freshness.py": (
         "tests/unit/runtime/test_freshness_of_inputs.py",
         "tests/unit/runtime/test_runtime_freshness.py",
     ),
-    "services/runtime/loop/deferred.py": ("tests/unit/runtime/test_deferred_tasks.py",),
-    "services/runtime/loop/node_state.py": ("tests/unit/runtime/test_runtime_node_state.py",),
-    "services/runtime/loop/journal.py": (
+    "telenano/runtime/loop/deferred.py": ("tests/unit/runtime/test_deferred_tasks.py",),
+    "telenano/wire/node_state.py": ("tests/unit/runtime/test_runtime_node_state.py",),
+    "telenano/runtime/loop/journal.py": (
         "tests/unit/runtime/test_journal_state.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),
-    "services/runtime/loop/node_loop.py": (
+    "telenano/runtime/loop/node_loop.py": (
         "tests/unit/runtime/test_loop_edges.py",
         "tests/unit/runtime/test_loop_admission.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),
-    "services/runtime/loop/commands.py": ("tests/unit/runtime/test_runtime_commands.py",),
-    "services/runtime/security/zap_authenticator.py": (
+    "telenano/runtime/loop/commands.py": ("tests/unit/runtime/test_runtime_commands.py",),
+    "telenano/runtime/security/zap_authenticator.py": (
         "tests/unit/runtime/test_zap_enforcement.py",
         "tests/unit/runtime/test_runtime_transport.py",
     ),
-    "services/delay_node/direction.py": (
+    "telenano/link/direction.py": (
         "tests/unit/delay_node/test_link_order.py",
         "tests/unit/delay_node/test_link_outages.py",
         "tests/unit/delay_node/test_link_state.py",
     ),
-    "services/controller/hand_periods.py": ("tests/unit/controller/test_hand_periods.py",),
-    "services/controller/integration.py": ("tests/unit/controller/test_integration.py",),
-    "services/controller/laws/passivity.py": (
+    "telenano/laws/hand_periods.py": ("tests/unit/controller/test_hand_periods.py",),
+    "telenano/laws/integration.py": ("tests/unit/controller/test_integration.py",),
+    "telenano/laws/passivity.py": (
         "tests/unit/controller/test_passivity_ports.py",
         "tests/unit/controller/test_passivity.py",
     ),
@@ -51,44 +51,44 @@ MODULES: dict[str, tuple[str, ...]] = {
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
 EQUIVALENT: dict[str, dict[str, str]] = {
-    "services/afm_node/programs/runner.py": {
+    "telenano/afm/programs/runner.py": {
         "ProgramRunner.restore: if plan is not None and reached is not None:"
         " [plan is not None and reached is not None => plan is not None or reached is not None]": "a state has both of"
         " them or neither",
     },
-    "services/runtime/loop/journal.py": {
+    "telenano/runtime/loop/journal.py": {
         "InputJournal.__init__: self._next_state_ns = 0 [0 => 1]": "no turn is taken a nanosecond after 1970",
     },
-    "services/runtime/loop/node_loop.py": {
+    "telenano/runtime/loop/node_loop.py": {
         "NodeLoop.turn: if self._deferred.due_ns < NEVER_NS:"
         " [self._deferred.due_ns < NEVER_NS => self._deferred.due_ns <= NEVER_NS]": "no task is due then",
         "install_stop_signals: signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False) [False => True]": "only"
         " a process that gets more signals than the socket holds is warned of it",
     },
-    "services/runtime/loop/node_state.py": {
+    "telenano/wire/node_state.py": {
         "_names: if not _open_fields(kind): [not _open_fields(kind) => False]": "the same names, looked up field by"
         " field",
     },
-    "services/runtime/loop/freshness.py": {
+    "telenano/timing/freshness.py": {
         "DelayHistory.forget_before: if place > 0: [place > 0 => place >= 0]": "deletes the first 0 entries",
         "Freshness.__init__: self._judged_ns = 0 [0 => 1]": "no sample of a hand is a nanosecond after 1970",
         "Freshness.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
         " [self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns) => self.lag_ns(hand_t_ns)]": "the lag of the"
         " newest sample is kept only to save looking it up",
     },
-    "services/runtime/loop/deferred.py": {
+    "telenano/runtime/loop/deferred.py": {
         "DeferredTasks.__init__: self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0, NEVER_NS"
         f" [0 => 1]{place}": "no gap has begun, so nothing fits in whatever its end and middle are"
         for place in ("", " (2)")
     },
-    "services/runtime/loop/commands.py": {
+    "telenano/runtime/loop/commands.py": {
         "CommandHandler.__init__: self._stalled_s = 0.0 [self._stalled_s = 0.0 => pass]": "read only after it was set",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },
-    "services/runtime/security/zap_authenticator.py": {
+    "telenano/runtime/security/zap_authenticator.py": {
         "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
     },
-    "services/delay_node/direction.py": {
+    "telenano/link/direction.py": {
         "DirectionEngine.restore: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
         " [0 => 1]": "every time in the pipeline is restored a few lines later",
         "DirectionEngine._schedule: self._pushed += 1 [1 => 2]": "only the order of these numbers counts",
@@ -98,7 +98,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             for change in ("[0 => 1] (3)", "[delay_ns == 0 and (not (heap and heap[0][0] <= now_ns)) => False]")
         },
     },
-    "services/controller/hand_periods.py": {
+    "telenano/laws/hand_periods.py": {
         "module: ANEW = -1 [1 => 2]": "any negative number is no count",
         "no_sample: return HandClock(-1, 0) [0 => 1]": "the first sample sets the place of the grid",
         "no_sample: return HandClock(-1, 0) [1 => 2]": "any negative time stamp stands for none",
@@ -109,7 +109,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " [max(0, (since_ns + period_ns // 2) // period_ns) => (since_ns + period_ns // 2) // period_ns]": "the grid is"
         " at most half a period later than the sample before, and this one is later than that",
     },
-    "services/controller/integration.py": {
+    "telenano/laws/integration.py": {
         "module: _NEVER_NS = -1 [1 => 2]": "any negative time stands for none",
         "slave_passes_over: return params.local_ns > 0 and outstanding and now_ns < timing.commands.lasts_ns -"
         " params.period_ns // 2 [0 => 1]": "no half with a loop of its own has a last signal that counts for a"
@@ -136,7 +136,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             for change in ("[1 => 2]", "[0 => 1]", "[1 => 2] (2)")
         },
     },
-    "services/controller/laws/passivity.py": {
+    "telenano/laws/passivity.py": {
         "moved_by_what_is_paid: damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j,"
         " 0.0), 1.0) [1.0 => 2.0] (2)": "a motion of the hand is cut to what its store has, which is never below zero",
     },

@@ -2,7 +2,7 @@
 
     python tests/releases/make_demo.py
 
-The nodes of the rig run in virtual time, so that the same commit gives the same messages. `telenano/presets/demo.mcap`
+The nodes of the rig run in virtual time, so that the same commit gives the same messages. `telenano/settings/demo.mcap`
 is the session that `telenano view --demo` shows.
 """
 
@@ -27,7 +27,7 @@ def recorded(path: Path, duration_s: float) -> None:
     """Record a session of Fig. 12 over a link of 20 ms, there and back."""
     from virtual_rig import record_session
 
-    from telenano.presets import find_scenario
+    from telenano.settings import find_scenario
 
     scenario = yaml.safe_load(find_scenario("fig12").read_text())
     folder = path.with_suffix("")

@@ -30,7 +30,7 @@ PLACES = ("services", "telenano")
 PAGE_PORT = 18650
 TRIAL = """
 import telenano
-from telenano.presets import DEMO_RECORDING
+from telenano.settings import DEMO_RECORDING
 session, simulated = telenano.open(DEMO_RECORDING), telenano.simulate("fig12")
 rows = len(session.table("afm/state")["time_s"])
 assert rows > 100

@@ -30,8 +30,8 @@ APART = ("pip", "setuptools")
 FORBIDDEN = ("tests/", "docs/", "services/viz_node/web/src/", "benchmarks/")
 WANTED = (
     "telenano/py.typed",
-    "telenano/presets/demo.mcap",
-    "telenano/presets/scenarios/fig12.yaml",
+    "telenano/settings/demo.mcap",
+    "telenano/settings/scenarios/fig12.yaml",
     "services/viz_node/web/dist/index.html",
 )
 # A source distribution has what its tests need and nothing that is made from it.

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import yaml
 from virtual_rig import ARMED_S, STARTED_S, Timing, VirtualBus, VirtualRig
 
-from telenano.presets import find_scenario
+from telenano.settings import find_scenario
 
 # The tip begins at 0, 0, a little more than d behind.
 PARTICLE_M = (3.5e-7, 0.0)

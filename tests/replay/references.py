@@ -26,12 +26,12 @@ import yaml
 from in_memory import InMemory
 from virtual_rig import LINK_NODE, NODES, record_session
 
-from services.controller.config import OWN_LAWS as LAWS
-from services.numerics.compiled import compiled_form, is_step
-from telenano.analysis.rerun import rerun
-from telenano.presets import find_scenario
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.numerics.compiled import compiled_form, is_step
 from telenano.recording.reader import Recording
 from telenano.recording.tolerance import Tolerances
+from telenano.rerun.rerun import rerun
+from telenano.settings import find_scenario
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER / "digests.json"

@@ -14,10 +14,10 @@ from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 from virtual_rig import record_session
 
-from services.afm_node.physics.sample.force_map import write_map
-from telenano.analysis.rerun import rerun
+from telenano.afm.sample.force_map import write_map
 from telenano.cli.root import app
 from telenano.recording.reader import Recording
+from telenano.rerun.rerun import rerun
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "instrument.md"
 # measured files are not part of the project; those of afmformats' own tests are public

@@ -31,14 +31,14 @@ from references import (
 )
 
 import telenano.wire.codec
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
-from telenano.analysis.rerun import rerun
-from telenano.analysis.rerun_bus import RerunBus
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.virtual_impedance import VirtualImpedanceConfig
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import filter_recording
 from telenano.recording.tolerance import Tolerances
+from telenano.rerun.rerun import rerun
+from telenano.rerun.rerun_bus import RerunBus
 from telenano.wire import TOPICS, Message
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmState

@@ -14,10 +14,10 @@ HOUR_S = 3600.0
 WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|\btime\.(local|gm)time\(\)")
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
-    "services/runtime/clock.py": "once, at the start of the first process, for the stamps of all",
-    "services/launcher/rigs.py": "when a rig began, for a person who lists the rigs",
-    "services/runtime/security/keyring.py": "the day on which a key expires",
-    "services/numerics/source_digest.py": "when this process began, to compare with the times of its sources",
+    "telenano/timing/clock.py": "once, at the start of the first process, for the stamps of all",
+    "telenano/launcher/rigs.py": "when a rig began, for a person who lists the rigs",
+    "telenano/runtime/security/keyring.py": "the day on which a key expires",
+    "telenano/numerics/source_digest.py": "when this process began, to compare with the times of its sources",
 }
 
 
@@ -56,4 +56,4 @@ def test_no_node_acts_on_the_wall_clock() -> None:
         if lines:
             found[str(path.relative_to(ROOT))] = lines
     assert set(found) == set(MAY_ASK), found
-    assert len(found["services/runtime/clock.py"]) == 1
+    assert len(found["telenano/timing/clock.py"]) == 1

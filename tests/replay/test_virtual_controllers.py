@@ -12,10 +12,10 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from virtual_rig import Timing, VirtualRig
 
 import services.afm_node.__main__ as afm
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of
-from services.runtime.settings.config import validate
-from telenano.presets import find_scenario
+from telenano.afm.config import AfmConfig
+from telenano.devices.afm.instrument import driver_of
+from telenano.settings import find_scenario
+from telenano.settings.config import validate
 
 CALIBRATIONS: dict[str, Any] = {"gwyscope": GwyscopeCalibration, "nanonis": NanonisCalibration}
 TIP, HAND = "afm_node@slave", "haptic_node@master"

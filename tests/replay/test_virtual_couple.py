@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from virtual_rig import ARMED_S, STARTED_S, VirtualRig
 
-from services.console.coupling import TOPICS, couple
-from services.runtime.loop.commands import Command
-from telenano.analysis.rerun import rerun
+from telenano.console.coupling import TOPICS, couple
 from telenano.recording.reader import Recording
+from telenano.rerun.rerun import rerun
+from telenano.runtime.loop.commands import Command
 from telenano.wire.errors import RigError
 from telenano.wire.nodes import DEVICES, HAND, TIP
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from virtual_rig import ARMED_S, STARTED_S, VirtualRig, constant_timing
 
-from services.haptic_node.config import HapticConfig
+from telenano.hand.config import HapticConfig
 from telenano.wire.messages import HapticState, SessionEvent
 
 HAND = "haptic_node@master"

@@ -28,11 +28,11 @@ from test_virtual_lockstep import (
 )
 from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
-from services.controller.config import OWN_LAWS as LAWS
-from services.runtime.loop.freshness import DELAY_STEP_NS
+from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule, fresh, last_together, schedule_from
 from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message
 from telenano.wire.messages import TeleopForward
 

@@ -11,10 +11,10 @@ import pytest
 import yaml
 from virtual_rig import record_session
 
-from services.delay_node.profiles import PROFILES
 from telenano.analysis.report import read_session, summarise
-from telenano.presets import find_scenario
+from telenano.link.profiles import PROFILES
 from telenano.recording.multi_file import open_recordings
+from telenano.settings import find_scenario
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 # until the hand has started

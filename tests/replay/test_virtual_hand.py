@@ -5,10 +5,10 @@ import pytest
 import yaml
 from lateral_hand import FIXTURES, PARTICLE_M, LatePage, Pushed, push_by_hand, scenario
 
-from services.controller.config import ControllerConfig
-from services.runtime.settings.config import merge, nested
+from telenano.laws.config import ControllerConfig
 from telenano.lockstep import lockstep
 from telenano.lockstep.simulation import SimulatedSession, simulate_document
+from telenano.settings.config import merge, nested
 
 DELAYED = tuple(f"delay_node.{way}.delay_s=0.1" for way in ("forward", "backward"))
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")

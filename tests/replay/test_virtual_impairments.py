@@ -6,7 +6,7 @@ import pytest
 from impairments import KINDS, cell_of, direction_of, fault_of, outcomes, scenario_over, write_traces
 from virtual_rig import ARMED_S, STARTED_S, Timing, VirtualRig
 
-from services.delay_node.config import Impairment
+from telenano.link.config import Impairment
 
 SEED = 7
 TIMING = Timing((0, 1), (1_000, 1_001), None, (10_000, 10_001), (1_000, 1_001), (1_000, 1_001), stall_share=0.0)

@@ -37,12 +37,12 @@ from telenano_studies.loops.validate import read_course, scenario_of
 from virtual_rig import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 
 from services.afm_node import node as afm_node
-from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.config import ControllerConfig
-from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
 from services.haptic_node.node import HapticNode
+from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import ControllerConfig
+from telenano.laws.law import LONGEST_BRIDGED_PERIODS
 from telenano.lockstep.link import schedule_of
 from telenano.lockstep.lockstep import Trajectory, simulate
 from telenano.wire import Message, encode

@@ -6,9 +6,9 @@ import pytest
 from telenano_microscopy.particle_bench import bench
 from virtual_rig import ARMED_S, VirtualRig
 
-from services.afm_node.physics.particles import layer
-from telenano.analysis.rerun import rerun
+from telenano.afm.particles import layer
 from telenano.recording.reader import Recording
+from telenano.rerun.rerun import rerun
 from telenano.wire.instrument import AfmParticles
 
 SCENARIO = {

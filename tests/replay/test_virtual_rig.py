@@ -13,15 +13,15 @@ from in_memory import InMemory
 from references import REFERENCES
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
-from services.controller.config import OWN_LAWS as LAWS
-from services.runtime.loop.journal import DEFERRED
-from telenano.analysis import rerun as rerun_module
-from telenano.analysis.rerun import RerunResult, rerun
+from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.recording.channel_filter import Selection
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import RawMessage, Recording
 from telenano.recording.rewrite import filter_recording
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.rerun import rerun as rerun_module
+from telenano.rerun.rerun import RerunResult, rerun
+from telenano.runtime.loop.journal import DEFERRED
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import Array, LinkFates
 from telenano.wire.nodes import LINK, name_of, site_of

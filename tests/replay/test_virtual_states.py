@@ -18,19 +18,19 @@ from test_virtual_rig import edited
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
 from services.afm_node import __main__ as afm
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.part import AfmSample, PlantInputs
-from services.afm_node.physics.sample_models import SampleModel, register_sample
-from services.afm_node.physics.sim import SimulatedInstrument
 from services.controller import half
 from services.haptic_node import __main__ as haptic
-from services.numerics.compiled import compiled
-from services.runtime.loop import journal
-from services.runtime.loop.node_state import pack, restore
-from telenano.analysis.rerun import rerun
+from telenano.afm.config import AfmConfig
+from telenano.afm.part import AfmSample, PlantInputs
+from telenano.afm.sample_models import SampleModel, register_sample
+from telenano.afm.sim import SimulatedInstrument
+from telenano.numerics.compiled import compiled
 from telenano.recording.reader import RawMessage, Recording
 from telenano.recording.rewrite import filter_recording
+from telenano.rerun.rerun import rerun
+from telenano.runtime.loop import journal
 from telenano.wire.errors import RecordingError
+from telenano.wire.node_state import pack, restore
 
 ALL_NODES = (LINK_NODE, *NODES)
 

@@ -19,27 +19,27 @@ import yaml
 import zmq
 
 from services.afm_node.__main__ import build as build_afm_node
-from services.afm_node.config import AfmConfig
 from services.controller.__main__ import half_of_site
-from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.haptic_node.__main__ import build as build_haptic_node
-from services.haptic_node.config import HapticConfig
-from services.recorder.config import RecorderConfig
-from services.recorder.provenance import write_provenance
-from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.loop.freshness import DELAY_STEP_NS
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.loop.realtime import RealtimeStatus
-from services.runtime.settings.config import flag_overrides, merge
-from services.runtime.settings.scenario import LoadedScenario, Scenario
+from telenano.afm.config import AfmConfig
 from telenano.extend.testing import VirtualClock
-from telenano.presets import SITE_DIRECTORY
+from telenano.hand.config import HapticConfig
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings
+from telenano.recording.provenance import write_provenance
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RejectedRecord
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.settings import SITE_DIRECTORY
+from telenano.settings.config import flag_overrides, merge
+from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import TOPICS, Message, WireError, decode, decode_header, encode
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of

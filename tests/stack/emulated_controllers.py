@@ -30,7 +30,7 @@ class Emulated:
     def __init__(self, folder: Path, scenario: str, *options: str) -> None:
         self.file = folder / f"{self.name}.yaml"
         self.port, self.guard_port = free_port(), free_port()
-        known = f"telenano/presets/scenarios/{scenario}.yaml"
+        known = f"telenano/settings/scenarios/{scenario}.yaml"
         chosen = known if (ROOT / known).exists() else scenario
         served = ("--port", str(self.port), *options, "--scenario", chosen)
         self.server = self._start("simulate", *served, "--calibration", str(self.file))

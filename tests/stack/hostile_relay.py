@@ -6,7 +6,7 @@ from typing import Any
 
 from services.relay import server
 from services.relay.forwarder import Forwarder
-from services.runtime.relay.protocol import MAGIC
+from telenano.runtime.relay.protocol import MAGIC
 
 Address = tuple[Any, ...]
 # shares of the datagrams, and how many others overtake one that is held back

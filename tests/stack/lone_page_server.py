@@ -8,10 +8,10 @@ from typing import Any
 import uvicorn
 
 from services.viz_node import server
-from services.viz_node.access import Access
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.source import NoTransport
+from telenano.serving.access import Access
 
 # Takes the force down [N] and across [N, N].
 Push = Callable[[float, tuple[float, float]], None]

@@ -22,7 +22,7 @@ from lone_page_server import LonePageServer
 from two_sites import MASTER
 from wide_area_cable import WideAreaCable
 
-from services.viz_node.access import Access
+from telenano.serving.access import Access
 
 PORT = 8650
 TOKEN = "operator-token-0123"

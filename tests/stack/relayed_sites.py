@@ -12,7 +12,7 @@ import machine
 import yaml
 from two_sites import ROOT, Cable, Site, TwoSites, _ip
 
-from services.runtime.security.keyring import Keyring
+from telenano.runtime.security.keyring import Keyring
 
 PORT = 5750
 # documentation addresses: the routers' outside, and the relay's on each side

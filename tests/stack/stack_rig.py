@@ -18,7 +18,7 @@ from commands import COMMANDS
 from figure_layout import arrows, faults
 from following import Following, Recorded
 
-from services.viz_node.fig12 import draw_fig12
+from telenano.analysis.fig12 import draw_fig12
 from telenano.analysis.report import read_session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording

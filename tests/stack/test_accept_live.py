@@ -16,7 +16,7 @@ from stack_rig import ROOT
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.take import steps_of
 
-from services.haptic_node.devices.servo_process import ProcessLink
+from telenano.devices.hand.servo_process import ProcessLink
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
 

@@ -15,8 +15,8 @@ import yaml
 from emulated_controllers import PATIENCE_S, Gwyscope, Nanonis, free_port
 from stack_rig import Rig, judged
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.afm.config import AfmConfig
+from telenano.afm.sample.surface_files import read_surface
 from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]

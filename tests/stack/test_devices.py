@@ -18,9 +18,9 @@ import yaml
 from stack_rig import ROOT, Rig
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
-from services.afm_node.devices.modbus_frames import Conversation
-from services.controller.config import ControllerConfig
 from telenano.analysis.modes import fitted
+from telenano.devices.afm.modbus_frames import Conversation
+from telenano.laws.config import ControllerConfig
 from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
 

@@ -37,8 +37,8 @@ from stack_rig import Rig, judged
 from websockets.sync.client import connect
 
 from services.viz_node.requests import PROTOCOL
-from services.viz_node.serve import missing_for_view
 from telenano.recording.reader import Recording
+from telenano.serving.serve import missing_for_view
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 __all__ = ["place"]

@@ -16,9 +16,9 @@ import pytest
 from ledger import record
 from stack_rig import Rig
 
-from services.console.command_client import send_control
-from services.runtime.loop.commands import Command
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.command_client import send_control
+from telenano.runtime.loop.commands import Command
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import RigError
 
 HAND, TIP, SLAVE_HALF = "haptic_node@master", "afm_node@slave", "controller@slave"

@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from PIL import Image
 from stack_rig import Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
 
-from telenano.analysis.rerun import RerunResult, rerun
 from telenano.recording.reader import Recording
+from telenano.rerun.rerun import RerunResult, rerun
 from telenano.wire import TOPICS
 
 LOSSLESS = [name for name, topic in TOPICS.items() if topic.delivery == "lossless"]

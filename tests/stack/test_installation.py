@@ -138,9 +138,9 @@ def test_the_library_reads_a_recording_and_simulates_without_any_extra(
 # what each extra is for, done with that extra alone: a command, or a program
 ALONE = {
     "haptic": "device list",
-    "afm": "-c import services.afm_node.devices.modbus_driver",
-    "controller": "-c import services.runtime.datagram.sealing, services.controller.__main__",
-    "delay": "-c import services.runtime.datagram.sealing, services.delay_node.__main__",
+    "afm": "-c import telenano.devices.afm.modbus_driver",
+    "controller": "-c import telenano.runtime.datagram.sealing, services.controller.__main__",
+    "delay": "-c import telenano.runtime.datagram.sealing, services.delay_node.__main__",
     "relay": "-c import services.relay.__main__",
     "recorder": "-c import services.recorder.__main__",
     "instrument": "sample --sample dots --out dots",

@@ -18,8 +18,8 @@ from browser_page import View
 from ledger import record
 from stack_rig import Rig
 
-from services.console.lease import Lease
-from services.console.lease_register import LeaseRegister
+from telenano.console.lease import Lease
+from telenano.console.lease_register import LeaseRegister
 
 pytestmark = [pytest.mark.stack, pytest.mark.timeout(600)]
 PAGE = Path(__file__).parent / "pressing_page.py"

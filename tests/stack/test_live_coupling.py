@@ -11,9 +11,9 @@ import pytest
 from coupling_theory import critical_stiffness
 from live_devices import LiveDevice
 
-from services.haptic_node.coupling import GATE_ACTIVE, ZERO, CouplingSettings
-from services.haptic_node.devices.servo_process import ProcessLink
-from services.haptic_node.servo import ServoCommand, ServoSample
+from telenano.devices.hand.servo_process import ProcessLink
+from telenano.hand.coupling import GATE_ACTIVE, ZERO, CouplingSettings
+from telenano.hand.servo import ServoCommand, ServoSample
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
 

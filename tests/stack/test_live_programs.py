@@ -9,12 +9,12 @@ import numpy.typing as npt
 import pytest
 from stack_rig import Rig, held_up, judged
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.sample.surface import Surface
-from services.afm_node.physics.sample.surface_files import read_surface
-from telenano.analysis.rerun import rerun
+from telenano.afm.config import AfmConfig
+from telenano.afm.sample.surface import Surface
+from telenano.afm.sample.surface_files import read_surface
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
+from telenano.rerun.rerun import rerun
 from telenano.wire.messages import AfmState
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]

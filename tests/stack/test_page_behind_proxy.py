@@ -46,7 +46,7 @@ def forces() -> Iterator[tuple[int, list[tuple[float, float]]]]:
     """Serve a page at a port; yield that, and each force that comes to the device: when [s], and how much down [N]."""
     from lone_page_server import LonePageServer
 
-    from services.viz_node.access import Access
+    from telenano.serving.access import Access
 
     found: list[tuple[float, float]] = []
     (port,) = free_ports(1)

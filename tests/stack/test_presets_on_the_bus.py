@@ -6,7 +6,7 @@ import pytest
 from stack_rig import judged
 
 import telenano
-from services.controller.config import OWN_LAWS
+from telenano.laws.config import OWN_LAWS
 
 
 def run(rig: Any, law: str, environment: str, scenario: str, *options: str) -> dict[str, Any]:

@@ -19,19 +19,19 @@ from killed import check_killed, kill_recorders
 from ledger import record
 from stack_rig import FIGURE_S, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
 
-from services.console.command_client import send_control
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.loop.commands import Command
-from services.viz_node.access import Access
 from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.requests import PROTOCOL
-from telenano.analysis.rerun import rerun
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.command_client import send_control
 from telenano.recording.reader import Recording
+from telenano.rerun.rerun import rerun
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.commands import Command
+from telenano.serving.access import Access
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.timing.clock import SystemClock
 from telenano.wire.errors import RigError
 
 CONSOLE = "console@master"

@@ -10,8 +10,8 @@ import machine
 import pytest
 from stack_rig import Rig
 
-from services.launcher.processors import FOR_A_RIG, held, shared_folder
-from services.runtime.loop.realtime import may_use_fifo
+from telenano.launcher.processors import FOR_A_RIG, held, shared_folder
+from telenano.runtime.loop.realtime import may_use_fifo
 
 pytestmark = pytest.mark.stack
 

@@ -18,7 +18,7 @@ import pytest
 from stack_rig import PATIENCE_S, Rig
 from storm import HAND, NODES, RECORDER, check_gaps, check_parts, disturb, parts, plan, start_of, steps, verdicts_of
 
-from services.afm_node.section_config import SafetyConfig
+from telenano.afm.section_config import SafetyConfig
 from telenano.recording.reader import Recording
 
 KILL, TERM, STOP = signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP

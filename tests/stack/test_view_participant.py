@@ -29,7 +29,7 @@ from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
 from telenano.extend.tasks import choice
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.settings import DEFAULT_SITE_FILE
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 

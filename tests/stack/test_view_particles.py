@@ -13,8 +13,8 @@ import pytest
 from browser_page import BESIDE_A_BROWSER, PATIENCE_S, Page, View, browser, has, needs_browser, open_page
 from stack_rig import Rig
 
-from services.afm_node.physics.particles.settings import ParticlesConfig
-from services.afm_node.programs.push import AT_GOAL
+from telenano.afm.particles.settings import ParticlesConfig
+from telenano.afm.programs.push import AT_GOAL
 from telenano.recording.reader import Recording
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
@@ -55,7 +55,7 @@ def done(page: Page, action: Callable[[], object]) -> None:
 
 
 # A particle that is pushed through its middle turns aside by itself: who pushes has to follow the force that is felt,
-# by the law of services/afm_node/physics/particles/steering.py. The hand does so in the page, at what the page shows:
+# by the law of telenano/afm/particles/steering.py. The hand does so in the page, at what the page shows:
 # from outside a move of the pointer takes seconds on a busy machine, and a particle is lost in as many.
 HAND = """([share, deep]) => {
   const pad = document.querySelector('#steer-pad'), box = pad.getBoundingClientRect();

@@ -12,15 +12,15 @@ import pytest
 from browser_page import FILLED, Page, View, browser, has, needs_browser, open_page, until
 from made_sessions import FORCE_SCALE, STEP_S, Made, hand_force_n
 
-from services.afm_node.physics.sample.surface import Surface
-from services.afm_node.physics.sample.surface_files import read_surface
-from services.recorder.config import RecorderConfig
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.wiring.participant import open_participant
 from services.viz_node.requests import PROTOCOL
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.afm.sample.surface import Surface
+from telenano.afm.sample.surface_files import read_surface
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.wiring.participant import open_participant
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import encode
 from telenano.wire.messages import AfmScanline, Array
 

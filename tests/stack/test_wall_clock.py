@@ -8,7 +8,7 @@ import time
 from ledger import record
 from stack_rig import CONSTANT_PUSH, PATIENCE_S, Rig
 
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE
+from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 
 HOUR_NS = 3600 * 10**9
 ARM = ("session", "arm")

@@ -19,7 +19,7 @@ import yaml
 from commands import COMMANDS
 from following import Following, Recorded
 
-from services.runtime.security.keyring import Keyring
+from telenano.runtime.security.keyring import Keyring
 
 ROOT = Path(__file__).resolve().parents[2]
 TWO_SITES = ROOT / "telenano" / "presets" / "sites" / "two_sites.yaml"

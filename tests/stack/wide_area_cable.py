@@ -41,8 +41,8 @@ from telenano_networks.network_trace import QUANTILES
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
-from services.runtime.settings.config import flatten
 from telenano.recording.reader import Recording
+from telenano.settings.config import flatten
 
 # both recorders would have the topics of the loop cross the network a second time, over TCP
 EXCLUDED = {"master": ["law/*", "link/fates", "teleop/*", "afm/command"], "slave": ["law/*", "teleop/*"]}

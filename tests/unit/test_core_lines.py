@@ -10,7 +10,7 @@ import tomllib
 import pytest
 from core_lines import APART, ROOT, code_lines, core_files
 
-from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -119,8 +119,8 @@ def _take_of_instrument(calibration: Path | None, section: dict[str, Any], guide
 def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: list[str], guide: "Guide") -> "Take[Any]":
     import yaml
 
-    from services.haptic_node.config import HapticConfig
-    from services.runtime.settings.config import validate
+    from telenano.hand.config import HapticConfig
+    from telenano.settings.config import validate
     from telenano_acceptance.haptic_device.devices import make_take
 
     config = validate(HapticConfig, section, "--set", "haptic_node")

@@ -8,17 +8,17 @@ from typing import Annotated, Any
 
 import typer
 
-from services.afm_node.config import DRIVERS as INSTRUMENTS
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of_file
-from services.haptic_node.config import DRIVERS as HANDLES
-from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from services.runtime.settings.config import validate
-from services.runtime.settings.device_drivers import missing_driver
+from telenano.afm.config import DRIVERS as INSTRUMENTS
+from telenano.afm.config import AfmConfig
 from telenano.cli.output import print_answer
+from telenano.devices.afm.instrument import driver_of_file
 from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, flag_overrides, report_errors
 from telenano.extend.devices import MODE_OFF, DriveCommand
-from telenano.presets.plugins import fault_of_package
+from telenano.hand.config import DRIVERS as HANDLES
+from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from telenano.settings.config import validate
+from telenano.settings.device_drivers import missing_driver
+from telenano.settings.plugins import fault_of_package
 from telenano.wire.errors import known_names
 
 _PERIOD_S = 1e-3
@@ -122,8 +122,8 @@ def _print_facts(facts: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def _probe_handle(port: str, baud: int) -> dict[str, Any]:
-    from services.haptic_node.devices import wire
-    from services.haptic_node.devices.serial_driver import SerialHandle
+    from telenano.devices.hand import wire
+    from telenano.devices.hand.serial_driver import SerialHandle
 
     driver = SerialHandle(port, baud, None, LimitsConfig())
     try:
@@ -171,7 +171,7 @@ def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
 
 def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     """Open a device without force and return what it declares, with the coupling and its two bounds."""
-    from services.haptic_node.devices.servo_process import wire_of
+    from telenano.devices.hand.servo_process import wire_of
 
     chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
@@ -264,8 +264,8 @@ def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
 
 
 def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
-    from services.haptic_node.devices.calibration import read_calibration
-    from services.haptic_node.devices.serial_driver import SerialHandle
+    from telenano.devices.hand.calibration import read_calibration
+    from telenano.devices.hand.serial_driver import SerialHandle
 
     driver = SerialHandle(port, baud, read_calibration(calibration), LimitsConfig())
     driver.open()

@@ -15,9 +15,9 @@ from telenano_emulators.t7_model import calibration_of
 from test_haply_service import Served
 from typer.testing import CliRunner
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 from telenano.cli.root import app
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 

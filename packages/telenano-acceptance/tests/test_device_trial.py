@@ -39,11 +39,11 @@ from telenano_haptic_devices import haply_service
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
 from typer.testing import CliRunner
 
-from services.haptic_node.config import HapticConfig
-from services.runtime.loop import realtime
 from telenano.cli.root import app
 from telenano.extend.commands import run_ahead
 from telenano.extend.emulators import CouplingConfig
+from telenano.hand.config import HapticConfig
+from telenano.runtime.loop import realtime
 from telenano.wire.errors import ConfigError
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
@@ -406,7 +406,7 @@ def test_an_end_at_any_time_leaves_what_was_found_so_far(guide: Guide, tmp_path:
 def test_an_instrument_whose_trial_is_ended_is_retracted(tmp_path: Path) -> None:
     for hook in (led({"approach": False}), led({"silence": "end"})):
         chosen = instruments.config("simulated")
-        from services.afm_node.instrument import driver_of
+        from telenano.devices.afm.instrument import driver_of
 
         driver = driver_of(chosen, 1e-3)
         driver.open()

@@ -10,7 +10,7 @@ from telenano_acceptance.haptic_device.devices import make_take
 from telenano_acceptance.haptic_device.take import MASS_STEP, MOST_WITHOUT_STOP_N, STEPS, Facts, steps_of
 from telenano_acceptance.take import Take, Verdict, overall, read_take
 
-from services.haptic_node.config import HapticConfig
+from telenano.hand.config import HapticConfig
 from telenano.wire.errors import ConfigError
 
 # a take of a fifth of the time

@@ -18,11 +18,11 @@ from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from typer.testing import CliRunner
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.modbus_driver import ModbusAfm
-from services.afm_node.devices.register_map import read_map
-from services.afm_node.physics.sim import simulated_afm
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.cli.root import app
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.register_map import read_map
 from telenano.wire.errors import ConfigError
 
 # near the sample, so that the approach is short

@@ -15,7 +15,7 @@ from telenano_calibration.own_calibration import sensitivities_of_file
 from telenano_microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 from typer.testing import CliRunner
 
-from services.afm_node.config import AfmConfig
+from telenano.afm.config import AfmConfig
 from telenano.cli.root import app
 from telenano.wire.errors import ConfigError
 

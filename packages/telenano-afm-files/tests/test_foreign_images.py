@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node.physics.sample.surface_files import read_surface
-from services.runtime.untrusted import file_readers
+from telenano.afm.sample.surface_files import read_surface
 from telenano.analysis.image_files import Image, write_gwy
+from telenano.settings import file_readers
 from telenano.wire.errors import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"

@@ -10,9 +10,9 @@ from telenano_afm_files.inspect_command import inspected as inspection
 from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 
-from services.runtime.untrusted.file_readers import read_by_package
 from telenano.cli.root import app
 from telenano.extend.commands import ConfigError
+from telenano.settings.file_readers import read_by_package
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 ROWS = "".join(f"{n / 2:.1f}\t{1e-9 * (n % 7 + 1):.3e}\n" for n in range(400))

@@ -30,7 +30,7 @@ from telenano_calibration.own_calibration import spectrum_of
 from telenano_microscopy.force_curve import Curve, read_measured
 from typer.testing import CliRunner
 
-from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.afm.sample.surface_files import read_surface
 from telenano.analysis.image_files import Image, write_gwy
 from telenano.cli.root import app
 from telenano.wire.errors import ConfigError

@@ -13,7 +13,7 @@ from telenano_afm_files.map_files import Wanted, import_map
 from telenano_afm_files.map_libraries import blocks_of, refuse_large_archive
 from test_recorded_map import forces
 
-from services.afm_node.physics.sample.force_map import map_params
+from telenano.afm.sample.force_map import map_params
 from telenano.wire.errors import ConfigError
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"

@@ -10,7 +10,7 @@ import pytest
 from telenano_afm_files.sader_jarvis import as_force
 from typer.testing import CliRunner
 
-from services.afm_node.physics.sample.force_map import MapError, checked_map, read_map
+from telenano.afm.sample.force_map import MapError, checked_map, read_map
 from telenano.cli.root import app
 
 STIFFNESS_N_PER_M, RESONANCE_HZ = 1800.0, 25e3

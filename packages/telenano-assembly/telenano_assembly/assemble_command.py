@@ -9,17 +9,17 @@ import typer
 from rich.console import Console
 from telenano_microscopy.program_view import LiveOption
 
-from services.runtime.settings.config import flag_overrides, merge, validate
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
-from telenano.presets import DEFAULT_SITE_FILE
-from telenano.recording.whole_files import whole_file
+from telenano.files.whole_files import whole_file
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.config import flag_overrides, merge, validate
 from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
-    from services.afm_node.config import AfmConfig
+    from telenano.afm.config import AfmConfig
     from telenano_assembly.find import Found
     from telenano_assembly.plan import Point
     from telenano_assembly.run import ProgramBench
@@ -45,8 +45,8 @@ def particles(
 ) -> None:
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
-        from services.afm_node.physics.particles.tip_shape import tip_shape
-        from services.afm_node.physics.sample.surface_files import read_surface
+        from telenano.afm.particles.tip_shape import tip_shape
+        from telenano.afm.sample.surface_files import read_surface
         from telenano_assembly.find import find_particles
 
         surface = read_surface(file, channel, None if size is None else size * 1e-9, may_lack=True)
@@ -169,7 +169,7 @@ def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":
     from telenano_microscopy.particle_bench import DISTURBED, bench
 
-    from services.afm_node.config import AfmConfig
+    from telenano.afm.config import AfmConfig
 
     given = flag_overrides(overrides)
     has_places = "places" in given.get("sample", {}).get("particles", {})

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.config import AfmConfig
-from services.console.live_program import LiveImage, run_program
+from telenano.afm.config import AfmConfig
+from telenano.console.live_program import LiveImage, run_program
 from telenano.wire.errors import RigError
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import Scalar

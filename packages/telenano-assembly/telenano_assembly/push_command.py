@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
-from services.afm_node.programs.push import AT_GOAL, PushSettings
-from services.runtime.settings.config import merge, validate
+from telenano.afm.programs.push import AT_GOAL, PushSettings
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.sample_options import AfmOption
 from telenano.extend.commands import (
@@ -22,6 +21,7 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano.settings.config import merge, validate
 from telenano.wire.errors import RigError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
 
 
 def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
-    from services.console.live_program import LiveImage
+    from telenano.console.live_program import LiveImage
 
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:
@@ -92,8 +92,8 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     from telenano_microscopy.particle_bench import DISTURBED, bench
     from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-    from services.afm_node.config import AfmConfig
-    from services.afm_node.programs.settings import requested
+    from telenano.afm.config import AfmConfig
+    from telenano.afm.programs.settings import requested
 
     given = flag_overrides(overrides)
     lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}

@@ -5,8 +5,8 @@ from typing import Any
 
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from services.afm_node.guarded import Step, line_fields, particle_fields
-from services.afm_node.programs.runner import Report
+from telenano.afm.programs.runner import Report
+from telenano.devices.afm.guarded import Step, line_fields, particle_fields
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.wire import TOPICS, encode
 from telenano.wire.instrument import MOST_TEXT

@@ -10,7 +10,7 @@ import pytest
 from telenano_assembly.find import sphere_m
 from typer.testing import CliRunner
 
-from services.afm_node.physics.particles.tip_shape import tip_shape
+from telenano.afm.particles.tip_shape import tip_shape
 from telenano.cli.root import app
 from telenano.recording.reader import Recording
 from telenano.recording.verify import verify

@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.devices.converter_calibration import InstrumentCalibration
-from services.haptic_node.devices.calibration import HandleCalibration
-from services.runtime.loop.loop_age import STAGES, TOGETHER, WITH_JITTER
 from telenano.analysis.intervals import DEVIATIONS
 from telenano.analysis.report import split_age
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.hand.calibration import HandleCalibration
 from telenano.extend.commands import TelenanoError
 from telenano.extend.sessions import mean_half_width
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import Timeline
+from telenano.timing.loop_age import STAGES, TOGETHER, WITH_JITTER
 
 # the scales that each figure of a summary goes with, by the name of their source
 _SCATTER = "scatter in the session"

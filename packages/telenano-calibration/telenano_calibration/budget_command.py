@@ -30,10 +30,10 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from services.afm_node.devices.converter_calibration import read_calibration as read_stage
-        from services.haptic_node.devices.calibration import read_calibration as read_handle
         from telenano.analysis.report import read_session, summarise
         from telenano.cli.sample_options import results_in
+        from telenano.devices.afm.converter_calibration import read_calibration as read_stage
+        from telenano.devices.hand.calibration import read_calibration as read_handle
         from telenano.recording.multi_file import open_recordings
         from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 

@@ -84,8 +84,8 @@ def calibrate_handle(
 
 
 def _check_and_write(path: Path, document: dict[str, object]) -> None:
-    from services.haptic_node.devices.calibration import HandleCalibration
-    from services.runtime.settings.config import parse_yaml, validate
+    from telenano.devices.hand.calibration import HandleCalibration
+    from telenano.settings.config import parse_yaml, validate
 
     validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), str(path)), str(path))
     write_document(path, document)

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.haptic_node.devices import wire
-from services.haptic_node.devices.port import OpenPort, SerialPort
-from services.haptic_node.devices.serial_driver import ASK_EVERY_NS, HANDSHAKE_NS, identity_text
+from telenano.devices.hand import wire
+from telenano.devices.hand.port import OpenPort, SerialPort
+from telenano.devices.hand.serial_driver import ASK_EVERY_NS, HANDSHAKE_NS, identity_text
 from telenano.extend.devices import DeviceError
 from telenano_calibration.line_fit import mean_of
 

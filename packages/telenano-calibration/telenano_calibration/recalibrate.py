@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from services.afm_node.devices.converter_calibration import InstrumentCalibration
-from services.haptic_node.devices.calibration import HandleCalibration
-from services.numerics.frames import to_site_frame
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.hand.calibration import HandleCalibration
+from telenano.numerics.frames import to_site_frame
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.wire import decode, encode

@@ -21,9 +21,9 @@ def recalibrate(
 ) -> None:
     """Read what real devices sent with another calibration, into a new recording."""
     with report_errors(as_json):
-        from services.afm_node.devices.converter_calibration import read_calibration as read_stage
-        from services.haptic_node.devices.calibration import read_calibration as read_handle
         from telenano.cli.output import print_document
+        from telenano.devices.afm.converter_calibration import read_calibration as read_stage
+        from telenano.devices.hand.calibration import read_calibration as read_handle
         from telenano_calibration.recalibrate import recalibrate as read_again
 
         found = read_again(

@@ -15,10 +15,10 @@ from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 from typer.testing import CliRunner
 
-from services.afm_node.devices.converter_calibration import read_calibration as read_stage
-from services.haptic_node.devices.calibration import read_calibration as read_handle
 from telenano.analysis.report import read_session
 from telenano.cli.root import app
+from telenano.devices.afm.converter_calibration import read_calibration as read_stage
+from telenano.devices.hand.calibration import read_calibration as read_handle
 from telenano.extend.commands import TelenanoError
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.site_clock import Timeline

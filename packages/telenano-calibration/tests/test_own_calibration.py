@@ -25,7 +25,7 @@ from telenano_calibration.own_calibration import (
 from telenano_calibration.resonance import density, fit_spectrum, periodogram
 from typer.testing import CliRunner
 
-from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
+from telenano.afm.disturbances import BOLTZMANN_J_PER_K
 from telenano.cli.root import app
 from telenano.wire.errors import ConfigError
 

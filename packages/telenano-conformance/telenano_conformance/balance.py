@@ -1,7 +1,7 @@
 """The balance of energy of a law at its two physical ports, over orders that an adversary draws.
 
 The bench calls the pure steps of a law as the two nodes do, in virtual time, and counts the work at both ports as
-`law/status` counts it (services/controller/energy.py), at the hand's scale: at the master the force that the device
+`law/status` counts it (telenano/laws/energy.py), at the hand's scale: at the master the force that the device
 measured over the way that the device went, at the slave alpha_f / alpha_p times the mean force over the way of the base
 that the instrument measured. With the energy that has come in at both, E_net, and what the law states as granted,
 

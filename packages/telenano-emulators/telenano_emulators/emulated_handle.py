@@ -6,12 +6,12 @@ millisecond. The drive is a voltage, a millivolt a count.
 
 from datetime import UTC, datetime
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices import wire
-from services.haptic_node.driver import DriveCommand
-from services.haptic_node.physics.motor import MotorParams, MotorState
-from services.haptic_node.physics.step import initial_plant, plant_step
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from telenano.devices.hand import wire
+from telenano.hand.config import HapticConfig
+from telenano.hand.driver import DriveCommand
+from telenano.hand.motor import MotorParams, MotorState
+from telenano.hand.safety import MODE_OFF, MODE_POSITION
+from telenano.hand.step import initial_plant, plant_step
 from telenano_emulators.firmware import BoardIdentity, BoardSample, FirmwareCore
 
 TICK_US = 1000

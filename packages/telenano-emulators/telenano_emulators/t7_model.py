@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.modbus_frames import Operation
-from services.afm_node.driver import AfmDriver
-from services.afm_node.physics.part import AfmSample
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import AfmDriver
+from telenano.afm.part import AfmSample
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.devices.afm.modbus_frames import Operation
 from telenano.wire.errors import ConfigError
 
 SERIAL = 470012345

@@ -8,8 +8,8 @@ import pytest
 from telenano_emulators.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
 from telenano_emulators.firmware import FirmwareError
 
-from services.haptic_node.devices import wire
-from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.devices.hand import wire
+from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 
 WATCHDOG_MS = 20
 LIMITS = wire.Limits(

@@ -52,7 +52,7 @@ def analyse(
     may be given while an experiment goes on, and as often as one likes: everything is made from the journal anew.
     """
     with report_errors(as_json):
-        from services.viz_node.figure_style import figure_options
+        from telenano.analysis.figure_style import figure_options
         from telenano_experiments.analyse import Choice, analyse, check_choice
         from telenano_experiments.analysis_page import NAME, write_analysis
         from telenano_experiments.folder_tables import about_experiment, adaptive_factors, tables_of

@@ -8,7 +8,7 @@ from telenano_studies import option_values
 from telenano_studies.study_options import SchedulerOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, print_result, sweep_in, write_study
 
-from services.viz_node.figure_style import figure_options, styled
+from telenano.analysis.figure_style import figure_options, styled
 from telenano.cli.completion import law_names
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import report_errors

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import zmq
 
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.publisher import publish_end
-from services.runtime.wiring.participant import open_participant
 from telenano.extend.tasks import Course
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.wiring.participant import open_participant
 from telenano.wire.errors import ConfigError
 from telenano.wire.experiment_messages import MOST_QUESTIONS, ExperimentAnswer, Question
 from telenano.wire.messages import Array, Scalar

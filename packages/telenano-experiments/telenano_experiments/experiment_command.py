@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from services.runtime.settings.config import read_yaml
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import fail, print_answer, print_document, print_json, print_rows, report_errors
-from telenano.recording.whole_files import whole_file
+from telenano.files.whole_files import whole_file
+from telenano.settings.config import read_yaml
 from telenano.wire.errors import ConfigError
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plan_command import plan as plan_for_power

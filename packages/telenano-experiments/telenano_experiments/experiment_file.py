@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
-from services.runtime.settings.config import Settings, flatten
 from telenano.extend.tasks import choice, scale
+from telenano.settings.config import Settings, flatten
 from telenano.wire.errors import known_names
 from telenano.wire.experiment_messages import Question
 from telenano.wire.messages import Scalar

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from services.runtime.settings.config import read_yaml, validate
+from telenano.settings.config import read_yaml, validate
 from telenano.wire.errors import ConfigError
 from telenano_experiments.experiment_file import Experiment
 from telenano_experiments.journal import NAME, read

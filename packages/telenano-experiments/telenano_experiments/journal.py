@@ -24,7 +24,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from telenano.recording.whole_files import BusyError, locked, write_whole
+from telenano.files.whole_files import BusyError, locked, write_whole
 from telenano.wire.errors import ConfigError, RigError
 
 NAME = "journal.jsonl"

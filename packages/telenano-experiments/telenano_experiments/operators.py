@@ -2,7 +2,7 @@
 
 What is known of them is what an experiment has to find:
 
-- touch_and_hold: the hand moves and waits (`services.haptic_node.physics.reacting`), and has learnt how long the link
+- touch_and_hold: the hand moves and waits (`telenano.hand.reacting`), and has learnt how long the link
   takes to answer. With the default gain it is within the band after three moves, so that its completion time grows by
   2 s for each second of the round trip, and by what the delay adds to the settling of the law. Under the law wave, over
   a spring of 20 N/m, that is 2.5 s more: SLOPE_OF_WAVE, the same from 0 to 300 ms of round trip.
@@ -23,9 +23,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from services.delay_node.config import LinkSettings
-from services.runtime.settings.config import nested, validate
 from telenano.extend.tasks import Course, Parameters, Series, Task, TrialData
+from telenano.link.config import LinkSettings
+from telenano.settings.config import nested, validate
 from telenano_experiments.tasks.detect_contact import CONTACT
 from telenano_experiments.tasks.discriminate_stiffness import ANSWER, FIRST, SECOND, comparison_is_first
 from telenano_experiments.types import Trial

@@ -14,8 +14,8 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from services.runtime.settings.config import Settings, validate
-from telenano.recording.whole_files import changed
+from telenano.files.whole_files import changed
+from telenano.settings.config import Settings, validate
 from telenano.wire.errors import ConfigError, RigError
 from telenano_experiments.journal import Journal, now_utc
 

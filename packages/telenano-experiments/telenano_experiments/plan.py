@@ -10,11 +10,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from services.launcher.plan import anchored, check_sections
-from services.runtime.settings.config import flatten, merge, nested, read_yaml, validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
 from telenano.extend.tasks import Task
-from telenano.presets import find_scenario
+from telenano.launcher.plan import anchored, check_sections
+from telenano.settings import find_scenario
+from telenano.settings.config import flatten, merge, nested, read_yaml, validate
+from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.messages import Scalar
 from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry

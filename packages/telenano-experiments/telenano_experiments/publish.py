@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from telenano.recording.whole_files import whole_file, whole_folder
+from telenano.files.whole_files import whole_file, whole_folder
 from telenano.wire.errors import ConfigError
 from telenano_experiments.folder_tables import describe
 from telenano_experiments.journal import NAME, Journal, Record, now_utc

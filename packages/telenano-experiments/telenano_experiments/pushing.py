@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.particles.push import KINETIC, RADIUS
-from services.afm_node.physics.particles.tip_shape import touch_distance_m
-from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.physics.lateral_hand import LateralHandConfig
-from services.runtime.settings.config import validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
+from telenano.afm.config import AfmConfig
+from telenano.afm.particles.push import KINETIC, RADIUS
+from telenano.afm.particles.tip_shape import touch_distance_m
 from telenano.extend.tasks import Course
+from telenano.hand.config import HapticConfig
+from telenano.hand.lateral_hand import LateralHandConfig
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings
 from telenano.lockstep.push_hand import Hand, Push, new_hand
 from telenano.lockstep.simulation import instrument_params
+from telenano.settings.config import validate
+from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.recording.whole_files import whole_file
+from telenano.files.whole_files import whole_file
 from telenano.wire.errors import ConfigError
 
 Row = dict[str, Any]

@@ -20,10 +20,10 @@ from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
 
-from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
-from services.controller.laws.wave import WaveConfig
-from services.delay_node.profiles import PROFILES
 from telenano.cli.root import app
+from telenano.laws.virtual_impedance import VirtualImpedanceConfig
+from telenano.laws.wave import WaveConfig
+from telenano.link.profiles import PROFILES
 from telenano.lockstep.link import schedule_of
 from telenano.wire.errors import ConfigError
 

@@ -14,7 +14,7 @@ from telenano_experiments.effects import Effects
 from telenano_experiments.psychophysics.function import Psychometric
 from telenano_experiments.table import tidy
 
-from services.viz_node.figure_style import figure_options
+from telenano.analysis.figure_style import figure_options
 from telenano.wire.errors import ConfigError
 
 pytest.importorskip("pandas")

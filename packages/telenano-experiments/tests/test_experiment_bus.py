@@ -13,11 +13,11 @@ from telenano_experiments.asked import CONSENT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.types import Trial
 
-from services.runtime.bus.address_book import load_site
-from services.runtime.wiring.observer import Observer
 from services.viz_node.commander import RigHand
 from telenano.extend.tasks import Course
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.observer import Observer
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, EndpointError
 
 PATIENCE_S = 20.0

@@ -17,10 +17,10 @@ from telenano_experiments.desk import Desk
 from telenano_experiments.disturbances import disturbances
 from telenano_experiments.recorded_trial import RecordedTrial
 
-from services.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take
-from services.console.lease_register import LeaseRegister, holding
-from services.controller.config import ControllerConfig, changed_config
-from services.delay_node.config import changed, flattened, parse_settings
+from telenano.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take
+from telenano.console.lease_register import LeaseRegister, holding
+from telenano.laws.config import ControllerConfig, changed_config
+from telenano.link.config import changed, flattened, parse_settings
 from telenano.recording.channel_filter import Selection
 from telenano.recording.rewrite import filter_recording
 from telenano.wire.errors import RecordingError, RefusedError, RigError

@@ -14,9 +14,9 @@ from telenano_experiments.plan import load_plan
 from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
-from services.haptic_node.config import HapticConfig
-from services.runtime.settings.config import nested, validate
 from telenano.extend.tasks import TrialData
+from telenano.hand.config import HapticConfig
+from telenano.settings.config import nested, validate
 from telenano.wire.errors import ConfigError
 
 SPRING = {

@@ -13,14 +13,14 @@ from telenano_experiments.tasks.push_particle import PLACE_M, goal_of
 from telenano_experiments.tasks.track import lag_s, sum_of_sines
 from telenano_experiments.types import particle_table
 
-from services.afm_node.config import AfmConfig
-from services.controller.config import ControllerConfig
-from services.haptic_node.config import HapticConfig
-from services.runtime.settings.config import merge, nested, read_yaml, validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
+from telenano.afm.config import AfmConfig
 from telenano.extend.tasks import Plain, Series, TrialData, held_from
-from telenano.presets import find_scenario
+from telenano.hand.config import HapticConfig
+from telenano.laws.config import ControllerConfig
 from telenano.recording.column_table import ColumnTable
+from telenano.settings import find_scenario
+from telenano.settings.config import merge, nested, read_yaml, validate
+from telenano.settings.scenario import LoadedScenario, Scenario
 
 SEEDS = range(2)
 

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.contact.lennard_jones import contact_distance_m
-from services.afm_node.physics.contact.maugis_dugdale import (
+from telenano.afm.config import AfmConfig
+from telenano.afm.contact.lennard_jones import contact_distance_m
+from telenano.afm.contact.maugis_dugdale import (
     cohesive_stress_pa,
     force_n,
     indentation_m,
@@ -30,7 +30,7 @@ from services.afm_node.physics.contact.maugis_dugdale import (
     pull_off_indentation_m,
     reduced_modulus_pa,
 )
-from services.numerics.compiled import compiled, compiled_form
+from telenano.numerics.compiled import compiled, compiled_form
 from telenano.wire.errors import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
 from telenano_microscopy.force_curve import Curve

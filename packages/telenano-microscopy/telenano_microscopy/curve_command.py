@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.afm_node.programs.curve import CurveSettings
-from services.runtime.settings.config import validate
-from services.signals import interrupts
+from telenano.afm.programs.curve import CurveSettings
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.sample_options import AfmOption, results_in
 from telenano.extend.commands import (
@@ -22,6 +20,8 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano.settings.config import validate
+from telenano.signals import interrupts
 from telenano.wire.errors import RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
@@ -74,7 +74,7 @@ def curve(
     with report_errors(as_json):
         validated(CurveSettings, given)
         import telenano_microscopy.force_curve as curves
-        from services.afm_node.config import AfmConfig
+        from telenano.afm.config import AfmConfig
         from telenano_microscopy.adhesion_fit import fit_adhesion
         from telenano_microscopy.force_curve_figure import curve_figure
 
@@ -129,7 +129,7 @@ def _live(
     as_json: bool,
 ) -> "Curve":
     """Have a running rig take a curve; RigError when it ended before it was complete."""
-    from services.console.live_program import LiveCurve
+    from telenano.console.live_program import LiveCurve
     from telenano_microscopy.force_curve import curve_of_samples
 
     samples = LiveCurve()

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.cantilever import deflection_m, equilibrium, initial_state
-from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
-from services.afm_node.physics.dynamic_sim import require_steps
-from services.runtime.untrusted.file_readers import read_by_package
+from telenano.afm.cantilever import deflection_m, equilibrium, initial_state
+from telenano.afm.config import AfmConfig
+from telenano.afm.dynamic import NO_NOISE, advance, steady_state
+from telenano.afm.dynamic_sim import require_steps
+from telenano.settings.file_readers import read_by_package
 from telenano.wire.errors import ConfigError, RigError
 
 Array = npt.NDArray[np.float64]

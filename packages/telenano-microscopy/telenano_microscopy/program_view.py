@@ -10,7 +10,7 @@ from telenano.cli.keyboard import RawKeyboard
 from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
-    from services.console.live_program import LiveCurve, LiveImage
+    from telenano.console.live_program import LiveCurve, LiveImage
     from telenano.wire.instrument import AfmProgram
     from telenano.wire.messages import Scalar
 
@@ -39,7 +39,7 @@ def follow_program(
 
     `on_end` is called as soon as the instrument has reported the end, before anything of the program is closed.
     """
-    from services.console.live_program import run_program
+    from telenano.console.live_program import run_program
 
     with RawKeyboard() as keyboard:
 

@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.afm_node.programs.scan import ScanSettings
-from services.runtime.settings.config import validate
-from services.signals import interrupts
+from telenano.afm.programs.scan import ScanSettings
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.sample_options import (
@@ -28,6 +26,8 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano.settings.config import validate
+from telenano.signals import interrupts
 from telenano.wire.errors import RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
@@ -77,7 +77,7 @@ def scan(
             refuse_foreign(foreign)
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
-        from services.afm_node.config import AfmConfig
+        from telenano.afm.config import AfmConfig
         from telenano.extend.images import write_images
         from telenano_microscopy.simulated_image import take_image
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.guarded import line_fields
-from services.afm_node.physics.sample.surface import height_at
-from services.afm_node.programs.program import FinishedLine
-from services.afm_node.programs.settings import requested
-from services.console.live_program import LiveImage
+from telenano.afm.config import AfmConfig
+from telenano.afm.programs.program import FinishedLine
+from telenano.afm.programs.settings import requested
+from telenano.afm.sample.surface import height_at
+from telenano.console.live_program import LiveImage
+from telenano.devices.afm.guarded import line_fields
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import AfmScanline, Scalar
 from telenano_microscopy.virtual_instrument import VirtualInstrument

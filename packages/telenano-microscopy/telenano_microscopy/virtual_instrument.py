@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from typing import Any
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
-from services.afm_node.driver import Simulation
-from services.afm_node.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step
-from services.afm_node.instrument import driver_of, reach_of, runner_of
-from services.afm_node.programs.program import Wanted
-from services.afm_node.programs.runner import Report
-from services.afm_node.programs.settings import InstrumentRequest
+from telenano.afm import safety
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import Simulation
+from telenano.afm.programs.program import Wanted
+from telenano.afm.programs.runner import Report
+from telenano.afm.programs.settings import InstrumentRequest
+from telenano.devices.afm.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step
+from telenano.devices.afm.instrument import driver_of, reach_of, runner_of
 from telenano.wire.errors import RefusedError
 
 PERIOD_S = 1e-3

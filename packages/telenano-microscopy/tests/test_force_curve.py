@@ -14,7 +14,7 @@ from telenano_microscopy.force_curve import (
 )
 from telenano_microscopy.force_curve_figure import curve_figure
 
-from services.afm_node.config import AfmConfig
+from telenano.afm.config import AfmConfig
 from telenano.wire.errors import ConfigError, RigError
 
 

@@ -225,7 +225,7 @@ def _grouped(cuts: Iterable[str]) -> list[str]:
 def _profile(
     ways: dict[str, dict[str, Any]], seed: int, about: str, source: tuple[str, str], remarks: list[str]
 ) -> dict[str, Any]:
-    """Return a network of telenano/presets/networks, with the statistics that its messages have."""
+    """Return a network of telenano/settings/networks, with the statistics that its messages have."""
     statistics: dict[str, Any] = {}
     for direction, way in ways.items():
         same = next((other for other in statistics if ways[other] == way), None)

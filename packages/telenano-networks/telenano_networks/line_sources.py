@@ -6,9 +6,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.delay_node.config import parse_settings
-from services.delay_node.engine import fates_of
 from telenano.extend.tables import read_table
+from telenano.link.config import parse_settings
+from telenano.link.engine import fates_of
 from telenano.recording.reader import Recording
 from telenano.wire.errors import ConfigError
 from telenano_networks.network_trace import traces_of

@@ -4,7 +4,7 @@
 
 FOLDER has the checkouts that `CAMPAIGNS` names, each under the name and at the commit there; nothing is fetched. Each
 line is fitted by `telenano link fit`, whose table goes into DIR/acceptance.md, a row for each line. `--write`, in a
-checkout, puts the profiles, and the twins without memory, into telenano/presets/networks; only derived parameters are
+checkout, puts the profiles, and the twins without memory, into telenano/settings/networks; only derived parameters are
 in them.
 """
 

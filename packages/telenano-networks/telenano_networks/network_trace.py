@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from services.runtime.datagram.arrivals import SETTLE_NS
-from telenano.recording.clock_line import ClockLine, fitted
+from telenano.runtime.datagram.arrivals import SETTLE_NS
+from telenano.timing.clock_line import ClockLine, fitted
 from telenano.wire.errors import TelenanoError
 from telenano.wire.network_messages import LinkNetwork
 
@@ -78,7 +78,7 @@ def traces_of(reports: Iterable[LinkNetwork]) -> dict[Direction, NetworkTrace]:
     """Return the trace of each direction of which there are reports; TelenanoError when one has too few datagrams.
 
     Reports from before the clocks were compared have no delays, and are left out. The delays rest on one line of what
-    the slave's clock is ahead, through the fastest datagrams of both directions (`telenano.recording.clock_line`): what
+    the slave's clock is ahead, through the fastest datagrams of both directions (`telenano.timing.clock_line`): what
     each report knew of the clocks when it was made differs from one to the next. Where one direction lacks, they stay
     as they were reported.
     """

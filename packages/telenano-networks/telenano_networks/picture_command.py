@@ -78,7 +78,7 @@ def carried(name: str, seed: int) -> "LineLog":
     """Return what a network does to messages, as a log of them; ConfigError names the networks that there are."""
     import numpy as np
 
-    from services.delay_node.config import parse_settings
+    from telenano.link.config import parse_settings
     from telenano_networks.line_draws import delays_ns
     from telenano_networks.line_log import LineLog, Segment
 

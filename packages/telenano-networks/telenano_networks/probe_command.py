@@ -10,15 +10,15 @@ from typing import Annotated, Any, cast
 import typer
 import yaml
 
-from services.console.command_client import send_control
 from services.delay_node.node import TRAIN
-from services.runtime.loop.commands import Command
-from services.runtime.wiring.observer import RIG_HINT
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.output import print_rows
 from telenano.cli.sample_options import results_in
+from telenano.console.command_client import send_control
 from telenano.extend.commands import JsonOption, SiteFileOption, TelenanoError, print_json, progress, report_errors
-from telenano.presets import TWO_SITES_FILE
+from telenano.runtime.loop.commands import Command
+from telenano.runtime.wiring.observer import RIG_HINT
+from telenano.settings import TWO_SITES_FILE
 from telenano.wire.errors import RigError
 from telenano.wire.network_messages import LinkNetwork
 from telenano.wire.nodes import LINK

@@ -3,9 +3,9 @@
 import time
 from typing import Any
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.settings.config import flag_overrides
-from services.runtime.wiring.participant import open_participant
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.wiring.participant import open_participant
+from telenano.settings.config import flag_overrides
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import Message

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from telenano.extend.commands import JsonOption, report_errors
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.nodes import VIEW
 
 
@@ -32,9 +32,9 @@ def pub(
 ) -> None:
     """Publish messages in the place of a node that does not run, until Ctrl-C or a number; for trials and tests."""
     with report_errors(as_json):
-        from services.runtime.bus.address_book import load_site
-        from services.runtime.wiring.observer import known_name
         from telenano.cli.output import print_answer
+        from telenano.runtime.bus.address_book import load_site
+        from telenano.runtime.wiring.observer import known_name
         from telenano_networks.publish import publish
 
         sent = publish(load_site(site_file), src, known_name(topic)[0], fields, rate, count)

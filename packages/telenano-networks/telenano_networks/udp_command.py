@@ -16,10 +16,10 @@ from telenano.extend.commands import (
     print_json,
     report_errors,
 )
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.settings import DEFAULT_SITE_FILE
 
 if TYPE_CHECKING:
-    from services.delay_node.fate import Direction
+    from telenano.link.fate import Direction
     from telenano.recording.writer import RecordingWriter
     from telenano_networks.udp_ports import UdpPorts
 
@@ -63,14 +63,14 @@ def udp(
     Ctrl-C ends it. The exit code is 3 where the recording could not be kept.
     """
     with report_errors(as_json):
-        from services.console.command_client import parse_parameters
-        from services.delay_node.config import network_name, parse_settings
-        from services.runtime.bus.address_book import load_site
-        from services.runtime.loop.log import StructuredLog
-        from services.runtime.loop.realtime import apply_realtime
-        from services.runtime.settings.config import nested
-        from services.runtime.settings.scenario import RealtimeConfig
-        from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
+        from telenano.console.command_client import parse_parameters
+        from telenano.link.config import network_name, parse_settings
+        from telenano.runtime.bus.address_book import load_site
+        from telenano.runtime.loop.log import StructuredLog
+        from telenano.runtime.loop.realtime import apply_realtime
+        from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
+        from telenano.settings.config import nested
+        from telenano.settings.scenario import RealtimeConfig
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
 
@@ -163,8 +163,8 @@ class Keeper:
 
 
 def _writer(path: Path) -> "RecordingWriter":
-    from services.runtime.settings.config import validate
     from telenano.recording.writer import FileSettings, RecordingWriter
+    from telenano.settings.config import validate
 
     place = {"directory": path.absolute().parent, "file_name": path.name}
     return RecordingWriter.create(_KEY, validate(FileSettings, place, "--record"))

@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
-from services.delay_node.config import LinkSettings
-from services.delay_node.fate import Direction, Fate, Release
 from services.delay_node.node import DelayNode, DirectionPath, SiteEndpoint
-from services.runtime.bus.bus import Received
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop.node import NodeContext
+from telenano.link.config import LinkSettings
+from telenano.link.fate import Direction, Fate, Release
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import NodeContext
+from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import SessionControl
 
 TOPIC = "udp"

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from services.delay_node.fate import Direction
-from services.runtime.bus.bus import Received
-from services.runtime.clock import NEVER_NS, Clock
+from telenano.link.fate import Direction
+from telenano.runtime.bus.bus import Received
+from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import InputHealth
 from telenano.wire.sequence import SequenceTracker

@@ -28,13 +28,13 @@ from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
 import services.viz_node
-from services.delay_node.config import parse_settings
-from services.delay_node.engine import fates_of
-from services.delay_node.fate import Direction
-from services.delay_node.profiles import Profile
-from services.runtime.settings.config import validate
 from telenano.cli.root import app
+from telenano.link.config import parse_settings
+from telenano.link.engine import fates_of
+from telenano.link.fate import Direction
+from telenano.link.profiles import Profile
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.settings.config import validate
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import LinkFate, LinkFates

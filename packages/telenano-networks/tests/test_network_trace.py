@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
-from services.delay_node.config import parse_settings
-from services.delay_node.engine import fates_of
-from services.runtime.loop.clock_offset import Exchange, OffsetFilter
+from telenano.link.config import parse_settings
+from telenano.link.engine import fates_of
+from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import Array, LinkClock
 from telenano.wire.network_messages import LinkNetwork

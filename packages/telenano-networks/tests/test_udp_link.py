@@ -20,13 +20,13 @@ from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from services.delay_node.config import LinkSettings, changed
-from services.delay_node.fate import Direction
-from services.runtime.clock import SystemClock
-from services.runtime.loop.node import resident_bytes
-from services.signals import children
 from telenano.extend.testing import NodeBench
+from telenano.link.config import LinkSettings, changed
+from telenano.link.fate import Direction
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.runtime.loop.node import resident_bytes
+from telenano.signals import children
+from telenano.timing.clock import SystemClock
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError
 

@@ -15,11 +15,11 @@ from telenano_nexus.nexus_files import write_images
 from typer.testing import CliRunner
 
 import telenano
-from services.recorder.config import RecorderConfig
 from telenano.analysis.image_files import Image, ImageFacts
 from telenano.cli.root import app
 from telenano.recording.channel_filter import Selection
 from telenano.recording.export import export_recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError

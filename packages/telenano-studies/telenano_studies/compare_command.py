@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from services.viz_node.figure_style import FigureOptions, figure_options
+from telenano.analysis.figure_style import FigureOptions, figure_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
 from telenano.cli.output import print_json, print_rows, report_errors
 from telenano.wire.errors import ConfigError, ReportError
@@ -70,7 +70,7 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from services.viz_node.figure_style import drawn
+    from telenano.analysis.figure_style import drawn
     from telenano.analysis.report import write_files
     from telenano.extend.sessions import described
     from telenano_studies.comparison import beside, compare_figure, rows_of

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from services.viz_node.figure_style import COLUMN_IN, LINES, ON_SCREEN, REFERENCE, FigureOptions, lettered, styled
+from telenano.analysis.figure_style import COLUMN_IN, LINES, ON_SCREEN, REFERENCE, FigureOptions, lettered, styled
 from telenano.analysis.report import Session, read_session, scenario_in, summarise
 from telenano.extend.sessions import SessionSeries, open_recordings
 from telenano.wire.errors import ConfigError

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.controller.config import LAWS, OWN_LAWS
-from services.runtime.settings.config import flag_overrides, flatten
+from telenano.laws.config import LAWS, OWN_LAWS
+from telenano.settings.config import flag_overrides, flatten
 from telenano.wire.errors import ConfigError, known_names
 
 _MOST_VALUES = 10_000

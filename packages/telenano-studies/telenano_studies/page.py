@@ -8,10 +8,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from services.runtime.settings.config import flatten
-from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, drawn
+from telenano.analysis.figure_style import ON_SCREEN, VERDICTS, FigureOptions, drawn
 from telenano.analysis.verdict import KINDS
 from telenano.extend.exports import versions
+from telenano.settings.config import flatten
 from telenano_studies.table_files import table_files
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.files.whole_files import whole_file
 from telenano.recording.arrays import column_pieces
 from telenano.recording.indexed import IndexedRecording
 from telenano.recording.site_clock import Timeline
-from telenano.recording.whole_files import whole_file
 from telenano.wire.errors import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]

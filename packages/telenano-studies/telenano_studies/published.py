@@ -55,7 +55,7 @@ class Published(NamedTuple):
 
 def paper_points() -> Published:
     """Return what the paper's text says of the curves of its Fig. 12."""
-    with importlib.resources.as_file(importlib.resources.files("telenano.presets") / "paper" / "fig12.csv") as path:
+    with importlib.resources.as_file(importlib.resources.files("telenano.settings") / "paper" / "fig12.csv") as path:
         return read_published(path)
 
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.viz_node.figure_style import figure_options, styled
+from telenano.analysis.figure_style import figure_options, styled
 from telenano.cli.completion import law_names
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import report_errors

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.viz_node.figure_style import figure_options, styled
+from telenano.analysis.figure_style import figure_options, styled
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group, table_formats

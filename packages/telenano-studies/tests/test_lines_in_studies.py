@@ -13,10 +13,10 @@ from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.validate import scenario_of
 from typer.testing import CliRunner
 
-from services.delay_node import profiles
-from services.delay_node.config import parse_settings
-from services.delay_node.profiles import profile_named
 from telenano.cli.root import app
+from telenano.link import profiles
+from telenano.link.config import parse_settings
+from telenano.link.profiles import profile_named
 
 # What takes a network by its name; NAME stands for what a person gives.
 NETWORKS = {

@@ -11,8 +11,8 @@ from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import Jitter
 
-from services.controller.config import OWN_LAWS as LAWS
-from services.haptic_node.operator_config import ARMS
+from telenano.hand.operator_config import ARMS
+from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep import lockstep
 from telenano.wire.errors import ConfigError
 

@@ -19,9 +19,9 @@ from telenano_studies.loops.cells import (
     settle_ticks,
 )
 
-from services.controller.laws.model_mediated import ModelMediatedConfig
-from services.controller.laws.shared.virtual_mass import FOLLOWED_M
-from services.delay_node.config import parse_settings
+from telenano.laws.model_mediated import ModelMediatedConfig
+from telenano.laws.shared.virtual_mass import FOLLOWED_M
+from telenano.link.config import parse_settings
 from telenano.lockstep.link import Schedule, schedule_from
 from telenano.lockstep.lockstep import simulate
 

@@ -7,12 +7,12 @@ import pytest
 from telenano_studies import option_values
 from telenano_studies.loops.cells import Cell, course_of, run_cell
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.disturbed import noisy_params
-from services.afm_node.physics.sim import simulated_afm
-from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
+from telenano.afm import safety
+from telenano.afm.config import AfmConfig
+from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm.disturbed import noisy_params
+from telenano.afm.sim import simulated_afm
+from telenano.afm.step import AfmInputs, initial_afm_state, step
 from telenano.lockstep import lockstep
 from telenano.wire.errors import ConfigError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telenano_studies.pages.gallery import DELAYS_MS, FOLDER, cell_of, page_of, shown
 
-from services.controller.config import OWN_LAWS
+from telenano.laws.config import OWN_LAWS
 
 AGAIN = "run `telenano study gallery --out out/gallery` and copy its gallery.json to services/viz_node/web/gallery"
 

@@ -8,9 +8,9 @@ import pytest
 from telenano_studies.loops import line_variants
 from telenano_studies.loops.line_variants import between, half_of, stalls_of_both, variants
 
-from services.delay_node.config import parse_settings
-from services.delay_node.engine import fates_of
 from telenano.extend.sessions import profile_named
+from telenano.link.config import parse_settings
+from telenano.link.engine import fates_of
 
 PERIOD_S, TIME_S = 0.2, 0.4
 

@@ -11,9 +11,9 @@ from telenano_studies.loops.stability import Axes, Line, theory_of
 from telenano_studies.loops.theory import Arm, Device, arm_response, loop_model
 from telenano_studies.option_values import Jitter
 
-from services.haptic_node.config import DeviceConfig
-from services.haptic_node.operator_config import ARMS
-from services.haptic_node.physics.motor import closed_loop_coefficients
+from telenano.hand.config import DeviceConfig
+from telenano.hand.motor import closed_loop_coefficients
+from telenano.hand.operator_config import ARMS
 from telenano.wire.errors import ConfigError
 
 OMEGA = np.geomspace(0.5, 100.0, 60)

@@ -23,7 +23,7 @@ from telenano_studies.loops.promises import (
 )
 from telenano_studies.loops.sweep import Journal, Sweep
 
-from services.afm_node.safety import MODE_HOLD
+from telenano.afm.safety import MODE_HOLD
 from telenano.lockstep import lockstep
 
 SEEDS = range(25)

@@ -14,17 +14,17 @@ from telenano_studies.loops.push_study import Outcome, Trial, check, read, rows_
 from telenano_studies.loops.sweep import Journal
 from typer.testing import CliRunner
 
-from services.afm_node.physics.particles.adhered_sphere import KINDS
-from services.afm_node.physics.particles.push import KINETIC, push_step
-from services.afm_node.physics.particles.steering import steered
-from services.afm_node.physics.particles.tip_shape import Spring, tip_shape, touch_distance_m
-from services.controller.lateral_settings import LateralConfig
-from services.haptic_node.physics.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
+from telenano.afm.particles.adhered_sphere import KINDS
+from telenano.afm.particles.push import KINETIC, push_step
+from telenano.afm.particles.steering import steered
+from telenano.afm.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano.analysis.intervals import wilson
 from telenano.cli.root import app
+from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
+from telenano.laws.lateral_settings import LateralConfig
 from telenano.lockstep import across, lockstep, push_hand
 from telenano.lockstep.simulation import simulate_document
-from telenano.presets import find_scenario
+from telenano.settings import find_scenario
 from telenano.wire.errors import ConfigError
 
 TIP = tip_shape(10e-9, math.radians(15.0))

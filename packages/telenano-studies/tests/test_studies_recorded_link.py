@@ -9,10 +9,10 @@ from recorder_samples import NODE, sample
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
-from services.delay_node.engine import fates_of
-from services.delay_node.fate import Fate
-from services.recorder.config import RecorderConfig
+from telenano.link.engine import fates_of
+from telenano.link.fate import Fate
 from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError

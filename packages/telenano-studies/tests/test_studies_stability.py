@@ -29,8 +29,8 @@ from telenano_studies.option_values import Jitter
 from telenano_studies.page import Page
 from telenano_studies.pages.stability_page import broken_assumption, summarise, write_stability
 
-from services.afm_node.safety import MODE_HOLD, MODE_RETRACTING
-from services.viz_node.figure_style import VERDICTS
+from telenano.afm.safety import MODE_HOLD, MODE_RETRACTING
+from telenano.analysis.figure_style import VERDICTS
 from telenano.wire.errors import ConfigError
 
 

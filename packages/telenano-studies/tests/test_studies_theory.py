@@ -23,11 +23,11 @@ from telenano_studies.loops.theory import (
     wave_hybrid,
 )
 
-from services.controller.laws.position_force import PositionForceConfig
-from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
-from services.controller.laws.wave import WaveConfig
-from services.haptic_node.config import DeviceConfig
-from services.haptic_node.physics.motor import closed_loop_coefficients
+from telenano.hand.config import DeviceConfig
+from telenano.hand.motor import closed_loop_coefficients
+from telenano.laws.position_force import PositionForceConfig
+from telenano.laws.virtual_impedance import VirtualImpedanceConfig
+from telenano.laws.wave import WaveConfig
 
 OMEGA = np.geomspace(0.1, 3000.0, 2000)
 PERIOD_S = 1e-3

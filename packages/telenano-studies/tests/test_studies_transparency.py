@@ -8,8 +8,8 @@ import pytest
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.transparency import FREQUENCY_HZ, Spectrum, hand_programme, measure, spectrum
 
-from services.haptic_node.config import DeviceConfig
-from services.haptic_node.physics.motor import closed_loop_coefficients
+from telenano.hand.config import DeviceConfig
+from telenano.hand.motor import closed_loop_coefficients
 
 
 def cell(delay_ms: float, **more: Any) -> Cell:

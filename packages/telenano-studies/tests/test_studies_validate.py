@@ -22,13 +22,13 @@ from telenano_studies.loops.validate import (
     scenario_of,
 )
 
-from services.afm_node.config import AfmConfig
-from services.controller.config import ControllerConfig
-from services.delay_node.config import parse_settings
-from services.haptic_node.config import HapticConfig
-from services.runtime.settings.config import validate
-from services.runtime.settings.scenario import Scenario
+from telenano.afm.config import AfmConfig
+from telenano.hand.config import HapticConfig
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import parse_settings
 from telenano.lockstep.lockstep import Trajectory
+from telenano.settings.config import validate
+from telenano.settings.scenario import Scenario
 from telenano.wire.errors import ConfigError, RecordingError
 
 

@@ -16,8 +16,8 @@ from telenano_studies.option_values import Jitter
 from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
-from services.controller.config import OWN_LAWS as LAWS
 from telenano.cli.root import app as root
+from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.wire.errors import ConfigError
 
 RUN = CliRunner()

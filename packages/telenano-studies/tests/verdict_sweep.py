@@ -23,11 +23,11 @@ from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 from telenano_studies.loops.validate import longest_stall_s
 
 import telenano
-from services.controller.config import ControllerConfig
-from services.launcher.child_session import reason_of, run_session
-from services.runtime.settings.config import merge, nested, read_yaml
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.presets import find_scenario
+from telenano.launcher.child_session import reason_of, run_session
+from telenano.laws.config import ControllerConfig
+from telenano.settings import find_scenario
+from telenano.settings.config import merge, nested, read_yaml
 
 STIFFNESS_N_PER_M = 20.0
 HOLD_S = (0.9, 2.4)

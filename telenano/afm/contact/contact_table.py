@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.contact.maugis_dugdale import (
+from telenano.afm.contact.maugis_dugdale import (
     MaugisDugdale,
     angle_at,
     angle_between,
@@ -28,8 +28,8 @@ from services.afm_node.physics.contact.maugis_dugdale import (
     contact_at,
     end_angle,
 )
-from services.afm_node.physics.contact.maugis_dugdale import indentation_m as indentation_under
-from services.numerics.compiled import compiled
+from telenano.afm.contact.maugis_dugdale import indentation_m as indentation_under
+from telenano.numerics.compiled import compiled
 
 FORCE_TOLERANCE = 1e-6  # of the force, or of FORCE_FLOOR pi w R where the force passes through zero
 STIFFNESS_TOLERANCE = 1e-4  # of the stiffness, or of its unit where that is larger

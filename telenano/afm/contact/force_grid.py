@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.contact.tip_sample import TipSample, branch_force
-from services.numerics.compiled import always_compiled, compiled
+from telenano.afm.contact.tip_sample import TipSample, branch_force
+from telenano.numerics.compiled import always_compiled, compiled
 
 _CELL_M = 5e-12
 _DEEPEST_M = 5e-9

@@ -10,8 +10,8 @@ that moment over R are less than what sliding needs.
 import math
 from typing import Literal, NamedTuple
 
-from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
-from services.numerics.compiled import compiled
+from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
+from telenano.numerics.compiled import compiled
 
 Motion = Literal["slide", "roll", "auto"]
 

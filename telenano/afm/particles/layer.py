@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.cantilever import Plant
-from services.afm_node.physics.part import (
+from telenano.afm.cantilever import Plant
+from telenano.afm.part import (
     AfmSample,
     Motion,
     Part,
@@ -24,10 +24,10 @@ from services.afm_node.physics.part import (
     part_step,
     register,
 )
-from services.afm_node.physics.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
-from services.afm_node.physics.particles.tip_shape import Spring, TipShape
-from services.afm_node.physics.sample.surface import PLANE, Surface, height_over_middle
-from services.numerics.compiled import compiled
+from telenano.afm.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
+from telenano.afm.particles.tip_shape import Spring, TipShape
+from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
+from telenano.numerics.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.particles.adhered_sphere import area_ratio
-from services.afm_node.physics.particles.cluster import give_way
-from services.afm_node.physics.particles.tip_shape import (
+from telenano.afm.particles.adhered_sphere import area_ratio
+from telenano.afm.particles.cluster import give_way
+from telenano.afm.particles.tip_shape import (
     Spring,
     TipShape,
     climb,
@@ -27,7 +27,7 @@ from services.afm_node.physics.particles.tip_shape import (
     ride_height_m,
     touch_distance_m,
 )
-from services.numerics.compiled import always_compiled, compiled
+from telenano.numerics.compiled import always_compiled, compiled
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
-from services.afm_node.programs.program_settings import Force, ProgramSettings, Speed
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
+from telenano.afm.programs.program_settings import Force, ProgramSettings, Speed
 from telenano.wire.errors import RefusedError
 
 # phases, in order

@@ -6,10 +6,10 @@ the force as ever; whatever ends the image withdraws the tip.
 
 from typing import NamedTuple
 
-from services.afm_node.driver import OwnImage, OwnLine
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
-from services.afm_node.programs.scan import ScanSettings
+from telenano.afm.driver import OwnImage, OwnLine
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.program import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
+from telenano.afm.programs.scan import ScanSettings
 from telenano.wire.errors import RefusedError
 
 RISE, IMAGE, DONE = range(3)

@@ -13,11 +13,11 @@ from typing import ClassVar, Generic, NamedTuple, TypeVar, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.driver import Oscillation, OwnImage, OwnLine
-from services.afm_node.programs.lateral import LateralParams, Place
-from services.afm_node.programs.reach import Reach, approach_limit_s
-from services.afm_node.safety import SafetyParams
-from services.runtime.settings.config import Settings
+from telenano.afm.driver import Oscillation, OwnImage, OwnLine
+from telenano.afm.programs.lateral import LateralParams, Place
+from telenano.afm.programs.reach import Reach, approach_limit_s
+from telenano.afm.safety import SafetyParams
+from telenano.settings.config import Settings
 from telenano.wire.messages import Scalar
 
 Array = npt.NDArray[np.float64]

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from services.runtime.settings.config import Settings
+from telenano.settings.config import Settings
 
 Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
 Position = Annotated[float, Field(ge=-1e-3, le=1e-3)]

@@ -16,11 +16,11 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from services.afm_node.physics.particles.steering import steered
-from services.afm_node.physics.particles.tip_shape import TipShape, tip_shape, touch_distance_m
-from services.afm_node.programs.feedback import gain_fault, integral_share
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import (
+from telenano.afm.particles.steering import steered
+from telenano.afm.particles.tip_shape import TipShape, tip_shape, touch_distance_m
+from telenano.afm.programs.feedback import gain_fault, integral_share
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.program import (
     APPROACH,
     ARRIVED,
     RISE,
@@ -33,7 +33,7 @@ from services.afm_node.programs.program import (
     Wanted,
     way_to_surface,
 )
-from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.afm.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar
 

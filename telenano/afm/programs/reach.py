@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.afm_node.physics.sample.surface import Surface
-from services.afm_node.programs.lateral import Place
-from services.afm_node.safety import SafetyParams
+from telenano.afm.programs.lateral import Place
+from telenano.afm.safety import SafetyParams
+from telenano.afm.sample.surface import Surface
 
 # The base needs this time besides that of its whole way, because it may still be taking up its speed after a hold.
 _SPARE_S = 1.0

@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
-from services.afm_node import safety
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.own_scan import OWN_SCAN
-from services.afm_node.programs.program import Inputs, Instrument, Wanted
-from services.afm_node.programs.settings import InstrumentRequest
-from services.afm_node.programs.table import PROGRAMS, AnyProgram
-from services.runtime.loop.node_state import Part, part
+from telenano.afm import safety
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.own_scan import OWN_SCAN
+from telenano.afm.programs.program import Inputs, Instrument, Wanted
+from telenano.afm.programs.settings import InstrumentRequest
+from telenano.afm.programs.table import PROGRAMS, AnyProgram
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar
+from telenano.wire.node_state import Part, part
 
 RunState = Literal["running", "paused", "finished", "ended"]
 # A program may not begin in these modes of the guard, for these reasons.

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from services.afm_node.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
-from services.afm_node.programs.lateral import LateralParams, Place, moved
-from services.afm_node.programs.program import (
+from telenano.afm.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
+from telenano.afm.programs.lateral import LateralParams, Place, moved
+from telenano.afm.programs.program import (
     APPROACH,
     ARRIVED,
     RISE,
@@ -29,7 +29,7 @@ from services.afm_node.programs.program import (
     Wanted,
     way_to_surface,
 )
-from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.afm.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
 from telenano.wire.errors import RefusedError
 
 Array = npt.NDArray[np.float64]

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model, field_validator
 
-from services.afm_node.driver import AfmDriver
-from services.afm_node.programs.program_settings import Position
-from services.afm_node.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
-from services.runtime.settings.config import Settings, changed_disturbances, nested, validate
-from telenano.presets.plugins import refuse
+from telenano.afm.driver import AfmDriver
+from telenano.afm.programs.program_settings import Position
+from telenano.afm.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
+from telenano.settings.config import Settings, changed_disturbances, nested, validate
+from telenano.settings.plugins import refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 

@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from services.afm_node.programs.curve import Curve
-from services.afm_node.programs.program import Program
-from services.afm_node.programs.push import Push
-from services.afm_node.programs.scan import Scan
-from services.afm_node.programs.tactile import Tactile
-from services.runtime.settings.config import Settings
-from telenano.presets.plugins import load
+from telenano.afm.programs.curve import Curve
+from telenano.afm.programs.program import Program
+from telenano.afm.programs.push import Push
+from telenano.afm.programs.scan import Scan
+from telenano.afm.programs.tactile import Tactile
+from telenano.settings.config import Settings
+from telenano.settings.plugins import load
 
 AnyProgram = Program[Any, Any, Any]
 

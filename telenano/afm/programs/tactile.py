@@ -12,9 +12,9 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from services.afm_node.programs.feedback import gain_fault, integral_share
-from services.afm_node.programs.lateral import LateralParams, Place, moved
-from services.afm_node.programs.program import (
+from telenano.afm.programs.feedback import gain_fault, integral_share
+from telenano.afm.programs.lateral import LateralParams, Place, moved
+from telenano.afm.programs.program import (
     APPROACH,
     ARRIVED,
     RISE,
@@ -27,7 +27,7 @@ from services.afm_node.programs.program import (
     Wanted,
     way_to_surface,
 )
-from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.afm.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
 from telenano.wire.errors import RefusedError
 
 # the phases after the way to the surface

@@ -27,10 +27,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from services.afm_node.physics.recorded_map import MapParams
-from services.afm_node.physics.sample.surface_files import METRES
-from telenano.presets.regular_files import open_regular
-from telenano.recording.whole_files import whole_file
+from telenano.afm.recorded_map import MapParams
+from telenano.afm.sample.surface_files import METRES
+from telenano.files.regular_files import open_regular
+from telenano.files.whole_files import whole_file
 from telenano.wire.errors import ConfigError
 
 Array = npt.NDArray[np.float64]

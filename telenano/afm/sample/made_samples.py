@@ -8,20 +8,11 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from services.afm_node.physics.particles.settings import ParticlesConfig
-from services.afm_node.physics.sample.force_map import Span, span_of
-from services.afm_node.physics.sample.surface import (
-    MOST_PIXELS,
-    Surface,
-    centred,
-    checked,
-    dots,
-    flat,
-    grating,
-    plane_levelled,
-)
-from services.afm_node.physics.sample.surface_files import SHAPES, read_surface
-from services.runtime.settings.config import Settings, refused_code
+from telenano.afm.particles.settings import ParticlesConfig
+from telenano.afm.sample.force_map import Span, span_of
+from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
+from telenano.afm.sample.surface_files import SHAPES, read_surface
+from telenano.settings.config import Settings, refused_code
 from telenano.wire.errors import ConfigError
 
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {

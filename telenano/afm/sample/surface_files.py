@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
-from services.runtime.untrusted.file_readers import read_by_package
-from telenano.presets.regular_files import open_regular
-from telenano.recording.text_tables import as_number, read_table
-from telenano.recording.units import unit_of
+from telenano.afm.sample.surface import MOST_PIXELS, Surface, checked
+from telenano.files.regular_files import open_regular
+from telenano.files.text_tables import as_number, read_table
+from telenano.files.units import unit_of
+from telenano.settings.file_readers import read_by_package
 from telenano.wire.errors import ConfigError, probably_meant
 
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"

@@ -14,8 +14,8 @@ from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import CountOption, ExcludeOption, JsonOption, SiteFileOption, TopicsOption, command_group
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
-from telenano.presets import TWO_SITES_FILE
 from telenano.recording.channel_filter import Selection
+from telenano.settings import TWO_SITES_FILE
 from telenano.wire.errors import RecordingError, known_names
 
 if TYPE_CHECKING:
@@ -175,10 +175,10 @@ def fetch(
     """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
     with report_errors(as_json):
         # The launcher needs POSIX, and the other commands work without it.
-        from services.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
-        from services.launcher.run import own_recordings
-        from services.runtime.bus.address_book import load_site
+        from telenano.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
+        from telenano.launcher.run import own_recordings
         from telenano.recording.multi_file import open_recordings
+        from telenano.runtime.bus.address_book import load_site
 
         names = noted_files(folder) if files is None else checked_names(files, "--file")
         own, faults = own_recordings(folder)
@@ -280,9 +280,9 @@ def rerun(
 ) -> None:
     """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
     with report_errors(as_json):
-        from telenano.analysis.rerun import rerun as run_again
         from telenano.recording.reader import Recording
         from telenano.recording.tolerance import Tolerances
+        from telenano.rerun.rerun import rerun as run_again
 
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
         results = [run_again(recording, key, allowed, settings or ()) for key in node]

@@ -7,7 +7,7 @@ import typer
 
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
-from telenano.presets.plugins import installed
+from telenano.settings.plugins import installed
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_install
 
@@ -42,7 +42,7 @@ def serial_ports() -> list[dict[str, Any]]:
         from serial.tools.list_ports import comports
     except ImportError as error:
         raise ConfigError(f"serial ports need pyserial: {how_to_install('haptic')}") from error
-    from services.haptic_node.devices.port import holder_of
+    from telenano.devices.hand.port import holder_of
 
     names = {str(link.resolve()): str(link) for link in _BY_ID.iterdir()} if _BY_ID.is_dir() else {}
     return [
@@ -61,9 +61,9 @@ def package_rows() -> list[dict[str, Any]]:
 
     That is what a check of `telenano doctor` with the name of the driver found.
     """
-    from services.afm_node.config import DRIVERS as INSTRUMENTS
-    from services.haptic_node.config import DRIVERS as HANDLES
+    from telenano.afm.config import DRIVERS as INSTRUMENTS
     from telenano.doctor.report import checks_of_packages
+    from telenano.hand.config import DRIVERS as HANDLES
 
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()
     found, problems = {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}

@@ -7,8 +7,8 @@ import typer
 import yaml
 from pydantic import BaseModel
 
-from telenano.presets import find_scenario
-from telenano.recording.whole_files import whole_file
+from telenano.files.whole_files import whole_file
+from telenano.settings import find_scenario
 from telenano.wire.errors import TelenanoError
 
 Section = TypeVar("Section", bound=BaseModel)
@@ -16,9 +16,9 @@ Section = TypeVar("Section", bound=BaseModel)
 
 def run_ahead() -> None:
     """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
-    from services.runtime.loop.log import StructuredLog, configure_logging
-    from services.runtime.loop.realtime import apply_realtime, freeze_garbage
-    from services.runtime.settings.scenario import RealtimeConfig
+    from telenano.runtime.loop.log import StructuredLog, configure_logging
+    from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage
+    from telenano.settings.scenario import RealtimeConfig
 
     configure_logging()
     apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("device"), "device")
@@ -27,7 +27,7 @@ def run_ahead() -> None:
 
 def section_of(scenario: Path | None, name: str, model: type[Section]) -> Section:
     """Return a section of a scenario that is named or a file, or its defaults; ConfigError names what is wrong."""
-    from services.runtime.settings.scenario import load_scenario
+    from telenano.settings.scenario import load_scenario
 
     return model() if scenario is None else load_scenario(find_scenario(str(scenario))).section(name, model)
 

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from services.runtime.security.keyring import AllowedKey, Keyring, expiry_in, keys_directory, keys_in, utc_today
-from services.runtime.security.private_files import read_regular
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_answer, print_json, print_rows, report_errors
+from telenano.runtime.security.keyring import AllowedKey, Keyring, expiry_in, keys_directory, keys_in, utc_today
+from telenano.runtime.security.private_files import read_regular
 from telenano.wire.errors import ConfigError
 
 app = command_group()

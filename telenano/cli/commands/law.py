@@ -22,7 +22,7 @@ LawArgument = Annotated[
 def list_laws(as_json: JsonOption = False) -> None:
     """List the laws, those of installed packages included, and what keeps one from being used."""
     with report_errors(as_json):
-        from services.controller.config import LAWS, PACKAGE_LAWS
+        from telenano.laws.config import LAWS, PACKAGE_LAWS
 
         rows = [{"law": name, **_origin(name), "about": _about(law)} for name, law in LAWS.items()]
         problems = dict(PACKAGE_LAWS.problems)
@@ -38,8 +38,8 @@ def list_laws(as_json: JsonOption = False) -> None:
 def show(law: LawArgument, as_json: JsonOption = False) -> None:
     """Show what a law is, and its parameters with default, range and unit."""
     with report_errors(as_json):
-        from services.controller.config import LAWS
-        from services.controller.law_rules import known_law
+        from telenano.laws.config import LAWS
+        from telenano.laws.law_rules import known_law
 
         found = known_law(law)
         properties: dict[str, Any] = found.config.model_json_schema()["properties"]
@@ -70,8 +70,8 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        from services.controller.config import ControllerConfig
-        from services.controller.law_rules import LATE_PERIODS, broken_rules, known_law
+        from telenano.laws.config import ControllerConfig
+        from telenano.laws.law_rules import LATE_PERIODS, broken_rules, known_law
 
         known_law(law)
         if not as_json:
@@ -102,8 +102,8 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
 
 
 def _origin(name: str) -> dict[str, str]:
-    from services.controller.config import OWN_LAWS
-    from telenano.presets.plugins import installed
+    from telenano.laws.config import OWN_LAWS
+    from telenano.settings.plugins import installed
 
     if name in OWN_LAWS:
         return {"package": _OWN, "version": "", "digest": ""}

@@ -7,17 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
-from services.delay_node.profiles import PROFILES, profile_named
-from services.runtime.bus.address_book import load_site
-from services.runtime.settings.config import flatten
-from services.runtime.wiring.observer import RIG_HINT, Observer, messages_of
 from telenano.cli.commands.session import send_command
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption, command_group
 from telenano.cli.output import print_answer, report_errors
 from telenano.cli.tables import counts_text
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.link.profiles import PROFILES, profile_named
 from telenano.recording.tables import json_fields
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.observer import RIG_HINT, Observer, messages_of
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.config import flatten
 from telenano.wire.errors import RigError
 from telenano.wire.nodes import LINK
 

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from services.signals import children
 from telenano.cli.completion import service_names
 from telenano.cli.options import command_group
 from telenano.cli.output import print_answer, report_errors
+from telenano.signals import children
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.nodes import NODES, SERVICES, name_of

@@ -8,7 +8,7 @@ import yaml
 from telenano.cli.completion import scenario_names, scenario_sections
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
-from telenano.presets import find_scenario
+from telenano.settings import find_scenario
 from telenano.wire.errors import ConfigError, probably_meant
 
 app = command_group()
@@ -39,7 +39,7 @@ def list_all(
     Without PREFIX and --all these are the keys at the top of each section, and those that a packaged scenario changes.
     """
     with report_errors(as_json):
-        from services.launcher.scenario_keys import all_keys, first_keys
+        from telenano.launcher.scenario_keys import all_keys, first_keys
 
         known = all_keys()
         keys = [key for key in known if key.name.startswith(prefix)] if prefix or every else first_keys(known)
@@ -83,8 +83,8 @@ def get(
 
 
 def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:
-    from services.launcher.scenario_keys import filled, value_at, with_meant
-    from services.runtime.settings.scenario import load_scenario
+    from telenano.launcher.scenario_keys import filled, value_at, with_meant
+    from telenano.settings.scenario import load_scenario
 
     document = filled(load_scenario(find_scenario(scenario), settings or ()))
     try:

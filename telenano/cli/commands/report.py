@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from services.viz_node.figure_style import figure_options
+from telenano.analysis.figure_style import figure_options
 from telenano.analysis.report import write_report
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import fail_with_summary, print_summary, report_errors

@@ -44,7 +44,7 @@ def sample(
             raise ConfigError("missing option '--out'")
         require("gwyfile")
         config = sample_config(name, size, channel, settings)
-        from services.afm_node.physics.sample.surface import dilated
+        from telenano.afm.sample.surface import dilated
         from telenano.analysis.image_files import Image, write_gsf, write_gwy, write_png
 
         surface = config.build()

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from services.runtime.settings.config import read_yaml
 from telenano.cli.completion import scenario_names
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
-from telenano.presets import find_scenario, scenarios
-from telenano.recording.whole_files import whole_file
+from telenano.files.whole_files import whole_file
+from telenano.settings import find_scenario, scenarios
+from telenano.settings.config import read_yaml
 from telenano.wire.errors import ConfigError
 
 app = command_group()
@@ -50,8 +50,8 @@ def check(name: NameArgument, settings: SettingsOption = None, as_json: JsonOpti
     """Check a scenario with the models of all nodes; exit code 2 and a sentence for each key that is wrong."""
     with report_errors(as_json):
         # the models of all nodes take a second to import
-        from services.launcher.plan import check_sections
-        from services.runtime.settings.scenario import load_scenario
+        from telenano.launcher.plan import check_sections
+        from telenano.settings.scenario import load_scenario
 
         loaded = load_scenario(find_scenario(name), settings or ())
         check_sections(loaded)
@@ -73,9 +73,9 @@ def new(
 ) -> None:
     """Write a scenario file of your own, which an editor completes by its JSON Schema."""
     with report_errors(as_json):
-        from services.runtime.settings.config import validate as validated
-        from services.runtime.settings.scenario import Scenario
-        from telenano.presets import SCHEMA_DIRECTORY
+        from telenano.settings import SCHEMA_DIRECTORY
+        from telenano.settings.config import validate as validated
+        from telenano.settings.scenario import Scenario
 
         path = out or Path(f"{name}.yaml")
         if path.exists():
@@ -96,6 +96,6 @@ def schema(
 ) -> None:
     """Print the JSON Schema of scenario files, with the laws, devices and samples that are installed here."""
     with report_errors(as_json=False):
-        from services.launcher.scenario_keys import scenario_schema, site_schema
+        from telenano.launcher.scenario_keys import scenario_schema, site_schema
 
         typer.echo(json.dumps(site_schema() if site else scenario_schema(), indent=2))

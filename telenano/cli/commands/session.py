@@ -8,17 +8,17 @@ from typing import Annotated, Literal
 
 import typer
 
-from services.console.command_client import arm_devices, parse_parameters, send_control
-from services.console.coupling import couple_anew
-from services.console.lease import CONSOLE
-from services.console.lease_register import holding
-from services.runtime.clock import process_start_ns
-from services.runtime.loop.commands import Command, CommandName
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
-from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.console.command_client import arm_devices, parse_parameters, send_control
+from telenano.console.coupling import couple_anew
+from telenano.console.lease import CONSOLE
+from telenano.console.lease_register import holding
+from telenano.runtime.loop.commands import Command, CommandName
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.timing.clock import process_start_ns
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site
 

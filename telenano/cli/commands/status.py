@@ -11,17 +11,17 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from services.launcher.processors import fits_text, held, permitted, shared_folder
-from services.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
-from services.launcher.rigs import RigFacts, about_rig, running_rigs
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
-from services.runtime.loop.loop_age import Part, in_words
-from services.runtime.wiring.observer import Observer
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.launcher.processors import fits_text, held, permitted, shared_folder
+from telenano.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
+from telenano.launcher.rigs import RigFacts, about_rig, running_rigs
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
+from telenano.runtime.wiring.observer import Observer
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.timing.loop_age import Part, in_words
 
 _DEFAULT_S = 1.5
 _COLUMNS = (

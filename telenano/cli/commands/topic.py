@@ -9,17 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from services.launcher.scenario_keys import value_at
-from services.runtime.bus.address_book import load_site
-from services.runtime.wiring.observer import (
-    RIG_HINT,
-    Observer,
-    known_name,
-    list_topics,
-    measure,
-    messages_of,
-    require_rig,
-)
 from telenano.cli.options import (
     CountOption,
     DurationOption,
@@ -30,9 +19,20 @@ from telenano.cli.options import (
     command_group,
 )
 from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.launcher.scenario_keys import value_at
 from telenano.recording.quantities import quantity
 from telenano.recording.tables import json_fields
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.observer import (
+    RIG_HINT,
+    Observer,
+    known_name,
+    list_topics,
+    measure,
+    messages_of,
+    require_rig,
+)
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 

@@ -10,15 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from services.launcher.fan_out import fan_out
-from services.launcher.page import inherited_by_page
-from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.rigs import own_rig
-from services.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
-from services.runtime.security.keyring import Keyring
-from services.runtime.settings.config import ALLOW_CODE_VARIABLE
-from services.signals import interrupts
-from services.viz_node.figure_style import FigureOptions, figure_options
+from telenano.analysis.figure_style import FigureOptions, figure_options
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
@@ -35,8 +27,16 @@ from telenano.cli.output import (
     report_errors,
 )
 from telenano.cli.sweep import SEED
-from telenano.presets.plugins import known_problems
+from telenano.launcher.fan_out import fan_out
+from telenano.launcher.page import inherited_by_page
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.launcher.rigs import own_rig
+from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from telenano.recording.multi_file import open_recordings
+from telenano.runtime.security.keyring import Keyring
+from telenano.settings.config import ALLOW_CODE_VARIABLE
+from telenano.settings.plugins import known_problems
+from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ReportError
 
 

@@ -8,7 +8,7 @@ says of itself whether it closes a loop (`Law.link_loop`), so no law is known he
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from services.afm_node.config import DRIVERS
+from telenano.afm.config import DRIVERS
 
 # A loop through link and instrument needs z and force at this rate at least [Hz]; slower ones shake a hand in contact.
 LEAST_LOOP_HZ = 200.0

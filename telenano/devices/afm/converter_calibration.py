@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple
 
 from pydantic import AwareDatetime, Field, model_validator
 
-from services.afm_node.devices.register_map import MapName, RegisterMap
-from services.afm_node.physics.part import AfmSample
-from services.afm_node.safety import SafetyParams
-from services.runtime.settings.config import Settings, read_yaml, validate
+from telenano.afm.part import AfmSample
+from telenano.afm.safety import SafetyParams
+from telenano.devices.afm.register_map import MapName, RegisterMap
+from telenano.settings.config import Settings, read_yaml, validate
 
 LEAST_HEARTBEAT_S = 0.02
 

@@ -11,18 +11,18 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
-from services.afm_node.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
-from services.afm_node.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
-from services.afm_node.physics.part import AfmSample, Particles
-from services.afm_node.programs.lateral import LateralParams, Place, moved
-from services.afm_node.programs.program import FinishedLine, Inputs, Wanted
-from services.afm_node.programs.runner import ProgramRunner
-from services.afm_node.section_config import FrictionConfig
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop.device_node import DeviceNode, Parts, StepPart
-from services.runtime.loop.node import Node
+from telenano.afm import safety
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
+from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
+from telenano.afm.part import AfmSample, Particles
+from telenano.afm.programs.lateral import LateralParams, Place, moved
+from telenano.afm.programs.program import FinishedLine, Inputs, Wanted
+from telenano.afm.programs.runner import ProgramRunner
+from telenano.afm.section_config import FrictionConfig
+from telenano.runtime.loop.device_node import DeviceNode, Parts, StepPart
+from telenano.runtime.loop.node import Node
+from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, Array
 
 # A hand that trembles at the edge of a map is told of it once.

@@ -5,22 +5,22 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig
-from services.afm_node.driver import AfmDriver
-from services.afm_node.over_map import read_params
-from services.afm_node.physics.sample.surface import Surface
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.afm_node.programs.feedback import remaining
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import Instrument
-from services.afm_node.programs.reach import Reach
-from services.afm_node.programs.runner import ProgramRunner
-from services.afm_node.programs.settings import LateralTarget
-from services.afm_node.safety import SafetyParams
-from services.afm_node.section_config import ModbusConfig
-from services.runtime.loop.node import LOOP_PERIOD_S
-from services.runtime.settings.config import read_yaml, validate
-from services.runtime.settings.device_drivers import DeviceDriver, missing_driver
+from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
+from telenano.afm.driver import AfmDriver
+from telenano.afm.over_map import read_params
+from telenano.afm.programs.feedback import remaining
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.program import Instrument
+from telenano.afm.programs.reach import Reach
+from telenano.afm.programs.runner import ProgramRunner
+from telenano.afm.programs.settings import LateralTarget
+from telenano.afm.safety import SafetyParams
+from telenano.afm.sample.surface import Surface
+from telenano.afm.section_config import ModbusConfig
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.runtime.loop.node import LOOP_PERIOD_S
+from telenano.settings.config import read_yaml, validate
+from telenano.settings.device_drivers import DeviceDriver, missing_driver
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.extras import how_to_install
 
@@ -59,8 +59,8 @@ def _layers(config: AfmConfig) -> dict[str, Any]:
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
     """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
     try:
-        from services.afm_node.physics.dynamic_plant import FINEST
-        from services.afm_node.physics.dynamic_sim import dynamic_params, require_steps, resting_steps
+        from telenano.afm.dynamic_plant import FINEST
+        from telenano.afm.dynamic_sim import dynamic_params, require_steps, resting_steps
     except ImportError as error:
         raise ConfigError(f"afm_node.model: dynamic needs numba: {how_to_install('studies')}") from error
     surface, friction = config.to_surface(), config.to_friction_params()
@@ -93,11 +93,11 @@ def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
 def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
     try:
-        from services.afm_node.devices.modbus_driver import ModbusAfm
+        from telenano.devices.afm.modbus_driver import ModbusAfm
     except ImportError as error:
         raise ConfigError(f"afm_node.driver: modbus needs pymodbus: {how_to_install('afm')}") from error
-    from services.afm_node.devices.converter_calibration import read_calibration
-    from services.afm_node.devices.register_map import read_map
+    from telenano.devices.afm.converter_calibration import read_calibration
+    from telenano.devices.afm.register_map import read_map
 
     calibration = read_calibration(Path(section.calibration))
     own = {"host": section.host, "port": section.port}
@@ -108,7 +108,7 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
 
 def calibration_of_file(calibration: Path) -> Any:
     """Return the calibration of a real instrument, whichever kind it is; ConfigError names what is wrong."""
-    from services.afm_node.devices.converter_calibration import read_calibration
+    from telenano.devices.afm.converter_calibration import read_calibration
 
     document = read_yaml(calibration)
     if (kind := document.get("controller")) is None:

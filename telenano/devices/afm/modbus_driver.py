@@ -6,15 +6,15 @@ retract, read back) is a generator of requests that opening runs to its end, and
 
 from typing import Any
 
-from services.afm_node.devices import modbus_line
-from services.afm_node.devices.converter_calibration import InstrumentCalibration
-from services.afm_node.devices.modbus_frames import Answer, Conversation, Operation
-from services.afm_node.devices.modbus_handshake import EXCEPTIONS, Handshake, heartbeat_of, is_retracted
-from services.afm_node.devices.modbus_line import Line
-from services.afm_node.devices.register_map import RegisterMap
-from services.afm_node.devices.tcp_driver import STALE_CYCLES, TcpDriver
-from services.afm_node.driver import DeviceError, DeviceReport
-from services.afm_node.safety import SafetyParams
+from telenano.afm.driver import DeviceError, DeviceReport
+from telenano.afm.safety import SafetyParams
+from telenano.devices.afm import modbus_line
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.afm.modbus_frames import Answer, Conversation, Operation
+from telenano.devices.afm.modbus_handshake import EXCEPTIONS, Handshake, heartbeat_of, is_retracted
+from telenano.devices.afm.modbus_line import Line
+from telenano.devices.afm.register_map import RegisterMap
+from telenano.devices.afm.tcp_driver import STALE_CYCLES, TcpDriver
 
 _MS = 1_000_000
 _BUSY = (5, 6)

@@ -3,10 +3,10 @@
 import struct
 from collections.abc import Callable, Generator
 
-from services.afm_node.devices.converter_calibration import InstrumentCalibration
-from services.afm_node.devices.modbus_frames import Answer, Conversation
-from services.afm_node.devices.register_map import Check, Heartbeat, Register, RegisterMap, Setting, agrees
-from services.afm_node.driver import DeviceError
+from telenano.afm.driver import DeviceError
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.afm.modbus_frames import Answer, Conversation
+from telenano.devices.afm.register_map import Check, Heartbeat, Register, RegisterMap, Setting, agrees
 
 EXCEPTIONS = {
     1: "illegal function: the device does not know it",

@@ -6,8 +6,8 @@ import socket
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from services.afm_node.devices.host_address import HostAddress
-from services.afm_node.driver import DeviceError
+from telenano.afm.driver import DeviceError
+from telenano.devices.afm.host_address import HostAddress
 
 _MS = 1_000_000
 LOST_NS = 50 * _MS

@@ -9,12 +9,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from services.afm_node.devices import modbus_line
-from services.afm_node.devices.converter_calibration import Readings
-from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
-from services.afm_node.driver import DeviceError, DeviceReport
-from services.afm_node.physics.part import AfmSample
-from services.afm_node.safety import SafetyParams
+from telenano.afm.driver import DeviceError, DeviceReport
+from telenano.afm.part import AfmSample
+from telenano.afm.safety import SafetyParams
+from telenano.devices.afm import modbus_line
+from telenano.devices.afm.converter_calibration import Readings
+from telenano.devices.afm.modbus_line import Connect, Line, TcpConnector, go_on_connecting
 from telenano.wire.errors import cause
 
 STALE_CYCLES = 3

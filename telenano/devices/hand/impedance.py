@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from services.haptic_node.coupling import ZERO
-from services.haptic_node.driver import (
+from telenano.hand.coupling import ZERO
+from telenano.hand.driver import (
     Capabilities,
     DeviceError,
     DeviceReading,
@@ -14,9 +14,9 @@ from services.haptic_node.driver import (
     SpatialReading,
     Status,
 )
-from services.haptic_node.impedance_config import CouplingConfig
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.haptic_node.servo import ServoCommand, ServoLink, ServoSample
+from telenano.hand.impedance_config import CouplingConfig
+from telenano.hand.safety import MODE_OFF, MODE_POSITION
+from telenano.hand.servo import ServoCommand, ServoLink, ServoSample
 
 # A sample that is older than this is stale, and one that is older than the silence of the coupling is lost.
 _STALE_S = 0.005

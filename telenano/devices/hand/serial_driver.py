@@ -10,13 +10,13 @@ import time
 from collections.abc import Callable
 from enum import Enum
 
-from services.haptic_node.config import LimitsConfig
-from services.haptic_node.devices import wire
-from services.haptic_node.devices.calibration import HandleCalibration
-from services.haptic_node.devices.port import OpenPort, Port, SerialPort
-from services.haptic_node.devices.sample_clock import RecentMinimum, SampleClock
-from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DeviceReport, DriveCommand, Status
-from services.haptic_node.safety import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
+from telenano.devices.hand import wire
+from telenano.devices.hand.calibration import HandleCalibration
+from telenano.devices.hand.port import OpenPort, Port, SerialPort
+from telenano.devices.hand.sample_clock import RecentMinimum, SampleClock
+from telenano.hand.config import LimitsConfig
+from telenano.hand.driver import Capabilities, DeviceError, DeviceReading, DeviceReport, DriveCommand, Status
+from telenano.hand.safety import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
 from telenano.wire.errors import cause
 
 _MS = 1_000_000

@@ -20,18 +20,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from services.haptic_node.coupling import Vector
-from services.haptic_node.devices.impedance_wire import ImpedanceWire
-from services.haptic_node.driver import Capabilities, DeviceError
-from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
-from services.runtime.loop.realtime import ordinary_scheduling
-from services.runtime.settings.config import validate
-from services.runtime.settings.device_drivers import Drivers
-from services.signals import children
+from telenano.devices.hand.impedance_wire import ImpedanceWire
+from telenano.hand.coupling import Vector
+from telenano.hand.driver import Capabilities, DeviceError
+from telenano.hand.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
+from telenano.runtime.loop.realtime import ordinary_scheduling
+from telenano.settings.config import validate
+from telenano.settings.device_drivers import Drivers
+from telenano.signals import children
 from telenano.wire.errors import cause
 
 RETRY_S = 0.5
-_SERVO = (sys.executable, "-m", "services.haptic_node.devices.servo_process")
+_SERVO = (sys.executable, "-m", "telenano.devices.hand.servo_process")
 OPEN_S = 15.0
 _POLL_S = 0.01
 # What a servo says of its device has some hundred bytes.
@@ -358,9 +358,9 @@ def _as_tuples(value: Any) -> Any:
 
 def _run_ahead() -> None:
     """Request the scheduling of the nodes, on any processor: the node that started this one stays on its own."""
-    from services.runtime.loop.log import StructuredLog, configure_logging
-    from services.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime, freeze_garbage
-    from services.runtime.settings.scenario import RealtimeConfig
+    from telenano.runtime.loop.log import StructuredLog, configure_logging
+    from telenano.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime, freeze_garbage
+    from telenano.settings.scenario import RealtimeConfig
 
     if hasattr(os, "sched_setaffinity"):
         held = {int(part) for part in os.environ.get(PROCESSORS_VARIABLE, "").split(",") if part.isdigit()}

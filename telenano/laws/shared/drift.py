@@ -14,8 +14,8 @@ left in their mean over `RECENT_S`, and e is the error of a mean of values that 
 import math
 from typing import NamedTuple
 
-from services.controller.laws.shared.virtual_mass import bounded
-from services.numerics.compiled import compiled
+from telenano.laws.shared.virtual_mass import bounded
+from telenano.numerics.compiled import compiled
 
 # time constant over which the changes of force and place are taken for a drift [s]
 STEADY_S = 0.1

@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from services.controller.law import PortSignal, SlaveReference, TipMeasurement, tip_signal
-from services.numerics.compiled import compiled
+from telenano.laws.law import PortSignal, SlaveReference, TipMeasurement, tip_signal
+from telenano.numerics.compiled import compiled
 
 
 class SlaveState(NamedTuple):

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from services.controller.discretisation import exact_discretisation
-from services.controller.law import HandSample, PortSignal, TipMeasurement
-from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
-from services.numerics.compiled import compiled
-from services.runtime.settings.config import Settings, filled
+from telenano.laws.discretisation import exact_discretisation
+from telenano.laws.law import HandSample, PortSignal, TipMeasurement
+from telenano.laws.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
+from telenano.numerics.compiled import compiled
+from telenano.settings.config import Settings, filled
 from telenano.wire.topics import deadline_of
 
 # No hand and no tip comes so far; in an unstable loop a reference stays finite here.

@@ -1,6 +1,6 @@
 """Things that happen to single messages: flipped bits, and being sent past the delay."""
 
-from services.delay_node.random_streams import Draw, Occurrence
+from telenano.link.random_streams import Draw, Occurrence
 
 
 class Corruptor:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import NamedTuple
 
-from services.delay_node.config import Jitter
-from services.delay_node.random_streams import CorrelatedUniform, Draw, share_below
+from telenano.link.config import Jitter
+from telenano.link.random_streams import CorrelatedUniform, Draw, share_below
 
 normal_quantile = NormalDist().inv_cdf
 # the random part of the delay [ns] of a message that arrives at a time [ns]

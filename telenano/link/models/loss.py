@@ -1,7 +1,7 @@
 """Loss with memory: the four-state Markov chain and Gilbert-Elliott."""
 
-from services.delay_node.config import GilbertElliott, MarkovLoss
-from services.delay_node.random_streams import Draw
+from telenano.link.config import GilbertElliott, MarkovLoss
+from telenano.link.random_streams import Draw
 
 _RECEIVED, _RECEIVED_IN_BURST, _LOST_IN_BURST, _LOST_ALONE = 1, 2, 3, 4
 

@@ -4,9 +4,9 @@ import math
 from bisect import bisect_right
 from typing import NamedTuple
 
-from services.delay_node.config import Outage
-from services.delay_node.models.jitter import normal_quantile
-from services.delay_node.random_streams import SMALLEST, Draw
+from telenano.link.config import Outage
+from telenano.link.models.jitter import normal_quantile
+from telenano.link.random_streams import SMALLEST, Draw
 
 # outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
 _LONGEST_WALK = 10_000

@@ -12,8 +12,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from services.runtime.bus.local_endpoint import estop_endpoint, is_in_runtime_directory, kept_stop_path, local_endpoint
-from services.runtime.settings.config import Settings, read_yaml, validate
+from telenano.runtime.bus.local_endpoint import (
+    estop_endpoint,
+    is_in_runtime_directory,
+    kept_stop_path,
+    local_endpoint,
+)
+from telenano.settings.config import Settings, read_yaml, validate
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import LINK, name_of, site_of

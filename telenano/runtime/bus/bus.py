@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
-from services.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
-from services.runtime.clock import NEVER_NS, Clock
+from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
+from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire import TOPICS, WireError, accept, decode_header
 from telenano.wire.codec import MAX_MESSAGE_BYTES
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message

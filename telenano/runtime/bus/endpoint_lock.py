@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import IO
 
-from telenano.presets.optional_modules import optional_module
+from telenano.files.optional_modules import optional_module
 from telenano.wire.errors import EndpointError
 
 # Windows has neither this module nor ipc endpoints; recordings and studies need neither.

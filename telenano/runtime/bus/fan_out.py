@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import zmq
 
-from services.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
 
 # as many as a publisher keeps for a reader that stands still
 _HIGH_WATER_MARK = 22_000

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 import zmq
 
-from services.runtime.bus.endpoint_lock import EndpointLock
-from services.runtime.clock import Clock
+from telenano.runtime.bus.endpoint_lock import EndpointLock
+from telenano.timing.clock import Clock
 from telenano.wire import TOPICS, compose
 from telenano.wire.ends import END_TOPIC, end_data
 from telenano.wire.errors import EndpointError

@@ -6,7 +6,7 @@ come. What is under way with the keys before is opened for a moment longer. No p
 the same key the numbers would begin again.
 """
 
-from services.runtime.datagram.sealing import KeyPair, Opener, Sealer
+from telenano.runtime.datagram.sealing import KeyPair, Opener, Sealer
 
 REKEY_NS = 600 * 1_000_000_000
 _GRACE_NS = 10_000_000_000

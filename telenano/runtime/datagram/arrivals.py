@@ -4,7 +4,7 @@ from array import array
 from collections import deque
 from typing import NamedTuple
 
-from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
+from telenano.runtime.datagram.replay_window import WINDOW, ReplayWindow
 
 # after this a datagram that a newer one overtook is counted as lost; one that still arrives is late after all
 SETTLE_NS = 1_000_000_000

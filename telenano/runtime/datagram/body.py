@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import msgpack
 
-from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES
+from telenano.runtime.security.sealed import RejectedError
 from telenano.wire import TOPICS
 
 # The order is that of their numbers on the wire, so new topics are added at the end.

@@ -14,12 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal, cast
 
-from services.runtime.bus.address_book import LinkTransport
-from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, Taken
-from services.runtime.clock import NEVER_NS, Clock
-from services.runtime.datagram.agreement import Agreement
-from services.runtime.datagram.arrivals import ArrivalRecord
-from services.runtime.datagram.body import (
+from telenano.runtime.bus.address_book import LinkTransport
+from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber, Taken
+from telenano.runtime.datagram.agreement import Agreement
+from telenano.runtime.datagram.arrivals import ArrivalRecord
+from telenano.runtime.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
     DATAGRAMS_OF,
@@ -31,19 +30,20 @@ from services.runtime.datagram.body import (
     parse,
     short_report,
 )
-from services.runtime.datagram.incoming import Incoming
-from services.runtime.datagram.outgoing import Outgoing
-from services.runtime.datagram.pacing import NETWORK_BYTES, Repeats
-from services.runtime.datagram.place import Address, Outlets, Place
-from services.runtime.datagram.play_out import PlayOut
-from services.runtime.datagram.reception import Reception, Way
-from services.runtime.datagram.report import network_report
-from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
-from services.runtime.datagram.sparse import SparseSamples, carried_by_tcp
-from services.runtime.datagram.touch import Touch
-from services.runtime.loop.clock_offset import Exchange, OffsetFilter
-from services.runtime.relay.path import RelayPath
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.datagram.incoming import Incoming
+from telenano.runtime.datagram.outgoing import Outgoing
+from telenano.runtime.datagram.pacing import NETWORK_BYTES, Repeats
+from telenano.runtime.datagram.place import Address, Outlets, Place
+from telenano.runtime.datagram.reception import Reception, Way
+from telenano.runtime.datagram.report import network_report
+from telenano.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
+from telenano.runtime.datagram.sparse import SparseSamples, carried_by_tcp
+from telenano.runtime.datagram.touch import Touch
+from telenano.runtime.relay.path import RelayPath
+from telenano.runtime.security.sealed import RejectedError
+from telenano.timing.clock import NEVER_NS, Clock
+from telenano.timing.clock_offset import Exchange, OffsetFilter
+from telenano.timing.play_out import PlayOut
 from telenano.wire.messages import InputHealth, Message
 from telenano.wire.network_messages import LinkKey
 

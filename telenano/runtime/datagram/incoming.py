@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from services.runtime.datagram.body import ASKING_TRAIN, TRAIN
-from services.runtime.datagram.outgoing import TRAIN_DATAGRAMS
-from services.runtime.datagram.pacing import NETWORK_BYTES
+from telenano.runtime.datagram.body import ASKING_TRAIN, TRAIN
+from telenano.runtime.datagram.outgoing import TRAIN_DATAGRAMS
+from telenano.runtime.datagram.pacing import NETWORK_BYTES
 
 # A train begins after a pause, and fewer datagrams of one say nothing.
 _PAUSE_NS, _FEWEST = 400_000_000, 10

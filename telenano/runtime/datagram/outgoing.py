@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.runtime.bus.address_book import LinkTransport
-from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, Report, mark, packed
-from services.runtime.datagram.body import TRAIN as TRAIN_MARK
-from services.runtime.datagram.line import Line
-from services.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
-from services.runtime.datagram.rate import WARN_QUEUE_NS, Delivery, RateControl, Seen
-from services.runtime.datagram.sealing import OVERHEAD_BYTES
-from services.runtime.loop.clock_offset import Exchange
+from telenano.runtime.bus.address_book import LinkTransport
+from telenano.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, Report, mark, packed
+from telenano.runtime.datagram.body import TRAIN as TRAIN_MARK
+from telenano.runtime.datagram.line import Line
+from telenano.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
+from telenano.runtime.datagram.rate import WARN_QUEUE_NS, Delivery, RateControl, Seen
+from telenano.runtime.datagram.sealing import OVERHEAD_BYTES
+from telenano.timing.clock_offset import Exchange
 
 # However full the line is, and whatever the other end says of it, so many samples are sent in a second: a reader takes
 # a silence of 50 ms for a loss.

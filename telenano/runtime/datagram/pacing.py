@@ -2,8 +2,8 @@
 
 from collections import deque
 
-from services.runtime.datagram.body import MOST_SAMPLE_BYTES
-from services.runtime.datagram.sealing import OVERHEAD_BYTES
+from telenano.runtime.datagram.body import MOST_SAMPLE_BYTES
+from telenano.runtime.datagram.sealing import OVERHEAD_BYTES
 
 MOST_REPEATS = 4
 # a sample is repeated until fewer than this share of them are expected to be lost with all their copies

@@ -3,7 +3,7 @@
 import socket
 from typing import Any, NamedTuple, Protocol
 
-from services.runtime.relay.path import RelayPath
+from telenano.runtime.relay.path import RelayPath
 from telenano.wire.messages import Message
 
 Address = tuple[Any, ...]

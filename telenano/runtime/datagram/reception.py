@@ -10,10 +10,10 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from services.runtime.bus.bus import Subscriber
-from services.runtime.bus.publisher import SPARSE
-from services.runtime.clock import NEVER_NS
-from services.runtime.datagram.sparse import WANTED_NS
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import SPARSE
+from telenano.runtime.datagram.sparse import WANTED_NS
+from telenano.timing.clock import NEVER_NS
 from telenano.wire import WireError, decode_header
 from telenano.wire.topics import LOOP_DEADLINE_S
 

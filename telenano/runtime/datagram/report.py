@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from services.runtime.datagram.arrivals import ArrivalRecord
-from services.runtime.datagram.outgoing import Outgoing
-from services.runtime.loop.clock_offset import Offset
+from telenano.runtime.datagram.arrivals import ArrivalRecord
+from telenano.runtime.datagram.outgoing import Outgoing
+from telenano.timing.clock_offset import Offset
 from telenano.wire.messages import Array, LinkClock
 from telenano.wire.ranges import limited
 

@@ -19,8 +19,8 @@ from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.datagram.replay_window import WINDOW, ReplayWindow
+from telenano.runtime.security.sealed import RejectedError
 
 HEADER = struct.Struct("!4sQ")
 # A sealed datagram is longer than its body by so much.

@@ -17,9 +17,9 @@ from math import sqrt
 
 import zmq
 
-from services.runtime.bus.bus import Received, Subscriber, Taken
-from services.runtime.bus.publisher import SPARSE
-from services.runtime.clock import Clock
+from telenano.runtime.bus.bus import Received, Subscriber, Taken
+from telenano.runtime.bus.publisher import SPARSE
+from telenano.timing.clock import Clock
 
 # A reader takes a sample over TCP when no datagram has come for so long. With two pauses, for one connection while the
 # other waits, that is within a deadline of 50 ms.

@@ -3,13 +3,13 @@
     client = CommandClient(clock, publish, (*ARM, START))
 
 Console, page and launcher take these commands, each as many of them as it needs. Nothing relies on their order: a tip
-follows only an armed hand (`services.afm_node.safety`). The hand comes first because the instrument reports that the
+follows only an armed hand (`telenano.afm.safety`). The hand comes first because the instrument reports that the
 tip is placed once it follows.
 """
 
 from dataclasses import replace
 
-from services.runtime.loop.commands import Command
+from telenano.runtime.loop.commands import Command
 from telenano.wire.nodes import HAND, TIP, name_of
 
 ARM_HAND = Command("arm", name_of(HAND), (HAND,))

@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from services.runtime.clock import Clock
-from services.runtime.loop.estop_latch import EstopLatch, begins_motion
+from telenano.runtime.loop.estop_latch import EstopLatch, begins_motion
+from telenano.timing.clock import Clock
 from telenano.wire import encode
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import Scalar, SessionControl, SessionEvent

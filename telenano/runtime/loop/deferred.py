@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.runtime.clock import NEVER_NS, Clock
+from telenano.timing.clock import NEVER_NS, Clock
 
 Task = Callable[[], object]
 # A task that has waited for so long is run anyway.

@@ -7,8 +7,8 @@ node is built, so that no step asks what there is (ADR 0067).
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
-from services.runtime.bus.bus import Received
-from services.runtime.loop.node import Node, NodeContext
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.messages import NodeHealth, SessionControl
 
 S = TypeVar("S")

@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from services.runtime.loop import kept_stop
+from telenano.runtime.loop import kept_stop
 from telenano.wire.messages import Scalar
 
 

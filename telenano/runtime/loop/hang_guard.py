@@ -4,7 +4,7 @@ Under SCHED_FIFO nothing of the same priority runs beside a step that never retu
 let the hand go, nor retract the tip. No handler of this process could help, which may be within compiled code: the
 action of the signal is the system's own, which ends the process, and the launcher starts it again.
 
-The watchdog of the launcher (`services/launcher/watchdog.py`) cannot replace it: a node that hangs under SCHED_FIFO may
+The watchdog of the launcher (`telenano/launcher/watchdog.py`) cannot replace it: a node that hangs under SCHED_FIFO may
 keep the processor from the launcher as well, and a node in a container has no launcher at all.
 """
 

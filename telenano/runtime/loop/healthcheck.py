@@ -15,7 +15,7 @@ from typing import Any
 import msgpack
 import zmq
 
-from services.runtime.bus.local_endpoint import RUNTIME_DIRECTORY_VARIABLE
+from telenano.runtime.bus.local_endpoint import RUNTIME_DIRECTORY_VARIABLE
 
 NODE_VARIABLE = "TELENANO_NODE"
 TOPIC = b"node/health"
@@ -55,7 +55,7 @@ def endpoint_of(node: str, site_file: Path | None) -> str:
     """
     if site_file is not None:
         # models of every message come with these: a third of a second of processor time
-        from services.runtime.bus.address_book import load_site
+        from telenano.runtime.bus.address_book import load_site
         from telenano.wire.errors import TelenanoError
 
         try:
@@ -101,7 +101,7 @@ def parse_health(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -P -m services.runtime.loop.healthcheck", description="Check whether a node is healthy."
+        prog="python -P -m telenano.runtime.loop.healthcheck", description="Check whether a node is healthy."
     )
     named = os.environ.get(NODE_VARIABLE, "")
     parser.add_argument("node", nargs="?", default=named, metavar="NODE@SITE", help=f"default: {NODE_VARIABLE}")

@@ -6,8 +6,8 @@ import sys
 import time
 from typing import Any
 
-from services.runtime.clock import Clock
-from services.runtime.untrusted.printable import printable
+from telenano.files.printable import printable
+from telenano.timing.clock import Clock
 
 # records of one library: so many at once, then so many a second
 _LIBRARY_BURST, _LIBRARY_PER_S = 20.0, 1.0

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
-from services.runtime.bus.bus import Bus, ConnectionEvent, Received
-from services.runtime.bus.publisher import publish_end
-from services.runtime.clock import NEVER_NS, Clock
-from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
-from services.runtime.loop.freshness import Freshness
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node_state import FindInput
+from telenano.runtime.bus.bus import Bus, ConnectionEvent, Received
+from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
+from telenano.runtime.loop.log import StructuredLog
+from telenano.timing.clock import NEVER_NS, Clock
+from telenano.timing.freshness import Freshness
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
+from telenano.wire.node_state import FindInput
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 # This is the period of a rig that gives no `realtime.rate_hz`.

@@ -8,17 +8,17 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, cast
 
-from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
-from services.runtime.loop.deadlines import LatenessWindow
-from services.runtime.loop.deferred import Deferred, Task
-from services.runtime.loop.freshness import LOOP_DEADLINE_NS
-from services.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
-from services.runtime.loop.log import RateLimitedLog
-from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus, resident_bytes
-from services.runtime.loop.realtime import RealtimeStatus
-from telenano.presets.plugins import fault_of_package
+from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
+from telenano.runtime.loop.deadlines import LatenessWindow
+from telenano.runtime.loop.deferred import Deferred, Task
+from telenano.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
+from telenano.runtime.loop.log import RateLimitedLog
+from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus, resident_bytes
+from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.settings.plugins import fault_of_package
+from telenano.timing.clock import NEVER_NS
+from telenano.timing.freshness import LOOP_DEADLINE_NS
 from telenano.wire import TOPICS, WireError, accept
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
 from telenano.wire.sequence import Arrival

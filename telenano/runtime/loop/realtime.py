@@ -10,9 +10,9 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from services.runtime.loop.log import StructuredLog
-from services.runtime.settings.scenario import RealtimeConfig
-from telenano.presets.optional_modules import optional_module
+from telenano.files.optional_modules import optional_module
+from telenano.runtime.loop.log import StructuredLog
+from telenano.settings.scenario import RealtimeConfig
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import name_of
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from services.runtime.relay.protocol import (
+from telenano.runtime.relay.protocol import (
     ANSWER,
     COOKIE,
     COOKIE_BYTES,
@@ -21,7 +21,7 @@ from services.runtime.relay.protocol import (
     request_bytes,
     unpack,
 )
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.security.sealed import RejectedError
 
 Address = tuple[Any, ...]
 Send = Callable[[bytes, Address], None]

@@ -18,8 +18,8 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from zmq.utils import z85
 
-from services.runtime.security.keyring import KeyPair
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.security.keyring import KeyPair
+from telenano.runtime.security.sealed import RejectedError
 
 # Every connection and every request begins with this.
 MAGIC = b"tnrelay1"

@@ -1,7 +1,7 @@
 """Access control: the key of this machine, the list of allowed keys as last read, and what each machine may do."""
 
-from services.runtime.bus.address_book import RELAY
-from services.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
+from telenano.runtime.bus.address_book import RELAY
+from telenano.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
 from telenano.wire.errors import ConfigError
 
 

@@ -18,10 +18,10 @@ import zmq
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
-from services.runtime.bus.address_book import MACHINE_PATTERN
-from services.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
-from services.runtime.settings.config import Settings, parse_yaml, validate
-from telenano.recording.whole_files import changed, locked, write_whole
+from telenano.files.whole_files import changed, locked, write_whole
+from telenano.runtime.bus.address_book import MACHINE_PATTERN
+from telenano.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
+from telenano.settings.config import Settings, parse_yaml, validate
 from telenano.wire.errors import ConfigError
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"

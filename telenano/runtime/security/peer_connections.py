@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import zmq
 
-from services.runtime.bus.address_book import is_relayed, may_carry
-from services.runtime.bus.bus import ConnectionEvent, Subscriber
-from services.runtime.clock import Clock
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import Role
-from services.runtime.security.socket_monitor import (
+from telenano.runtime.bus.address_book import is_relayed, may_carry
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import Role
+from telenano.runtime.security.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
     CONNECTED,
     DISCONNECTED,
@@ -20,6 +19,7 @@ from services.runtime.security.socket_monitor import (
     Monitor,
     RejectionCounter,
 )
+from telenano.timing.clock import Clock
 from telenano.wire import WireError
 from telenano.wire.nodes import is_visitor
 

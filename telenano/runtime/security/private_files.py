@@ -4,7 +4,8 @@ import contextlib
 import os
 from pathlib import Path
 
-from services.runtime.bus.local_endpoint import (
+from telenano.files.regular_files import NotRegularError, open_regular
+from telenano.runtime.bus.local_endpoint import (
     MOST_RIG_LETTERS,
     RIG_VARIABLE,
     RUNTIME_DIRECTORY_VARIABLE,
@@ -12,7 +13,6 @@ from services.runtime.bus.local_endpoint import (
     is_rig_name,
     runtime_directory,
 )
-from telenano.presets.regular_files import NotRegularError, open_regular
 from telenano.wire.errors import ConfigError
 
 _ANY_ACCESS = 0o077

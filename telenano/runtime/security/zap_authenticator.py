@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import zmq
 
-from services.runtime.bus.bus import ConnectionEvent
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import key_text
-from services.runtime.security.socket_monitor import (
+from telenano.runtime.bus.bus import ConnectionEvent
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import key_text
+from telenano.runtime.security.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
     FAILURES,
     PROTOCOL_FAILED,

@@ -4,16 +4,16 @@ import ipaddress
 import socket
 from collections.abc import Sequence
 
-from services.runtime.bus.address_book import AddressBook, split_tcp
-from services.runtime.bus.bus import Reader, Subscriber
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.datagram.end import DatagramEnd
-from services.runtime.datagram.place import Outlets, Place
-from services.runtime.datagram.sparse import BesideConnection
-from services.runtime.relay.path import RelayPath
-from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
-from services.runtime.security.access_control import AccessControl, relay_key
-from services.runtime.wiring.transport import Transport
+from telenano.runtime.bus.address_book import AddressBook, split_tcp
+from telenano.runtime.bus.bus import Reader, Subscriber
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.datagram.end import DatagramEnd
+from telenano.runtime.datagram.place import Outlets, Place
+from telenano.runtime.datagram.sparse import BesideConnection
+from telenano.runtime.relay.path import RelayPath
+from telenano.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
+from telenano.runtime.security.access_control import AccessControl, relay_key
+from telenano.runtime.wiring.transport import Transport
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import FAR_END, LINK
 

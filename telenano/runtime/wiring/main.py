@@ -12,23 +12,23 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
-from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.node import Node, NodeBus, NodeContext
-from services.runtime.loop.realtime import (
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
+from telenano.runtime.loop.log import StructuredLog, configure_logging
+from telenano.runtime.loop.node import Node, NodeBus, NodeContext
+from telenano.runtime.loop.realtime import (
     apply_realtime,
     behind_others,
     ordinary_scheduling,
     raise_file_limit,
     use_huge_pages,
 )
-from services.runtime.security.private_files import check_rig_name
-from services.runtime.settings.scenario import RealtimeConfig, load_scenario
-from services.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
-from services.signals.children import die_with_parent
-from telenano.presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
-from telenano.presets.plugins import fault_of_package
+from telenano.runtime.security.private_files import check_rig_name
+from telenano.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
+from telenano.settings import DEFAULT_SITE_FILE, find_scenario, site_file_named
+from telenano.settings.plugins import fault_of_package
+from telenano.settings.scenario import RealtimeConfig, load_scenario
+from telenano.signals.children import die_with_parent
 from telenano.wire.errors import TelenanoError
 from telenano.wire.nodes import sites_of
 

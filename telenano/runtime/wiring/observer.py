@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import zmq
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.bus.local_endpoint import local_endpoint
-from services.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.local_endpoint import local_endpoint
+from telenano.runtime.wiring.participant import OBSERVER, open_participant
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 from telenano.wire.nodes import is_visitor, site_of

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import zmq
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
-from services.runtime.bus.publisher import Publisher, ZmqPublisher
-from services.runtime.clock import Clock, SystemClock
-from services.runtime.loop.hang_guard import HangGuard
-from services.runtime.loop.log import RateLimitedLog, StructuredLog
-from services.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
-from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
-from services.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
-from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.wiring.transport import Transport, open_context
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
+from telenano.runtime.loop.hang_guard import HangGuard
+from telenano.runtime.loop.log import RateLimitedLog, StructuredLog
+from telenano.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
+from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
+from telenano.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
+from telenano.runtime.security.keyring import Keyring, this_machine
+from telenano.runtime.wiring.transport import Transport, open_context
+from telenano.timing.clock import Clock, SystemClock
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.extras import how_to_install
 from telenano.wire.nodes import DEVICES, FAR_END, site_of
@@ -106,7 +106,7 @@ class Participant:
             return []
         # The library that seals datagrams is loaded in these two processes only.
         try:
-            from services.runtime.wiring.link_end import open_end
+            from telenano.runtime.wiring.link_end import open_end
         except ImportError:
             self.log.warning(
                 "the link sends no datagrams, everything crosses over TCP: `cryptography` is not installed: "

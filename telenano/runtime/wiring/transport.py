@@ -13,18 +13,18 @@ from typing import Any, Protocol
 
 import zmq
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
-from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
-from services.runtime.bus.publisher import ZmqPublisher, bind
-from services.runtime.clock import Clock
-from services.runtime.loop.realtime import lower_thread
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import Keyring
-from services.runtime.security.peer_connections import PeerConnections
-from services.runtime.security.private_files import check_runtime_directory
-from services.runtime.security.socket_monitor import RejectionCounter
-from services.runtime.security.zap_authenticator import ZapAuthenticator
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from telenano.runtime.bus.publisher import ZmqPublisher, bind
+from telenano.runtime.loop.realtime import lower_thread
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.security.peer_connections import PeerConnections
+from telenano.runtime.security.private_files import check_runtime_directory
+from telenano.runtime.security.socket_monitor import RejectionCounter
+from telenano.runtime.security.zap_authenticator import ZapAuthenticator
+from telenano.timing.clock import Clock
 from telenano.wire import WireError
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.messages import InputHealth

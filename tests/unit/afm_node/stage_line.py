@@ -9,13 +9,13 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from telenano_emulators.t7_model import T7Model, calibration_of
 from telenano_emulators.t7_server import respond, served_requests
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.converter_calibration import InstrumentCalibration
-from services.afm_node.devices.modbus_driver import ModbusAfm
-from services.afm_node.devices.register_map import RegisterMap, read_map
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.runtime.settings.config import merge, parse_yaml, validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.register_map import RegisterMap, read_map
+from telenano.settings.config import merge, parse_yaml, validate
 
 MS = 1_000_000
 PARAMS = AfmConfig().to_params()

@@ -3,9 +3,9 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.afm_node.section_config import CantileverConfig, SafetyConfig, TipSampleConfig
+from telenano.afm.config import AfmConfig
+from telenano.afm.section_config import CantileverConfig, SafetyConfig, TipSampleConfig
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
 
 
 def walk(model):

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.sample.surface import height_at
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.runtime.loop.node_state import pack, restore
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm.sample.surface import height_at
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.node_state import pack, restore
 
 SOFT = {
     "cantilever": {"stiffness_n_per_m": 1.0},

@@ -9,13 +9,13 @@ import pytest
 from pydantic import ValidationError
 from test_afm_programs import QUICK, Imager
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sample.made_samples import SampleConfig
-from services.afm_node.physics.sample.surface import Surface, checked, plane_levelled
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.reach import Reach, Span, approach_limit_s
+from telenano.afm.config import AfmConfig
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.reach import Reach, Span, approach_limit_s
+from telenano.afm.sample.made_samples import SampleConfig
+from telenano.afm.sample.surface import Surface, checked, plane_levelled
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.analysis.image_files import Image, write_gsf
 from telenano.wire.errors import RefusedError
 

@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from services.afm_node import safety
-from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
+from telenano.afm import safety
+from telenano.afm.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
 
 DT = 1e-3
 PARAMS = SafetyParams(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from services.afm_node.physics.sample.made_samples import SampleConfig
-from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.afm.sample.made_samples import SampleConfig
+from telenano.afm.sample.surface_files import read_surface
 from telenano.analysis.image_files import Image, write_gsf
 from telenano.wire.errors import ConfigError
 

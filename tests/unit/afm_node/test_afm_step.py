@@ -3,14 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.cantilever import initial_state
-from services.afm_node.physics.cantilever import step as measure
-from services.afm_node.physics.part import AfmSample, inputs_at
-from services.afm_node.physics.sim import simulated_afm
-from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
-from services.afm_node.safety import SafetyInputs, initial_safety_state, safety_step
+from telenano.afm import safety
+from telenano.afm.cantilever import initial_state
+from telenano.afm.cantilever import step as measure
+from telenano.afm.config import AfmConfig
+from telenano.afm.part import AfmSample, inputs_at
+from telenano.afm.safety import SafetyInputs, initial_safety_state, safety_step
+from telenano.afm.sim import simulated_afm
+from telenano.afm.step import AfmInputs, initial_afm_state, step
 
 DT = 1e-3
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.afm_node.physics.sample.surface import checked, dilated, dots, flat, grating, height_at
+from telenano.afm.sample.surface import checked, dilated, dots, flat, grating, height_at
 
 NM = 1e-9
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from test_afm_programs import Imager
 
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.controller.law import HandSample, TipMeasurement
-from services.controller.laws.tactile import impedance_scaled
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.laws.law import HandSample, TipMeasurement
+from telenano.laws.tactile import impedance_scaled
 from telenano.wire.errors import RefusedError
 
 SECTION = {

@@ -4,16 +4,9 @@ import numpy as np
 import pytest
 from instrument_theory import base_for
 
-from services.afm_node.physics.cantilever import (
-    PlantState,
-    build_plant,
-    deflection_m,
-    equilibrium,
-    initial_state,
-    volts_per_m,
-)
-from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
-from services.afm_node.physics.contact.tip_sample import (
+from telenano.afm.cantilever import PlantState, build_plant, deflection_m, equilibrium, initial_state, volts_per_m
+from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
+from telenano.afm.contact.tip_sample import (
     AS_PRINTED,
     CONSISTENT,
     TipSampleProperties,

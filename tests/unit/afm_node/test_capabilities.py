@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from services.afm_node.config import TAKEN
-from services.afm_node.devices.capabilities import TABLE, refusal
-from services.afm_node.programs.table import PROGRAMS
-from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.controller.law_names import LAW_NAMES
-from services.launcher.plan import UpRequest, make_plan, refused_laws
+from telenano.afm.config import TAKEN
+from telenano.afm.programs.table import PROGRAMS
+from telenano.devices.afm.capabilities import TABLE, refusal
+from telenano.launcher.plan import UpRequest, make_plan, refused_laws
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.laws.law_names import LAW_NAMES
 from telenano.wire.errors import ConfigError
 
 

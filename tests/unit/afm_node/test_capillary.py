@@ -2,13 +2,13 @@ import math
 
 import pytest
 
-from services.afm_node.physics.contact.capillary import (
+from telenano.afm.contact.capillary import (
     meniscus_force,
     meniscus_radius_m,
     printed_meniscus_force,
     relative_humidity,
 )
-from services.afm_node.physics.contact.lennard_jones import contact_distance_m
+from telenano.afm.contact.lennard_jones import contact_distance_m
 
 A0 = contact_distance_m(3.49e-10)
 STRENGTH = 4 * math.pi * 10e-9 * 0.073

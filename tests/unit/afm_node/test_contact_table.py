@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from services.afm_node.physics.contact import maugis_dugdale as md
-from services.afm_node.physics.contact.contact_table import (
+from telenano.afm.contact import maugis_dugdale as md
+from telenano.afm.contact.contact_table import (
     FORCE_FLOOR,
     FORCE_TOLERANCE,
     STIFFNESS_TOLERANCE,

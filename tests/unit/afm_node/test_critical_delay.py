@@ -9,8 +9,8 @@ from stage_line import StageLine, calibration
 from telenano_emulators.t7_model import T7Model
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
-from services.controller.config import ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.config import ControllerConfig
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
 
 PERIOD_S = 1e-3
 SPRING_N_PER_M = 38.0
@@ -72,7 +72,7 @@ def growth_per_s(round_trip: int, cycle_s: float) -> float:
 
 
 def config_law(config: ControllerConfig) -> tuple[object, object]:
-    from services.controller.config import LAWS
+    from telenano.laws.config import LAWS
 
     return LAWS[config.law], config.params()
 
@@ -89,7 +89,7 @@ def test_critical_round_trip_is_that_of_theory_less_the_declared_latency(cycle_s
     model = loop_model(config.law, config.law_config(), SPRING_N_PER_M)
     assert model is not None
     bears_s = critical_link_delay_s(model, PERIOD_S)
-    from services.afm_node.devices.register_map import read_map
+    from telenano.devices.afm.register_map import read_map
 
     registers = read_map("t7").model_copy(update={"device_cycle_s": cycle_s})
     latency_s = StageLine(registers=registers).driver.latency_s

@@ -9,15 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.disturbances import (
-    BOLTZMANN_J_PER_K,
-    DisturbanceConfig,
-    noise_start,
-    noise_step,
-)
-from services.afm_node.physics.disturbed import (
+from telenano.afm.config import AfmConfig
+from telenano.afm.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig, noise_start, noise_step
+from telenano.afm.disturbed import (
     converted_v,
     converter_params,
     converter_step_v,
@@ -26,10 +21,10 @@ from services.afm_node.physics.disturbed import (
     piezo_step,
     read_out,
 )
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.numerics.normal_numbers import normal_number
-from services.runtime.loop.node_state import pack, restore
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.numerics.normal_numbers import normal_number
 from telenano.wire.errors import RefusedError
+from telenano.wire.node_state import pack, restore
 
 DT = 1e-3
 VOLTS_PER_M = 6.25e6
@@ -201,7 +196,7 @@ def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_al
 
 VIBRATION = """
 import hashlib
-from services.afm_node.physics.disturbances import DisturbanceConfig, noise_start, noise_step
+from telenano.afm.disturbances import DisturbanceConfig, noise_start, noise_step
 config = DisturbanceConfig.model_validate({"vibration": {"enabled": True}})
 state, digest = noise_start(), hashlib.sha256()
 for _ in range(2000):

@@ -6,25 +6,13 @@ import numpy as np
 import pytest
 from instrument_theory import drive_work_j
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.cantilever import equilibrium, initial_state
-from services.afm_node.physics.contact.force_grid import build_force_grid, grid_force
-from services.afm_node.physics.contact.tip_sample import branch_force
-from services.afm_node.physics.dynamic import (
-    NO_NOISE,
-    DynamicState,
-    advance,
-    free_amplitude_m,
-    steady_state,
-)
-from services.afm_node.physics.dynamic_plant import (
-    BOLTZMANN_J_PER_K,
-    KICKS_PER_PERIOD,
-    NORMALS_PER_PERIOD,
-    Damping,
-    build_dynamic,
-)
-from services.numerics.compiled import compiled, compiled_form
+from telenano.afm.cantilever import equilibrium, initial_state
+from telenano.afm.config import AfmConfig
+from telenano.afm.contact.force_grid import build_force_grid, grid_force
+from telenano.afm.contact.tip_sample import branch_force
+from telenano.afm.dynamic import NO_NOISE, DynamicState, advance, free_amplitude_m, steady_state
+from telenano.afm.dynamic_plant import BOLTZMANN_J_PER_K, KICKS_PER_PERIOD, NORMALS_PER_PERIOD, Damping, build_dynamic
+from telenano.numerics.compiled import compiled, compiled_form
 
 CONFIG = AfmConfig()
 PLANT = CONFIG.to_params().plant

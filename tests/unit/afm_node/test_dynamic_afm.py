@@ -7,16 +7,16 @@ import pytest
 from instrument_theory import drive_work_j
 from pydantic import ValidationError
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import dynamic_afm
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
-from services.afm_node.physics.dynamic import free_amplitude_m
-from services.afm_node.physics.sample.surface import height_at
-from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.afm_node.safety import MODE_ESTOP, MODE_FOLLOW, MODE_RETRACTED, MODE_RETRACTING
-from services.runtime.loop.node_state import pack, restore
+from telenano.afm.config import AfmConfig
+from telenano.afm.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
+from telenano.afm.dynamic import free_amplitude_m
+from telenano.afm.safety import MODE_ESTOP, MODE_FOLLOW, MODE_RETRACTED, MODE_RETRACTING
+from telenano.afm.sample.surface import height_at
+from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.devices.afm.instrument import dynamic_afm
 from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.node_state import pack, restore
 
 SOFT = {
     "model": "dynamic",

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import dynamic_afm
-from services.afm_node.physics.contact.electrostatic import (
+from telenano.afm.config import AfmConfig
+from telenano.afm.contact.electrostatic import (
     VACUUM_PERMITTIVITY_F_PER_M,
     electrostatic_force_n,
     electrostatic_strength_n_m2,
 )
-from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force
-from services.afm_node.physics.disturbances import DisturbanceConfig, noise_start, noise_step
-from services.afm_node.physics.sim import simulated_afm
+from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force
+from telenano.afm.disturbances import DisturbanceConfig, noise_start, noise_step
+from telenano.afm.sim import simulated_afm
+from telenano.devices.afm.instrument import dynamic_afm
 
 R = 10e-9
 

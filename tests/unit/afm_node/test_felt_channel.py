@@ -9,8 +9,8 @@ import pytest
 from recorded_maps import frequency_shift_hz, write_npz
 from test_recorded_map import Rig, config_of
 
-from services.afm_node.felt import BOUNDS, LEFT, RATE, SATURATED, FeelConfig, Felt, FeltInputs, FeltState, felt_step
-from services.afm_node.programs.lateral import Place
+from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, FeelConfig, Felt, FeltInputs, FeltState, felt_step
+from telenano.afm.programs.lateral import Place
 
 HERE = Place(0.0, 0.0)
 # the frequency shift of `recorded_maps` falls to its minimum of -8 Hz at 0.4 nm
@@ -164,7 +164,7 @@ def test_a_map_of_another_channel_needs_a_table(grid: Path) -> None:
 
 
 def test_an_instrument_without_the_channel_retracts_as_soon_as_it_is_armed(bench_of: Any) -> None:
-    from services.afm_node.config import AfmConfig
+    from telenano.afm.config import AfmConfig
 
     rig = Rig(bench_of("afm_node@slave"), AfmConfig.model_validate({"feel": FEEL}))
     rig.go(0.0)

@@ -11,11 +11,11 @@ from pymodbus.pdu.register_message import WriteMultipleRegistersRequest, WriteMu
 from stage_line import PARAMS, StageLine, calibration
 from telenano_emulators.t7_model import HeartbeatScript, T7Model
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.register_map import MAPS, RegisterMap, read_map
-from services.afm_node.driver import DeviceError
 from services.afm_node.node import AfmNode
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import DeviceError
+from telenano.devices.afm.register_map import MAPS, RegisterMap, read_map
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 SCRIPT = MAPS / "t7_heartbeat.lua"

@@ -3,7 +3,7 @@ import math
 import pytest
 from scipy.optimize import minimize_scalar
 
-from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
+from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
 
 H, R, SIGMA = 1.89e-19, 10e-9, 3.49e-10
 

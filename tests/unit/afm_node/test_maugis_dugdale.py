@@ -6,8 +6,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from services.afm_node.physics.contact import maugis_dugdale as md
-from services.afm_node.physics.contact.lennard_jones import contact_distance_m
+from telenano.afm.contact import maugis_dugdale as md
+from telenano.afm.contact.lennard_jones import contact_distance_m
 
 R, W, E_TIP, E_SAMPLE = 10e-9, 0.072, 170e9, 4e9
 A0 = contact_distance_m(3.49e-10)

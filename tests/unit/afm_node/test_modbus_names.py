@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from stage_line import MS, PARAMS, StageLine, calibration
 
-from services.afm_node.devices.host_address import HostAddress
-from services.afm_node.devices.modbus_driver import ModbusAfm
-from services.afm_node.devices.modbus_line import NAME_NS, STEP_NS, TcpConnector
-from services.afm_node.devices.register_map import read_map
-from services.afm_node.driver import DeviceError
+from telenano.afm.driver import DeviceError
+from telenano.devices.afm.host_address import HostAddress
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.modbus_line import NAME_NS, STEP_NS, TcpConnector
+from telenano.devices.afm.register_map import read_map
 
 NAME = "instrument.test"
 ANSWER = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", 502))]
@@ -186,7 +186,7 @@ def test_an_answer_of_another_unit_or_function_is_refused_and_counted(change: An
 
 
 def test_a_library_that_logs_every_broken_frame_does_not_fill_the_disk(capsys: pytest.CaptureFixture[str]) -> None:
-    from services.runtime.loop.log import StructuredLog, configure_logging
+    from telenano.runtime.loop.log import StructuredLog, configure_logging
 
     handlers = logging.getLogger().handlers[:]
     try:

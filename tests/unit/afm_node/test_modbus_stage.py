@@ -10,12 +10,12 @@ from pymodbus.pdu import ModbusPDU
 from stage_line import MS, PARAMS, Rig, StageLine, calibration
 from telenano_emulators import t7_model
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.modbus_driver import ModbusAfm
-from services.afm_node.devices.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
-from services.afm_node.devices.register_map import Register, RegisterMap, read_map
-from services.afm_node.driver import DeviceError
-from services.afm_node.physics.sim import simulated_afm
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import DeviceError
+from telenano.afm.sim import simulated_afm
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
+from telenano.devices.afm.register_map import Register, RegisterMap, read_map
 from telenano.extend.testing import VirtualClock
 from telenano.wire.errors import ConfigError
 

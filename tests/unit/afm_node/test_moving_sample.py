@@ -10,15 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics import sample_models
-from services.afm_node.physics.sim import SimulatedInstrument
-from services.afm_node.physics.step import AfmInputs, AfmParams, initial_afm_state, step
-from services.numerics.compiled import always_compiled
-from services.runtime.settings.config import Settings
+from telenano.afm import safety, sample_models
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import SimulatedInstrument
+from telenano.afm.step import AfmInputs, AfmParams, initial_afm_state, step
 from telenano.extend.samples import AfmSample, PlantInputs, SampleModel, compiled
+from telenano.numerics.compiled import always_compiled
+from telenano.settings.config import Settings
 
 
 class Params(NamedTuple):

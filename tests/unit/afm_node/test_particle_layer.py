@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of
-from services.afm_node.physics.part import PlantInputs, part_step
-from services.afm_node.physics.particles.tip_shape import ride_height_m, tip_shape
-from services.afm_node.physics.sim import SimulatedInstrument
-from services.afm_node.physics.torsion import TorsionParams, _step
-from services.numerics.compiled import compiled_form
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.part import PlantInputs, part_step
+from telenano.afm.particles.tip_shape import ride_height_m, tip_shape
+from telenano.afm.sim import SimulatedInstrument
+from telenano.afm.torsion import TorsionParams, _step
+from telenano.devices.afm.instrument import driver_of
+from telenano.numerics.compiled import compiled_form
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 DEEP = {"base_min_m": -1e-6, "retract_position_m": -7e-7, "base_max_m": 2e-7}

@@ -16,7 +16,7 @@ TRUTH = "afm/particles"
 # docs and generated files of the contract are no readers.
 SAYS_IT = {
     "telenano/wire/topics.py",
-    "services/afm_node/guarded.py",
+    "telenano/devices/afm/guarded.py",
     "packages/telenano-assembly/telenano_assembly/recording.py",
     "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
     "packages/telenano-experiments/telenano_experiments/tasks/push_particle.py",

@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from services.afm_node import safety
-from services.afm_node.driver import Oscillation
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
-from services.afm_node.programs.runner import ProgramRunner, RunnerState
-from services.afm_node.programs.table import PROGRAMS
-from services.runtime.settings.config import Settings
+from telenano.afm import safety
+from telenano.afm.driver import Oscillation
+from telenano.afm.programs.lateral import Place
+from telenano.afm.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
+from telenano.afm.programs.runner import ProgramRunner, RunnerState
+from telenano.afm.programs.table import PROGRAMS
+from telenano.settings.config import Settings
 from telenano.wire.errors import RefusedError
 
 HERE, THERE = Place(1e-9, 2e-9), Place(3e-9, 4e-9)
@@ -246,7 +246,7 @@ def test_an_instrument_with_a_scan_of_its_own_takes_images_by_it_and_by_nothing_
         monkeypatch.setattr(program, "begin", lambda *_: Begun(Counted(1, HERE), Count(0, 0), how, ""))
         return program
 
-    monkeypatch.setattr("services.afm_node.programs.runner.OWN_SCAN", taking("by its own scan"))
+    monkeypatch.setattr("telenano.afm.programs.runner.OWN_SCAN", taking("by its own scan"))
     monkeypatch.setitem(PROGRAMS, "scan", taking("line by line"))
     of_it = ProgramRunner(instrument()._replace(scans=scans))
     assert ask(of_it, "scan") == ("by its own scan" if scans else "line by line")

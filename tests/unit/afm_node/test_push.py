@@ -6,17 +6,17 @@ from typing import Any
 import pytest
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.driver import Oscillation
-from services.afm_node.physics.particles.push import KINETIC, RADIUS, RESTED, push_step
-from services.afm_node.physics.particles.settings import ParticlesConfig
-from services.afm_node.physics.particles.tip_shape import Spring, tip_shape, touch_distance_m
-from services.afm_node.programs import push, scan
-from services.afm_node.programs.lateral import LateralParams, Place
-from services.afm_node.programs.program import Inputs, Instrument
-from services.afm_node.programs.push import Push, PushSettings, PushState
-from services.afm_node.programs.settings import requested
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.driver import Oscillation
+from telenano.afm.particles.push import KINETIC, RADIUS, RESTED, push_step
+from telenano.afm.particles.settings import ParticlesConfig
+from telenano.afm.particles.tip_shape import Spring, tip_shape, touch_distance_m
+from telenano.afm.programs import push, scan
+from telenano.afm.programs.lateral import LateralParams, Place
+from telenano.afm.programs.program import Inputs, Instrument
+from telenano.afm.programs.push import Push, PushSettings, PushState
+from telenano.afm.programs.settings import requested
+from telenano.settings.config import validate
 from telenano.wire.errors import RefusedError
 
 ORIGIN, SIDES, LATERAL = Place(0.0, 0.0), (8e-6, 8e-6), LateralParams(5e-5, 2e-5)

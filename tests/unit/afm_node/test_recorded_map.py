@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from recorded_maps import adhesive, force_n, hysteretic, members, near, write_npz
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of
 from services.afm_node.node import AfmNode
-from services.afm_node.physics import recorded_map
-from services.afm_node.physics.part import PlantInputs
-from services.afm_node.physics.recorded_map import MapState, value_at
-from services.afm_node.physics.sample.force_map import checked_map, gates, map_params, read_map, write_map
-from services.numerics.compiled import compiled_form
+from telenano.afm import recorded_map
+from telenano.afm.config import AfmConfig
+from telenano.afm.part import PlantInputs
+from telenano.afm.recorded_map import MapState, value_at
+from telenano.afm.sample.force_map import checked_map, gates, map_params, read_map, write_map
+from telenano.devices.afm.instrument import driver_of
+from telenano.numerics.compiled import compiled_form
 from telenano.wire.errors import ConfigError, RefusedError
 
 
@@ -279,7 +279,7 @@ def test_a_truncated_map_is_refused(tmp_path: Path) -> None:
 
 def test_a_map_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_npz(tmp_path / "map.npz", members())
-    monkeypatch.setattr("services.afm_node.physics.sample.force_map.MOST_VALUES", 800)
+    monkeypatch.setattr("telenano.afm.sample.force_map.MOST_VALUES", 800)
     with pytest.raises(ConfigError, match=r"map\.npz: value: has \d+ bytes, at most 6400 are read"):
         read_map(path)
 

@@ -1,7 +1,7 @@
 """The codes of both guards: numbers that stand in the journals of recordings, and bits that can be told apart."""
 
-from services.afm_node import safety as tip
-from services.haptic_node import safety as hand
+from telenano.afm import safety as tip
+from telenano.hand import safety as hand
 
 
 def test_codes_of_the_guards_keep_their_numbers_which_journals_of_recordings_hold() -> None:

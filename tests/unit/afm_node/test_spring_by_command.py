@@ -6,9 +6,9 @@ import pytest
 from telenano_microscopy.particle_bench import bench
 from test_afm_programs import SOFT, Imager, command
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.wire.errors import RefusedError
 
 SPRING = {"environment": "spring", "spring": {"stiffness_n_per_m": 2.0, "rest_position_m": -1e-8, "bilateral": False}}

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from services.afm_node.physics.contact.contact_table import table_force
-from services.afm_node.physics.contact.lennard_jones import lennard_jones_force, minimum_distance_m
-from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
-from services.afm_node.physics.contact.tip_sample import (
+from telenano.afm.contact.contact_table import table_force
+from telenano.afm.contact.lennard_jones import lennard_jones_force, minimum_distance_m
+from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
+from telenano.afm.contact.tip_sample import (
     AS_PRINTED,
     CONSISTENT,
     TipSampleProperties,

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 from test_push import instrument, pushed, truth
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.instrument import driver_of
-from services.afm_node.physics.part import AfmSample, Part, PlantInputs, part_start, part_step, register
-from services.afm_node.physics.torsion import TorsionConfig
-from services.afm_node.programs import push
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register
+from telenano.afm.programs import push
+from telenano.afm.torsion import TorsionConfig
+from telenano.devices.afm.instrument import driver_of
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 ACROSS_N, DEFLECTION_M = (3e-9, -4e-9), 2e-8

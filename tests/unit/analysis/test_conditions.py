@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
-from services.runtime.settings.scenario import Scenario
 from telenano.analysis.conditions import conditions, title
 from telenano.analysis.report import read_session
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.settings.scenario import Scenario
 from telenano.wire import encode
 
 SCENARIO = Scenario(

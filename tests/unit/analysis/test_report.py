@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.viz_node.fig12 import draw_fig12
+from telenano.analysis.fig12 import draw_fig12
 from telenano.analysis.missing import cut_off, gaps
 from telenano.analysis.report import _title, read_session, write_files, write_report
 from telenano.recording.arrays import columns

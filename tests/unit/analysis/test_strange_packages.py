@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from telenano.analysis import plugins
-from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import ConfigError, RecordingError
 
 LAW = {"controller": {"law": "evil_law"}}

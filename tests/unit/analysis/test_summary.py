@@ -18,11 +18,11 @@ from telenano.analysis.holds import Hold
 from telenano.analysis.report import Session, read_session, summarise, write_report
 from telenano.analysis.summary import Package, Summary, markdown, rows_of, summary_schema
 from telenano.analysis.verdict import Kind
-from telenano.presets import SCHEMA_DIRECTORY
 from telenano.recording.channel_filter import ALL
 from telenano.recording.indexed import open_indexed
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.rewrite import filter_recording
+from telenano.settings import SCHEMA_DIRECTORY
 
 ROOT = Path(__file__).resolve().parents[3]
 # a session in its whole length, and what may happen to one

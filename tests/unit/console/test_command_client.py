@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 from recorder_samples import sample
 
-from services.console.command_client import Attention, addressed, console_of, parse_parameters, send_control
-from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.loop.commands import Command
-from services.runtime.security.keyring import Keyring
-from services.runtime.settings.config import validate
-from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.console.command_client import Attention, addressed, console_of, parse_parameters, send_control
+from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.loop.commands import Command
+from telenano.runtime.security.keyring import Keyring
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from services.console.coupling import couple
-from services.runtime.loop.commands import Command
 from services.viz_node import commander as commander_module
 from services.viz_node.requests import COMMANDS
 from telenano.cli.commands import session as session_command
 from telenano.cli.root import app
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.coupling import couple
+from telenano.runtime.loop.commands import Command
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import RigError
 from telenano.wire.messages import AfmState, HapticState, TeleopBackward
 

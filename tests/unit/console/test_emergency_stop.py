@@ -16,17 +16,17 @@ import pytest
 import zmq
 from wire_contract import examples
 
-from services.console import command_client, emergency_stop
-from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from services.player.node import ReplayPublisher
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.loop.commands import CommandHandler
-from services.runtime.wiring.transport import EstopInlet
 from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
-from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.console import command_client, emergency_stop
+from telenano.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.commands import CommandHandler
+from telenano.runtime.wiring.transport import EstopInlet
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.errors import EndpointError, RigError
 from telenano.wire.messages import SessionControl
@@ -227,7 +227,7 @@ def test_a_rig_that_does_not_run_is_told_at_once(site_file: Path, capsys: pytest
 def test_a_device_that_does_not_answer_is_named(
     run: Callable[..., Device], site_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("services.console.emergency_stop._DEADLINE_S", 0.3)
+    monkeypatch.setattr("telenano.console.emergency_stop._DEADLINE_S", 0.3)
     run(HAND)
     with (
         zmq.Context() as context,

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from services.console import lease_register
-from services.console.lease import (
+from telenano.console import lease_register
+from telenano.console.lease import (
     ASKED_NS,
     VANISHED_NS,
     Asking,
@@ -26,8 +26,8 @@ from services.console.lease import (
     unpacked,
     withdrawn,
 )
-from services.console.lease_register import LeaseRegister, acting, holding
-from telenano.recording.whole_files import changed
+from telenano.console.lease_register import LeaseRegister, acting, holding
+from telenano.files.whole_files import changed
 from telenano.wire.errors import RefusedError, RigError
 
 OBSERVER = Party("o", "Olga", "observer")

@@ -11,15 +11,15 @@ MAKERS = ("CommandClient", "send_control", "send_controls", "arm_devices", "RigH
 # Without a name of its page `send_control` takes the hand for the command, or looks whether the process still has it.
 HOLDS = "send_control"
 WAYS = {
-    ("services/console/command_client.py", "CommandClient"): "send_controls, which holds the hand around it",
-    ("services/console/command_client.py", "send_controls by"): "the same, with the hand held",
-    ("services/console/coupling.py", "send_control by"): "the hub's desk for a page; without a name send_control",
-    ("services/console/live_program.py", "send_control"): HOLDS,
+    ("telenano/console/command_client.py", "CommandClient"): "send_controls, which holds the hand around it",
+    ("telenano/console/command_client.py", "send_controls by"): "the same, with the hand held",
+    ("telenano/console/coupling.py", "send_control by"): "the hub's desk for a page; without a name send_control",
+    ("telenano/console/live_program.py", "send_control"): HOLDS,
     (
-        "services/launcher/session.py",
+        "telenano/launcher/session.py",
         "CommandClient",
     ): "the session itself: it arms at its beginning and stops at its end",
-    ("services/launcher/far_recording.py", "CommandClient"): "a recorder that is asked for its file, and nothing moves",
+    ("telenano/launcher/far_recording.py", "CommandClient"): "a recorder that is asked for its file, and nothing moves",
     ("services/viz_node/commander.py", "send_control by"): "the hub's desk",
     ("services/viz_node/commander.py", "arm_devices by"): "the hub's desk",
     ("telenano/cli/commands/session.py", "arm_devices"): HOLDS,

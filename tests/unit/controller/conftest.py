@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.controller.clamp import ClampConfig, clamped
-from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.clamp import ClampConfig, clamped
+from telenano.laws.config import LAWS, ControllerConfig
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
 
 PERIOD_S = 1e-3
 LOST = -1

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
-from services.numerics.compiled import compiled, compiled_form
+from telenano.laws.config import LAWS, ControllerConfig
+from telenano.laws.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
+from telenano.numerics.compiled import compiled, compiled_form
 
 PERIOD_S = 1e-3
 CYCLE_S = 2.0

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from services.controller.__main__ import half_of_site
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import ControllerConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import SessionControl
 
@@ -79,7 +79,7 @@ def master(bench_of: Any) -> tuple[Any, MasterController]:
 
 
 def follows_already(bench: Any, node: SlaveController) -> None:
-    """Report an instrument that follows: one that begins to is let in slowly (`services.controller.entering`)."""
+    """Report an instrument that follows: one that begins to is let in slowly (`telenano.laws.entering`)."""
     node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, 0, hand_t_ns=0)))
 
 

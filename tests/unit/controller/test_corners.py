@@ -11,11 +11,11 @@ import corners
 import numpy as np
 import pytest
 
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.config import ControllerConfig
-from services.controller.energy import Port
-from services.controller.laws.shared.virtual_mass import FARTHEST_M, bounded
-from services.runtime.settings.config import flatten, validate
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import ControllerConfig
+from telenano.laws.energy import Port
+from telenano.laws.shared.virtual_mass import FARTHEST_M, bounded
+from telenano.settings.config import flatten, validate
 from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from services.controller.config import LAWS
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from services.controller.law_rules import known_law
-from services.controller.laws.shared.drift import Drift, drifted, error_of, no_drift
+from telenano.laws.config import LAWS
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.law_rules import known_law
+from telenano.laws.shared.drift import Drift, drifted, error_of, no_drift
 
 SCALE, PERIOD_S = 1.5e-6, 2e-3
 

@@ -5,7 +5,7 @@ import itertools
 import pytest
 from endless import Endless, endless
 
-from services.controller.laws.passivity import PassivityConfig
+from telenano.laws.passivity import PassivityConfig
 
 START_J = PassivityConfig().start_energy_j
 # in the tests of every day five minutes stand for the hour

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from services.controller.hand_periods import ANEW, HandClock, no_sample, periods_to
+from telenano.laws.hand_periods import ANEW, HandClock, no_sample, periods_to
 
 PERIOD_NS = 1_000_000
 LONGEST = 50

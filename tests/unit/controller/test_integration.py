@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from services.controller.integration import (
+from telenano.laws.integration import (
     ACCOUNT,
     ANSWER,
     ANSWER_EARLY,
@@ -36,7 +36,7 @@ from services.controller.integration import (
     slave_stepped,
     slave_unanswered,
 )
-from services.controller.law import MOST_PERIODS_A_STEP
+from telenano.laws.law import MOST_PERIODS_A_STEP
 
 MS = 1_000_000
 MASTER, SLAVE = TimingParams(MS, 50, 0), TimingParams(MS, 50, 50 * MS)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from services.controller.lateral import (
+from telenano.laws.lateral import (
     LOST,
     MET,
     LateralFar,
@@ -19,7 +19,7 @@ from services.controller.lateral import (
     lateral_slave_at_rest,
     lateral_slave_step,
 )
-from services.controller.lateral_settings import LateralConfig
+from telenano.laws.lateral_settings import LateralConfig
 
 DT = 1e-3
 HERE = LateralFar(0.0, 0.0, 0.0, 0.0, known=True)

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 from test_controller_node import answer_fields, forward_fields, hand_fields, tip_fields
 
-from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from services.runtime.loop.node_state import pack, restore
+from telenano.laws.config import ControllerConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import SessionControl
+from telenano.wire.node_state import pack, restore
 
 PERIOD_NS = 1_000_000
 

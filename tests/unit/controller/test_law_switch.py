@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from services.controller.config import LAWS as INSTALLED
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from services.runtime.bus.bus import Received
+from telenano.laws.config import LAWS as INSTALLED
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import ControllerConfig
+from telenano.runtime.bus.bus import Received
 from telenano.wire.errors import RefusedError
 from telenano.wire.sequence import Arrival
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.controller.config import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
-from services.controller.law import (
+from telenano.laws import virtual_impedance, wave
+from telenano.laws.config import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.law import (
     HandSample,
     Law,
     MasterReference,
@@ -21,10 +22,9 @@ from services.controller.law import (
     no_energy_account,
     the_hands_force,
 )
-from services.controller.law_names import LAW_NAMES
-from services.controller.law_rules import RULES, broken_rules
-from services.controller.laws import virtual_impedance, wave
-from services.controller.laws.shared import pass_through
+from telenano.laws.law_names import LAW_NAMES
+from telenano.laws.law_rules import RULES, broken_rules
+from telenano.laws.shared import pass_through
 
 T = 1e-3
 

@@ -9,17 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node.config import AfmConfig
-from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
-from services.controller.law import (
-    MOST_PERIODS_A_STEP,
-    NO_SIGNAL,
-    PortSignal,
-    SlaveReference,
-    TipMeasurement,
-)
-from services.controller.law_rules import RULES
-from services.controller.laws.shared.virtual_mass import FOLLOWED_M
+from telenano.afm.config import AfmConfig
+from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.law import MOST_PERIODS_A_STEP, NO_SIGNAL, PortSignal, SlaveReference, TipMeasurement
+from telenano.laws.law_rules import RULES
+from telenano.laws.shared.virtual_mass import FOLLOWED_M
 
 T = 1e-3
 SCALE, FORCE_SCALE = 1.5e-6, 1e8

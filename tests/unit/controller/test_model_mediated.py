@@ -9,8 +9,8 @@ from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from services.controller.laws.model_mediated import (
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.model_mediated import (
     ModelMediatedConfig,
     master_energy_account,
     master_receive,
@@ -24,8 +24,8 @@ from services.controller.laws.model_mediated import (
     slave_start,
     updated,
 )
-from services.controller.laws.shared.surface import Surface
-from services.controller.laws.shared.virtual_mass import tip_reference
+from telenano.laws.shared.surface import Surface
+from telenano.laws.shared.virtual_mass import tip_reference
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)

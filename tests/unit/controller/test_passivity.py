@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from services.controller.laws.passivity import (
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.passivity import (
     Account,
     PassivityConfig,
     charged,
@@ -23,7 +23,7 @@ from services.controller.laws.passivity import (
     slave_send,
     slave_start,
 )
-from services.controller.laws.shared.virtual_mass import paid_stretch
+from telenano.laws.shared.virtual_mass import paid_stretch
 
 T = 1e-3
 PARAMS = PassivityConfig().to_params(T)

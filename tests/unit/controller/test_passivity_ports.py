@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from services.controller.laws.passivity import (
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.passivity import (
     PASSIVITY,
     Account,
     MasterState,
@@ -28,7 +28,7 @@ from services.controller.laws.passivity import (
     slave_start,
     taken,
 )
-from services.controller.laws.shared.virtual_mass import HandPort, Mass, moved, paid_stretch
+from telenano.laws.shared.virtual_mass import HandPort, Mass, moved, paid_stretch
 
 T = 1e-3
 SHIPPED = PassivityConfig().to_params(T)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from services.controller.laws.position_force import (
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.position_force import (
     PositionForceConfig,
     master_receive,
     master_resume,
@@ -15,8 +15,8 @@ from services.controller.laws.position_force import (
     master_start,
     retune,
 )
-from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.shared.virtual_mass import tip_reference
+from telenano.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from telenano.laws.shared.virtual_mass import tip_reference
 
 PARAMS = PositionForceConfig().to_params(1e-3)
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.controller.law import NO_SIGNAL, HandSample
-from services.controller.laws.smith import (
+from telenano.laws.law import NO_SIGNAL, HandSample
+from telenano.laws.smith import (
     HISTORY,
     Estimate,
     SmithConfig,

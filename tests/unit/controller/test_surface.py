@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from instrument_theory import base_for
 
-from services.afm_node.config import AfmConfig
-from services.controller.laws.model_mediated import ModelMediatedConfig
-from services.controller.laws.shared.surface import (
+from telenano.afm.config import AfmConfig
+from telenano.laws.model_mediated import ModelMediatedConfig
+from telenano.laws.shared.surface import (
     BINS,
     Surface,
     _place_roots_at_once,
@@ -26,7 +26,7 @@ from services.controller.laws.shared.surface import (
     solved_pair,
     unknown,
 )
-from services.numerics.compiled import compiled_form
+from telenano.numerics.compiled import compiled_form
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit
 K, RANGE = FIT.cantilever, FIT.range_nm

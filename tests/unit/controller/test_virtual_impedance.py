@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
-from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.virtual_impedance import (
+from telenano.laws.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
+from telenano.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from telenano.laws.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,
     master_receive,

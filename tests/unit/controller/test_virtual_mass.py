@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from services.controller.law import NO_SIGNAL, HandSample
-from services.controller.laws.shared.virtual_mass import (
+from telenano.laws.law import NO_SIGNAL, HandSample
+from telenano.laws.shared.virtual_mass import (
     LONGEST_LEAD_M,
     HandPort,
     Mass,

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from services.controller.laws.wave import (
+from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.laws.wave import (
     Inbox,
     WaveConfig,
     drawn,

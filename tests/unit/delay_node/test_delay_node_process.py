@@ -7,12 +7,12 @@ import msgpack
 import pytest
 from recorder_samples import fields_of
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
-from services.runtime.loop.freshness import Freshness
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
+from telenano.link.config import LinkSettings, parse_settings
+from telenano.timing.freshness import Freshness
 from telenano.wire import decode, encode
 from telenano.wire.ends import read_end
 from telenano.wire.errors import RefusedError

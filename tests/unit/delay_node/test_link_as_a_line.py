@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.delay_node.config import parse_settings
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.engine import fates_of
-from services.delay_node.fate import Fate
+from telenano.link.config import parse_settings
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import fates_of
+from telenano.link.fate import Fate
 from telenano.wire.errors import ConfigError
 
 MS, NS = 1_000_000, 1_000_000_000

@@ -6,7 +6,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.delay_node.config import (
+from telenano.link.config import (
     DirectionSettings,
     Impairment,
     LinkSettings,
@@ -17,7 +17,7 @@ from services.delay_node.config import (
     parse_settings,
     profile_changes,
 )
-from services.delay_node.profiles import PROFILES
+from telenano.link.profiles import PROFILES
 from telenano.wire.errors import ConfigError
 
 REPOSITORY = Path(__file__).parents[3]

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.delay_node.config import Impairment, changed, parse_settings
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.engine import LinkEngine, fates_of
+from telenano.link.config import Impairment, changed, parse_settings
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import LinkEngine, fates_of
 from telenano.wire.errors import ConfigError
 
 MS = 1_000_000

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from services.delay_node.config import Jitter
-from services.delay_node.models.jitter import JitterSource, table_quantile
-from services.delay_node.random_streams import stream
+from telenano.link.config import Jitter
+from telenano.link.models.jitter import JitterSource, table_quantile
+from telenano.link.random_streams import stream
 
 MANY = 200_000
 SCALE_S = 0.004

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from services.delay_node.config import GilbertElliott, MarkovLoss
-from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
-from services.delay_node.random_streams import stream
+from telenano.link.config import GilbertElliott, MarkovLoss
+from telenano.link.models.loss import GilbertElliottChain, MarkovLossChain
+from telenano.link.random_streams import stream
 
 MANY = 300_000
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from services.delay_node.config import changed, parse_settings
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.engine import LinkEngine, fates_of
-from services.delay_node.fate import Fate, Release
+from telenano.link.config import changed, parse_settings
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import LinkEngine, fates_of
+from telenano.link.fate import Fate, Release
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

@@ -4,12 +4,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.delay_node.config import Outage, changed, parse_settings
-from services.delay_node.direction import DirectionEngine
-from services.delay_node.engine import LinkEngine, fates_of
-from services.delay_node.fate import Release
-from services.delay_node.models.outages import Outages
-from services.delay_node.random_streams import stream
+from telenano.link.config import Outage, changed, parse_settings
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import LinkEngine, fates_of
+from telenano.link.fate import Release
+from telenano.link.models.outages import Outages
+from telenano.link.random_streams import stream
 
 MS = 1_000_000
 ORIGIN = 5_000 * MS

@@ -3,9 +3,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from services.delay_node.config import Queue
-from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, SlotGate, Waiting
-from services.delay_node.random_streams import stream
+from telenano.link.config import Queue
+from telenano.link.models.queueing import DeliveryServer, RateServer, ServedQueue, SlotGate, Waiting
+from telenano.link.random_streams import stream
 
 MS = 1_000_000
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from services.delay_node.models.jitter import normal_quantile
-from services.delay_node.random_streams import CorrelatedUniform, Occurrence, stream
+from telenano.link.models.jitter import normal_quantile
+from telenano.link.random_streams import CorrelatedUniform, Occurrence, stream
 
 MANY = 200_000
 

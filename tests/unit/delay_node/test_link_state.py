@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from services.delay_node.config import changed, parse_settings
-from services.delay_node.engine import LinkEngine, LinkState
-from services.delay_node.random_streams import stream
-from services.runtime.loop.node_state import pack, restore
+from telenano.link.config import changed, parse_settings
+from telenano.link.engine import LinkEngine, LinkState
+from telenano.link.random_streams import stream
+from telenano.wire.node_state import pack, restore
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from services.delay_node.models import traces
-from services.delay_node.models.traces import (
+from telenano.link.models import traces
+from telenano.link.models.traces import (
     DelayCourse,
     delay_at,
     lost_at,

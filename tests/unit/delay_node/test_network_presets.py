@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.delay_node.config import Jitter, parse_settings
-from services.delay_node.engine import fates_of
-from services.delay_node.models.jitter import JitterSource, hyperexponential_quantile
-from services.delay_node.profiles import PROFILES, Profile, profile_named
-from services.delay_node.random_streams import stream
-from services.runtime.settings.config import validate
-from telenano.presets import NETWORK_DIRECTORY
+from telenano.link.config import Jitter, parse_settings
+from telenano.link.engine import fates_of
+from telenano.link.models.jitter import JitterSource, hyperexponential_quantile
+from telenano.link.profiles import PROFILES, Profile, profile_named
+from telenano.link.random_streams import stream
+from telenano.settings import NETWORK_DIRECTORY
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 DIRECTIONS = ("forward", "backward")
@@ -160,7 +160,7 @@ def test_a_folder_of_the_environment_has_networks_too(tmp_path: Path) -> None:
     # a name of the package is not replaced
     (tmp_path / "dsl.yaml").write_text(own, encoding="utf-8")
     code = (
-        "from services.delay_node.profiles import PROFILES, profile_named\n"
+        "from telenano.link.profiles import PROFILES, profile_named\n"
         "print(profile_named('my_line').about == PROFILES['lte'].about, PROFILES['dsl'].about == PROFILES['lte'].about)"
     )
     environment = {**os.environ, "TELENANO_NETWORKS": str(tmp_path)}

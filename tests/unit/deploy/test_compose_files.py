@@ -12,12 +12,12 @@ import pytest
 import yaml
 from makefile import makefile_words
 
-from services.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
-from services.runtime.bus.address_book import load_site
-from services.runtime.settings.config import environment_overrides, validate
-from services.runtime.settings.scenario import RealtimeConfig, Scenario, load_scenario
-from services.runtime.wiring.main import node_kind
-from telenano.presets import TWO_SITES_FILE
+from telenano.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.main import node_kind
+from telenano.settings import TWO_SITES_FILE
+from telenano.settings.config import environment_overrides, validate
+from telenano.settings.scenario import RealtimeConfig, Scenario, load_scenario
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import PAGE, START_ORDER, site_of
 

@@ -1,6 +1,6 @@
 """The payloads that a handle answers with, packed as its firmware packs them."""
 
-from services.haptic_node.devices import wire
+from telenano.devices.hand import wire
 
 
 def pack_hello(hello: wire.Hello) -> bytes:

@@ -6,12 +6,12 @@ from typing import Any
 import yaml
 from telenano_emulators.emulated_handle import EmulatedHandle, calibration_of
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices.calibration import HandleCalibration
-from services.haptic_node.devices.serial_driver import SerialHandle
-from services.haptic_node.driver import DeviceError
 from services.haptic_node.node import HapticNode
-from services.runtime.settings.config import parse_yaml, validate
+from telenano.devices.hand.calibration import HandleCalibration
+from telenano.devices.hand.serial_driver import SerialHandle
+from telenano.hand.config import HapticConfig
+from telenano.hand.driver import DeviceError
+from telenano.settings.config import parse_yaml, validate
 
 PATH = "/dev/serial/by-id/telenano"
 MS = 1_000_000

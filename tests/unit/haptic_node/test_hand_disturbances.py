@@ -5,16 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.driver import DeviceReading
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.disturbances import (
-    DisturbedHaptic,
-    HandDisturbanceConfig,
-    HandDisturbanceState,
-    disturbed,
-)
-from services.haptic_node.physics.sim import SimulatedHaptic
+from telenano.hand.config import HapticConfig
+from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, HandDisturbanceState, disturbed
+from telenano.hand.driver import DeviceReading
+from telenano.hand.sim import SimulatedHaptic
 from telenano.wire.errors import RefusedError
 
 DT = 1e-3

@@ -13,10 +13,10 @@ if shutil.which("cc") is None:
 from handle_answers import pack_fault, pack_hello
 from handle_line import MS, PATH, Line, Rig
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices import serial_driver, wire
 from services.haptic_node.node import HapticNode
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from telenano.devices.hand import serial_driver, wire
+from telenano.hand.config import HapticConfig
+from telenano.hand.safety import MODE_OFF, MODE_POSITION
 from telenano.wire.errors import ConfigError
 
 SPEED_M_PER_S = HapticConfig().limits.max_speed_m_per_s

@@ -10,12 +10,12 @@ import yaml
 from pydantic import ValidationError
 
 import services.haptic_node
-from services.haptic_node.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
-from services.haptic_node.driver import DriveCommand
-from services.haptic_node.operator_config import ImpedanceConfig
-from services.haptic_node.physics import motor
-from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE
-from services.haptic_node.physics.sim import SimulatedHaptic
+from telenano.hand import motor
+from telenano.hand.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
+from telenano.hand.driver import DriveCommand
+from telenano.hand.operator import FORCE_PROFILE, IMPEDANCE
+from telenano.hand.operator_config import ImpedanceConfig
+from telenano.hand.sim import SimulatedHaptic
 
 README = Path(services.haptic_node.__file__).with_name("README.md")
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.driver import DeviceError
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
+from telenano.hand.config import HapticConfig
+from telenano.hand.driver import DeviceError
+from telenano.hand.sim import SimulatedHaptic
 from telenano.wire.errors import RefusedError
 
 ZERO = (0.0, 0.0, 0.0)

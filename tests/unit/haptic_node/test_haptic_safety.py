@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from services.haptic_node import safety
-from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION, SafetyInputs, SafetyParams, SafetyState
+from telenano.hand import safety
+from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION, SafetyInputs, SafetyParams, SafetyState
 
 DT = 1.0 / 1024.0  # exact in binary, as are the limits below: the bound is the bound
 PARAMS = SafetyParams(0.050, -0.25, 0.75, 0.5, 4.0, True, False)

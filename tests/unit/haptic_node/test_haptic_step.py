@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.haptic_node import safety
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.driver import DeviceError, DriveCommand, HapticDevice
-from services.haptic_node.physics import sim, step
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.haptic_node.physics.step import HapticInputs
-from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.hand import safety, sim, step
+from telenano.hand.config import HapticConfig
+from telenano.hand.driver import DeviceError, DriveCommand, HapticDevice
+from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.hand.sim import SimulatedHaptic
+from telenano.hand.step import HapticInputs
 
 DT = 1e-3
 CONFIGS = {

@@ -7,16 +7,16 @@ import pytest
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
 
 from services.haptic_node.__main__ import build
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import ZERO, CouplingSettings
-from services.haptic_node.driver import Capabilities, DeviceError, DriveCommand
-from services.haptic_node.impedance import ImpedanceDevice
-from services.haptic_node.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.safety import MODE_FORCE, MODE_POSITION
-from services.haptic_node.servo import ServoCommand, ServoSample, Slot
-from services.runtime.loop.node_state import pack, restore
+from telenano.devices.hand.impedance import ImpedanceDevice
 from telenano.extend.emulators import HandMotion
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupling import ZERO, CouplingSettings
+from telenano.hand.driver import Capabilities, DeviceError, DriveCommand
+from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
+from telenano.hand.safety import MODE_FORCE, MODE_POSITION
+from telenano.hand.servo import ServoCommand, ServoSample, Slot
+from telenano.wire.node_state import pack, restore
 
 MS = 1e-3
 MASTER = "controller@master"

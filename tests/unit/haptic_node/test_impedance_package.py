@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from services.haptic_node.config import DRIVERS, HapticConfig
-from services.runtime.settings import device_drivers
-from services.runtime.settings.config import validate
+from telenano.hand.config import DRIVERS, HapticConfig
+from telenano.settings import device_drivers
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
 
@@ -59,8 +59,8 @@ class KnobWire:
 PROGRAM = """
 import json, sys, time
 from services.haptic_node.__main__ import _device
-from services.haptic_node.config import HapticConfig
-from services.runtime.settings.config import validate
+from telenano.hand.config import HapticConfig
+from telenano.settings.config import validate
 
 def imported():
     return sorted(name for name in sys.modules if name.startswith(("my_knob", "telenano_haptic_devices")))

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from test_operator_by_command import Bench
 
-from services.haptic_node.operator_config import InteractiveConfig
-from services.runtime.loop.node_state import pack, restore
+from telenano.hand.operator_config import InteractiveConfig
+from telenano.wire.node_state import pack, restore
 
 
 class Hand(Bench):

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from services.controller.lateral import LateralFar, LateralHand, lateral_at_rest, lateral_master_step
-from services.controller.lateral_settings import LateralConfig
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.physics.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
-from services.runtime.settings.config import validate
+from telenano.hand.config import HapticConfig
+from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
+from telenano.laws.lateral import LateralFar, LateralHand, lateral_at_rest, lateral_master_step
+from telenano.laws.lateral_settings import LateralConfig
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 DT = 1e-3

@@ -9,11 +9,11 @@ import pytest
 from coupling_theory import radius
 from typer.testing import CliRunner
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import least_mass_kg, stable_stiffness_n_per_m
-from services.haptic_node.driver import DeviceError
-from services.haptic_node.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from telenano.cli.root import app
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupling import least_mass_kg, stable_stiffness_n_per_m
+from telenano.hand.driver import DeviceError
+from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 
 DRAWN = 3000
 # sound of the eigenvalues of a matrix of some thirty rows

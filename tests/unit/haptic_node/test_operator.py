@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from services.haptic_node.operator_config import ForceProfileConfig, ImpedanceConfig, PathPoint
-from services.haptic_node.physics import operator
-from services.haptic_node.physics.operator import OperatorInputs, OperatorState
+from telenano.hand import operator
+from telenano.hand.operator import OperatorInputs, OperatorState
+from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig, PathPoint
 
 REST = OperatorState(0.0, 0.0)
 FIG12 = ForceProfileConfig(kind="force_profile").to_params()

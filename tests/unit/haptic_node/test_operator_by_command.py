@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.settings.config import validate
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.settings.config import validate
 from telenano.wire.errors import RefusedError
 
 PRESS = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}, {"time_s": 0.01, "force_n": 1.0}]}

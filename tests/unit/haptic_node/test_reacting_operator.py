@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.physics.operator import OperatorInputs
-from services.haptic_node.physics.reacting import ReactingState, at_rest, step
-from services.runtime.settings.config import validate
+from telenano.hand.config import HapticConfig
+from telenano.hand.operator import OperatorInputs
+from telenano.hand.reacting import ReactingState, at_rest, step
+from telenano.settings.config import validate
 
 DT = 1e-3
 

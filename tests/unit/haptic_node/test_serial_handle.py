@@ -11,11 +11,11 @@ if shutil.which("cc") is None:
 from handle_line import PATH, Line, Rig, calibration
 from telenano_emulators.simulate import handled
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices.serial_driver import refusal
-from services.haptic_node.driver import DeviceError, DriveCommand
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.devices.hand.serial_driver import refusal
+from telenano.hand.config import HapticConfig
+from telenano.hand.driver import DeviceError, DriveCommand
+from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.hand.sim import SimulatedHaptic
 from telenano.wire.errors import ConfigError, RefusedError
 
 OFF = DriveCommand(MODE_OFF, 0.0, 0.0)

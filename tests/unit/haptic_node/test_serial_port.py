@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from services.haptic_node.config import HapticConfig, LimitsConfig
-from services.haptic_node.devices.port import SerialPort, holder_of
-from services.haptic_node.driver import DeviceError
+from telenano.devices.hand.port import SerialPort, holder_of
+from telenano.hand.config import HapticConfig, LimitsConfig
+from telenano.hand.driver import DeviceError
 
 # of Linux: the exclusive mark of a terminal
 TIOCGEXCL = 0x80045440
@@ -126,7 +126,7 @@ def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) ->
     from telenano_emulators.emulated_handle import EmulatedHandle
     from telenano_emulators.handle_on_pty import HandleOnPty
 
-    from services.haptic_node.devices.serial_driver import SerialHandle
+    from telenano.devices.hand.serial_driver import SerialHandle
 
     link = tmp_path / "by-id/handle"
     port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), link)

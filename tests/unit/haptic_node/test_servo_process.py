@@ -4,14 +4,14 @@ import time
 
 import pytest
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import ZERO, CouplingSettings
-from services.haptic_node.devices import servo_process
-from services.haptic_node.devices.servo_process import SharedServo
-from services.haptic_node.driver import DeviceError
-from services.haptic_node.servo import ServoCommand
-from services.runtime.settings.scenario import load_scenario
-from telenano.presets import find_scenario
+from telenano.devices.hand import servo_process
+from telenano.devices.hand.servo_process import SharedServo
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupling import ZERO, CouplingSettings
+from telenano.hand.driver import DeviceError
+from telenano.hand.servo import ServoCommand
+from telenano.settings import find_scenario
+from telenano.settings.scenario import load_scenario
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
 
-from services.haptic_node.coupling import (
+from telenano.hand.coupled import arm_step
+from telenano.hand.coupling import (
     GATE_ACTIVE,
     GATE_DEADMAN,
     GATE_DEVICE_SILENT,
@@ -32,7 +33,6 @@ from services.haptic_node.coupling import (
     passive_stiffness_n_per_m,
     stable_stiffness_n_per_m,
 )
-from services.haptic_node.physics.coupled import arm_step
 
 T = 1e-3
 # mass [kg] and damping [N s/m] that stand for makes of devices

@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from services.launcher.external_recording import ExternalRecording
-from services.launcher.processes import StopObserver
-from services.launcher.rig_node import RigNode
-from services.launcher.session import SessionNode
-from services.launcher.supervisor import Supervisor
-from services.runtime.bus.bus import Received
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
 from telenano.extend.testing import VirtualClock
+from telenano.launcher.external_recording import ExternalRecording
+from telenano.launcher.processes import StopObserver
+from telenano.launcher.rig_node import RigNode
+from telenano.launcher.session import SessionNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
 from telenano.wire import TOPICS
 from telenano.wire.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.sequence import Arrival

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 import typer
 
-from services.launcher import scenario_keys
-from services.launcher.plan import UpRequest, make_plan
-from services.launcher.scenario_keys import all_keys, with_meant
 from telenano.cli.commands import session
+from telenano.launcher import scenario_keys
+from telenano.launcher.plan import UpRequest, make_plan
+from telenano.launcher.scenario_keys import all_keys, with_meant
 from telenano.wire.errors import ConfigError
 
 

@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.launcher import far_recording
-from services.launcher.far_recording import PartialFile, checked_names, fetch, note_files, noted_files
-from services.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, OFFSET, PIECE_BYTES, RATE, PieceSender
-from services.launcher.site_node import SiteNode
-from services.launcher.supervisor import Supervisor
 from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
-from services.runtime.bus.address_book import AddressBook, NodeEntry
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.keyring import Keyring
-from services.runtime.wiring.participant import NO_REALTIME, open_participant
+from telenano.launcher import far_recording
+from telenano.launcher.far_recording import PartialFile, checked_names, fetch, note_files, noted_files
+from telenano.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, OFFSET, PIECE_BYTES, RATE, PieceSender
+from telenano.launcher.site_node import SiteNode
+from telenano.launcher.supervisor import Supervisor
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.runtime.bus.address_book import AddressBook, NodeEntry
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.wiring.participant import NO_REALTIME, open_participant
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
 from telenano.wire.messages import Array
 from telenano.wire.network_messages import RecordingPiece

@@ -6,7 +6,7 @@ import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Rig
 from wire_contract import examples
 
-from services.launcher.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
+from telenano.launcher.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
 from telenano.wire import TOPICS
 from telenano.wire.network_messages import LinkNetwork
 

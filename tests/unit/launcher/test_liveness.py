@@ -1,7 +1,7 @@
 import pytest
 
-from services.launcher.liveness import NODE_TIMEOUT_S, SITE_TIMEOUT_S, Change, LivenessMonitor
 from telenano.extend.testing import VirtualClock
+from telenano.launcher.liveness import NODE_TIMEOUT_S, SITE_TIMEOUT_S, Change, LivenessMonitor
 
 SECOND_NS = 1_000_000_000
 NODES = ("afm_node@slave", "controller@slave")

@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 from launcher_bench import SECOND_NS, FakeChildren, health
 
-from services.launcher.page import inherited_by_page
-from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.processes import NodeProcesses, node_command
-from services.launcher.restart_policy import CRASH_LOOP_EXITS, MAX_DELAY_S
-from services.launcher.supervisor import Supervisor
-from services.launcher.watchdog import ProcessSample, Watchdog
-from services.runtime.clock import SystemClock
-from services.runtime.loop.healthcheck import endpoint_of, receive_health
-from services.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
-from services.viz_node import serve
 from telenano.extend.testing import VirtualClock
+from telenano.launcher.page import inherited_by_page
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.launcher.processes import NodeProcesses, node_command
+from telenano.launcher.restart_policy import CRASH_LOOP_EXITS, MAX_DELAY_S
+from telenano.launcher.supervisor import Supervisor
+from telenano.launcher.watchdog import ProcessSample, Watchdog
+from telenano.runtime.loop.healthcheck import endpoint_of, receive_health
+from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
+from telenano.serving import serve
+from telenano.timing.clock import SystemClock
 from telenano.wire.extras import how_to_install
 from telenano.wire.messages import NodeHealth
 from telenano.wire.nodes import PAGE, STOP_ORDER
@@ -77,7 +77,7 @@ def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(
 def test_a_site_file_of_before_and_an_address_that_cannot_be_had_leave_the_rig_without_a_view(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("services.launcher.page.missing_for_view", lambda: "")
+    monkeypatch.setattr("telenano.launcher.page.missing_for_view", lambda: "")
     plan = plan_of(tmp_path, "viz_node.host=0.0.0.0")
     assert "give --certificate and --key" in said_of(plan)[0]
     old = tmp_path / "old.yaml"

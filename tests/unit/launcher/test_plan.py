@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 import yaml
 
-from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
-from services.launcher.run import disk_warning
-from services.runtime.bus.address_book import load_site
-from services.runtime.settings.config import read_yaml
-from telenano.presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
+from telenano.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
+from telenano.launcher.run import disk_warning
+from telenano.runtime.bus.address_book import load_site
+from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
+from telenano.settings.config import read_yaml
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 

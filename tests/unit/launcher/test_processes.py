@@ -9,7 +9,7 @@ from typing import ClassVar
 import psutil
 import pytest
 
-from services.launcher.processes import NodeProcesses, StopObserver, child_environment
+from telenano.launcher.processes import NodeProcesses, StopObserver, child_environment
 
 STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); time.sleep(60)"
 # ends at SIGTERM, by the default action
@@ -101,8 +101,8 @@ def test_a_process_that_hangs_is_killed_soon_after_its_readers_have_all_and_else
 
         waits: ClassVar[list[float]] = []
 
-    monkeypatch.setattr("services.launcher.processes.EXIT_GRACE_S", 0.1)
-    monkeypatch.setattr("services.launcher.processes.LINGER_GRACE_S", 0.8)
+    monkeypatch.setattr("telenano.launcher.processes.EXIT_GRACE_S", 0.1)
+    monkeypatch.setattr("telenano.launcher.processes.LINGER_GRACE_S", 0.8)
     lingering = LINGERING.format(folder=tmp_path)
     children = processes(tmp_path, {"a@b": lingering, "recorder@b": OBEDIENT}, ["a@b"], [])
     process_id = children.start("a@b")
@@ -141,7 +141,7 @@ def test_an_exit_is_reported_once_with_its_signal(tmp_path: Path) -> None:
 
 
 def test_who_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.launcher.processes.GRACE_S", 0.5)
+    monkeypatch.setattr("telenano.launcher.processes.GRACE_S", 0.5)
     children = processes(tmp_path, {"a@b": STUBBORN}, ["a@b"], [])
     process_id = children.start("a@b")
     wait_for_line(children.log_path("a@b"))
@@ -175,7 +175,7 @@ def test_a_node_does_not_outlive_a_supervisor_that_is_killed_however_early(tmp_p
     supervisor = (
         "import os, signal, sys\n"
         "from pathlib import Path\n"
-        "from services.launcher.processes import NodeProcesses\n"
+        "from telenano.launcher.processes import NodeProcesses\n"
         "commands = {'a@b': [sys.executable, '-c', 'import signal; signal.pause()']}\n"
         "print(NodeProcesses(commands, [], Path(sys.argv[1]), 0).start('a@b'), flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -3,8 +3,8 @@
 import pytest
 from launcher_bench import SECOND_NS, health, row
 
-from services.launcher.recorder_wait import LastMessages, RecorderWait
 from telenano.extend.testing import VirtualClock
+from telenano.launcher.recorder_wait import LastMessages, RecorderWait
 from telenano.wire.messages import InputHealth, NodeHealth
 
 RECORDER, HAND = "recorder@master", "haptic_node@master"

@@ -1,8 +1,8 @@
 import pytest
 
-from services.launcher import restart_policy
-from services.launcher.restart_policy import RestartTracker, describe_exit
 from telenano.extend.testing import VirtualClock
+from telenano.launcher import restart_policy
+from telenano.launcher.restart_policy import RestartTracker, describe_exit
 
 NODE = "afm_node@slave"
 SECOND_NS = 1_000_000_000

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 
-from services.launcher import processors, rigs
-from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.rigs import own_rig, running_rigs
-from services.launcher.run import reserved_folder
-from services.runtime.bus.endpoint_lock import EndpointLock
-from services.runtime.bus.local_endpoint import RIG_VARIABLE, is_rig_name, rig_directory, runtime_directory
-from services.runtime.loop.realtime import PROCESSORS_VARIABLE
+from telenano.launcher import processors, rigs
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.launcher.rigs import own_rig, running_rigs
+from telenano.launcher.run import reserved_folder
+from telenano.runtime.bus.endpoint_lock import EndpointLock
+from telenano.runtime.bus.local_endpoint import RIG_VARIABLE, is_rig_name, rig_directory, runtime_directory
+from telenano.runtime.loop.realtime import PROCESSORS_VARIABLE
 from telenano.wire.errors import ConfigError, RigError
 
 WAIT_S = 60.0
@@ -194,9 +194,9 @@ HOLDER = """
 import os, subprocess, sys, time
 from pathlib import Path
 os.sched_getaffinity = lambda process: set(range(8))
-from services.launcher import rigs
+from telenano.launcher import rigs
 rigs.may_use_fifo = lambda priority: True
-from services.launcher.plan import UpRequest, make_plan
+from telenano.launcher.plan import UpRequest, make_plan
 folder, locks, begin_s = Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
 plan = make_plan(UpRequest(scenario="fig12", out=folder / "out"), folder)
 time.sleep(max(0.0, begin_s - time.time()))

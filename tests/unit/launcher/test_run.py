@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from launcher_bench import Bench
 
-from services.launcher import run as up
-from services.launcher.external_recording import holds_command
-from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.run import Outcome, make_rig, outcome_of, report_of, run_rig
-from services.launcher.session import SessionNode
-from services.launcher.site_node import SiteNode
-from services.launcher.supervisor import Supervisor
-from services.recorder.config import RecorderConfig
+from telenano.launcher import run as up
+from telenano.launcher.external_recording import holds_command
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.launcher.run import Outcome, make_rig, outcome_of, report_of, run_rig
+from telenano.launcher.session import SessionNode
+from telenano.launcher.site_node import SiteNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError, RigError

@@ -5,10 +5,10 @@ import pytest
 from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
 from rich.console import Console
 
-from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
-from services.launcher.rig_node import _Ending
-from services.runtime.bus.bus import Received
 from telenano.cli.live_view import nodes_table, rig_picture
+from telenano.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
+from telenano.launcher.rig_node import _Ending
+from telenano.runtime.bus.bus import Received
 from telenano.wire.messages import NodeHealth, SessionEvent
 from telenano.wire.sequence import Arrival
 

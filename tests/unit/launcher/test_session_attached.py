@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Rig, health, row
 
-from services.launcher.external_recording import ExternalRecording, readable_here
-from services.launcher.processes import NodeProcesses
-from services.launcher.readiness import READY_DEADLINE_S
-from services.runtime.clock import SystemClock
+from telenano.launcher.external_recording import ExternalRecording, readable_here
+from telenano.launcher.processes import NodeProcesses
+from telenano.launcher.readiness import READY_DEADLINE_S
+from telenano.timing.clock import SystemClock
 
 RECORDER = "recorder@master"
 OTHERS = ("controller@master", "afm_node@slave", "haptic_node@master")

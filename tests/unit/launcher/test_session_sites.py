@@ -6,10 +6,10 @@ from pathlib import Path
 from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
 from rich.console import Console
 
-from services.launcher.readiness import READY_DEADLINE_S
-from services.launcher.site_node import SiteNode
-from services.launcher.supervisor import Supervisor
 from telenano.cli.live_view import LineView, rig_picture
+from telenano.launcher.readiness import READY_DEADLINE_S
+from telenano.launcher.site_node import SiteNode
+from telenano.launcher.supervisor import Supervisor
 from telenano.wire.messages import ClockPing
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, FakeChildren, health
 
-from services.launcher.supervisor import Supervisor
-from services.launcher.watchdog import LOOK_S, RECORDER_BUSY_S, SILENCE_S, ProcessSample, ProcFiles, Watchdog
 from telenano.extend.testing import VirtualClock
+from telenano.launcher.supervisor import Supervisor
+from telenano.launcher.watchdog import LOOK_S, RECORDER_BUSY_S, SILENCE_S, ProcessSample, ProcFiles, Watchdog
 
 NODE, OTHER = "afm_node@slave", "controller@slave"
 NODES = (NODE, OTHER)

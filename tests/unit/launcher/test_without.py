@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from services.launcher.plan import UpRequest, excluded_nodes, make_plan
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.launcher.plan import UpRequest, excluded_nodes, make_plan
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import START_ORDER
 

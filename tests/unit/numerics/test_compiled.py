@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from services.numerics.source_digest import (
+from telenano.numerics.source_digest import (
     KEPT_FOLDERS,
     SOURCES,
     _source_files,
@@ -20,8 +20,8 @@ from services.numerics.source_digest import (
 ROOT = Path(__file__).parents[3]
 # errors, models of settings and messages, and what loads packages: nothing of them is compiled
 NO_CONSTANTS = {
-    *("telenano.wire.errors", "telenano.presets.plugins"),
-    *("services.runtime.settings.config", "services.runtime.settings.option"),
+    *("telenano.wire.errors", "telenano.settings.plugins"),
+    *("telenano.settings.config", "telenano.settings.option"),
     # its functions reckon with results, and no step calls them
     "telenano.analysis.intervals",
 }
@@ -29,7 +29,7 @@ USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
 
 MODULE = """
 from typing import NamedTuple
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 class State(NamedTuple):
     position_m: float
@@ -52,7 +52,7 @@ def calls_unmarked(x):
 """
 PROGRAM = """
 import model
-from services.numerics.compiled import compiled_form
+from telenano.numerics.compiled import compiled_form
 step = compiled_form(model.step)
 assert step(model.State(1.0, 0), 0.25) == model.step(model.State(1.0, 0), 0.25) == (1.5, 1)
 print(type(model.step).__name__, type(step).__name__)
@@ -61,7 +61,7 @@ print(type(model.step).__name__, type(step).__name__)
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("services/afm_node/forces.py", "services/controller/law.py", "telenano/lockstep/loop.py"):
+    for name in ("services/afm_node/forces.py", "telenano/laws/law.py", "telenano/lockstep/loop.py"):
         path = tmp_path / name
         path.parent.mkdir(parents=True)
         path.write_text("A = 1\n")
@@ -153,16 +153,16 @@ def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
     assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
     # no other user can put anything there, whatever the umask
     assert folder.stat().st_mode & 0o777 == 0o700
-    assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
+    assert not list(ROOT.glob("telenano/runtime/__pycache__/*.nb?"))
 
 
 # spoils each file of the cache in each way, and runs the step as a process that starts then would
 SPOIL = """
 import logging, os, model
 from numba.core import config
-from services.numerics import numba_parts
-from services.numerics.compiled import compiled, compiled_form
-from services.numerics.source_digest import cache_folder
+from telenano.numerics import numba_parts
+from telenano.numerics.compiled import compiled, compiled_form
+from telenano.numerics.source_digest import cache_folder
 
 def run():
     said.clear()
@@ -254,7 +254,7 @@ os.utime = os.mkdir = os.replace = tempfile.TemporaryFile = refused
 AT_ONCE = """
 import model
 from numba.core.caching import IndexDataCacheFile
-from services.numerics.compiled import compiled, compiled_form
+from telenano.numerics.compiled import compiled, compiled_form
 
 def run(value):
     result = compiled_form(compiled(model.twice))(value)
@@ -282,7 +282,7 @@ def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tm
 
 FORCE = """
 from typing import NamedTuple
-from services.numerics.compiled import compiled
+from telenano.numerics.compiled import compiled
 
 class Spring(NamedTuple):
     k: float
@@ -294,7 +294,7 @@ def spring(params, x):
 """
 LOOP = """
 from pack import force
-from services.numerics.compiled import chosen_step, compiled
+from telenano.numerics.compiled import chosen_step, compiled
 
 STEPS = {force.Spring: force.spring}
 step = chosen_step(lambda kind: STEPS[kind])
@@ -309,7 +309,7 @@ def loop(params, count):
 RUN = """
 import os, pathlib
 from pack import force, loop
-from services.numerics.compiled import compiled_form
+from telenano.numerics.compiled import compiled_form
 for line in os.environ.get("EDIT", "").splitlines():
     pathlib.Path(force.__file__).write_text(line)
 loop = compiled_form(loop.loop)
@@ -404,8 +404,8 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
     "before",
     [
         "import studies",
-        "from services.controller.law_rules import known_law",
-        "import services.afm_node.physics.cantilever",
+        "from telenano.laws.law_rules import known_law",
+        "import telenano.afm.cantilever",
     ],
 )
 def test_a_simulation_does_not_depend_on_what_was_imported_before(tmp_path: Path, simulated: str, before: str) -> None:
@@ -420,7 +420,7 @@ def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path, s
 def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
     program = """
 import model
-from services.numerics.compiled import compiled_form
+from telenano.numerics.compiled import compiled_form
 try:
     compiled_form(model.calls_unmarked)(1.0)
 except Exception as error:
@@ -433,7 +433,7 @@ def test_a_model_that_cannot_be_compiled_is_a_sentence_before_anything_ran(tmp_p
     program = """
 import logging, model
 from telenano.wire.errors import ConfigError
-from services.numerics.compiled import compiled_call
+from telenano.numerics.compiled import compiled_call
 said = []
 handler = logging.Handler()
 handler.emit = said.append

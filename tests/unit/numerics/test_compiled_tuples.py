@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.controller.law import NO_SIGNAL, PortSignal, port_signal
-from services.numerics.compiled import borrowed, compiled, compiled_form
+from telenano.laws.law import NO_SIGNAL, PortSignal, port_signal
+from telenano.numerics.compiled import borrowed, compiled, compiled_form
 
 ROOT = Path(__file__).resolve().parents[3]
 MARKS = {"compiled", "inlined", "always_compiled"}

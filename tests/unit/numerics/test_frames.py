@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from services.numerics.frames import to_paper_axis, to_site_frame
+from telenano.numerics.frames import to_paper_axis, to_site_frame
 
 
 @pytest.mark.parametrize("value", [0.0, 7e-3, -1.1e-8])

@@ -4,13 +4,13 @@ from typing import Any
 
 import pytest
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop.node import Node
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.runtime.loop.node import Node
 
 COMMANDS = {
     "afm_node@slave": ("afm/command", "controller@slave"),

@@ -14,17 +14,17 @@ from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
-from services.recorder.config import RecorderConfig
-from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.bus.bus import ZmqBus
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
 from telenano.extend.testing import VirtualClock
-from telenano.presets import DEFAULT_SITE_FILE
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.bus import ZmqBus
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import decode, encode
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
 from telenano.wire.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent

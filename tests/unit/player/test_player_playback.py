@@ -7,9 +7,9 @@ import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
 from services.player.playback import Playback, PlaybackClock, Span
-from services.recorder.config import RecorderConfig
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError

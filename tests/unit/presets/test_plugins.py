@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from telenano.presets import find_scenario, known_scenarios, plugins
+from telenano.settings import find_scenario, known_scenarios, plugins
 from telenano.wire.errors import ConfigError
 
 
@@ -166,7 +166,7 @@ def test_what_a_package_prints_is_no_part_of_what_a_command_prints(
 
 
 def test_a_signal_at_a_command_is_none_of_a_package(entries: list[Any], tmp_path: Path) -> None:
-    (tmp_path / "long.py").write_text("from services.signals.interrupts import Interrupted\nraise Interrupted\n")
+    (tmp_path / "long.py").write_text("from telenano.signals.interrupts import Interrupted\nraise Interrupted\n")
     entries.append(entry("laws", "long", "long:LAW"))
     with pytest.raises(KeyboardInterrupt):
         plugins.load("laws", number)

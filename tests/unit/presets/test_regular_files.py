@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from telenano.presets.regular_files import is_own_path
+from telenano.files.regular_files import is_own_path
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 

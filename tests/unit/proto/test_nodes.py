@@ -11,10 +11,10 @@ import pytest
 import yaml
 from makefile import makefile_words
 
-from services.runtime.bus.address_book import load_site
-from services.runtime.settings.scenario import Scenario
-from services.runtime.wiring.main import NodeKind, node_kind
-from telenano.presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.main import NodeKind, node_kind
+from telenano.settings import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.settings.scenario import Scenario
 from telenano.wire import TOPICS
 from telenano.wire.nodes import (
     HAND,

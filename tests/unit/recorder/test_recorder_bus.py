@@ -7,16 +7,16 @@ import pytest
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
-from services.recorder.listener import Listener
 from services.recorder.node import RecorderBus
-from services.runtime.bus.bus import Subscriber
-from services.runtime.bus.publisher import NullPublisher, ZmqPublisher
+from telenano.console.listener import Listener
 from telenano.extend.testing import VirtualClock
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import NullPublisher, ZmqPublisher
 from telenano.wire import Message, encode
 
 HAND, AFM = "haptic_node@master", "afm_node@slave"

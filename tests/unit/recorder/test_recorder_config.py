@@ -2,8 +2,8 @@ from typing import Any
 
 import pytest
 
-from services.recorder.config import RecorderConfig
-from services.runtime.settings.config import validate
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.settings.config import validate
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from services.recorder import disk_watch
-from services.recorder.disk_watch import LOW_BYTES, LOW_S, DiskWatch, free_bytes
+from telenano.recording import disk_watch
+from telenano.recording.disk_watch import LOW_BYTES, LOW_S, DiskWatch, free_bytes
 
 SECOND_NS = 1_000_000_000
 MEGABYTE = 1_000_000

@@ -7,11 +7,11 @@ import pytest
 import zmq
 from recorder_samples import haptic_state, teleop_forward
 
-from services.recorder.live import LiveRecording
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
+from telenano.console.live_recording import LiveRecording
 from telenano.recording.messages import RecordedMessage
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.timing.clock import SystemClock
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError
 

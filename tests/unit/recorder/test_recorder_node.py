@@ -15,22 +15,22 @@ import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from services.recorder.__main__ import begin, listeners
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.loop.realtime import RealtimeStatus
-from services.runtime.wiring.main import Wiring
-from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.runtime.wiring.main import Wiring
+from telenano.runtime.wiring.transport import Transport
+from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import InputHealth, SessionEvent
 from telenano.wire.ranges import limited

@@ -10,18 +10,18 @@ import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from services.recorder.begin_recording import begin_recording
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.runtime.bus.bus import Subscriber, ZmqBus
-from services.runtime.bus.publisher import NullPublisher
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
-from services.runtime.settings.config import validate
 from telenano.extend.testing import VirtualClock
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
+from telenano.runtime.bus.bus import Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import NullPublisher
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.settings.config import validate
 from telenano.wire import Message, encode
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError
 from telenano.wire.messages import SessionControl, SessionEvent

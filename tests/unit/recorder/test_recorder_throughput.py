@@ -6,13 +6,13 @@ from mcap.writer import Writer
 from processor_time import ratio_of_costs
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
-from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus.bus import Subscriber
 from telenano.extend.testing import VirtualClock
 from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.bus.bus import Subscriber
 from telenano.wire import encode
 
 MESSAGES = 8000

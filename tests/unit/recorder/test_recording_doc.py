@@ -6,11 +6,11 @@ from pathlib import Path
 import typer
 from typer.main import get_command
 
+from services.player.command import replay
 from services.player.node import SETTERS
+from services.recorder.command import record
 from services.recorder.node import ACTIONS
 from telenano.cli.commands.bag import app
-from telenano.cli.commands.record import record
-from telenano.cli.commands.replay import replay
 
 ROOT = Path(__file__).resolve().parents[3]
 GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")

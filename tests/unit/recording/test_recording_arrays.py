@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from services.recorder.config import RecorderConfig
 from telenano.recording import arrays
 from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError

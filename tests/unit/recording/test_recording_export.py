@@ -15,12 +15,12 @@ from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
 from wire_contract import examples
 
-from services.recorder.config import RecorderConfig
 from telenano.recording.channel_filter import Selection
 from telenano.recording.export import export_recording, plain_schema
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.quantities import quantity
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import REJECTED_TOPIC, RejectedRecord
 from telenano.recording.rewrite import CopyWriter
 from telenano.recording.tables import line, plain, typed_columns

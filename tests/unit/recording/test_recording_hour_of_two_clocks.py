@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from wire_contract import examples
 
-from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from telenano.recording.reader import Recording
 from telenano.recording.site_clock import read_site_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.wire import TOPICS, encode
 
 BEGAN_NS, NS = 1_750_000_000_000_000_000, 1_000_000_000

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from services.recorder.config import RecorderConfig
-from services.runtime.loop.commands import CommandHandler
 from telenano.cli.commands import bag
 from telenano.cli.commands.bag import app
 from telenano.recording.indexed import open_indexed
 from telenano.recording.people import people_in
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.runtime.loop.commands import CommandHandler
 from telenano.wire import encode
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from services.recorder.config import RecorderConfig
 from telenano.recording.mcap_scan import MAGIC, scan
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode

@@ -10,9 +10,9 @@ import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, teleop_forward
 
 from services.player.playback import Playback, Span
-from services.recorder.config import RecorderConfig
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import Message, encode

@@ -12,8 +12,8 @@ import pytest
 from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, teleop_forward
 
-from services.recorder.config import RecorderConfig
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GAP_TOPIC, GapRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
@@ -155,7 +155,7 @@ _FILL = """
 import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-from services.recorder.config import RecorderConfig
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire.errors import RecordingError
 writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=Path(sys.argv[1]), compression="none"))

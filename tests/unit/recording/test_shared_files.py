@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from services.console.lease import Lease, Party, current, take
-from services.console.lease_register import Hold, LeaseRegister
-from services.runtime.loop import kept_stop
-from services.runtime.security.keyring import Keyring
 from services.viz_node.lease_desk import LeaseDesk
-from services.viz_node.people import People
-from services.viz_node.serve import announced
-from telenano.recording.whole_files import BusyError, changed, locked
+from telenano.console.lease import Lease, Party, current, take
+from telenano.console.lease_register import Hold, LeaseRegister
+from telenano.files.whole_files import BusyError, changed, locked
+from telenano.runtime.loop import kept_stop
+from telenano.runtime.security.keyring import Keyring
+from telenano.serving.people import People
+from telenano.serving.serve import announced
 from telenano.wire.errors import RigError
 from tests.doubles.shared_files import Shared, SharedFiles, race, small_disk
 

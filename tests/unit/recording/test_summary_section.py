@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
-from services.recorder.config import RecorderConfig
 from telenano.recording import summary_section
 from telenano.recording.mcap_scan import scan
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord
 from telenano.recording.rewrite import filter_recording
 from telenano.recording.summary_section import quick_info

@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from telenano.recording.text_tables import parse_table
-from telenano.recording.units import unit_of
+from telenano.files.text_tables import parse_table
+from telenano.files.units import unit_of
 from telenano.wire.errors import ConfigError
 
 # name, unit as written, and its factor to SI

@@ -8,9 +8,9 @@ import pytest
 from msgpack import packb
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
-from services.recorder.config import RecorderConfig
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import Recording
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GAP_TOPIC, GapRecord
 from telenano.recording.verify import Finding, Verdict, _Check, verify
 from telenano.recording.writer import RecordingWriter

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from telenano.recording.whole_files import new_folder, whole_file, whole_folder, whole_results
+from telenano.files.whole_files import new_folder, whole_file, whole_folder, whole_results
 
 
 class _Stop(BaseException):

@@ -9,10 +9,10 @@ from zmq.utils import z85
 
 from services.relay.channel import Budget
 from services.relay.forwarder import Forwarder
-from services.runtime.relay.path import RelayPath
-from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key
-from services.runtime.security.keyring import KeyPair, Keyring
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.relay.path import RelayPath
+from telenano.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key
+from telenano.runtime.security.keyring import KeyPair, Keyring
+from telenano.runtime.security.sealed import RejectedError
 
 Address = tuple[Any, ...]
 STEP_NS = 50_000_000

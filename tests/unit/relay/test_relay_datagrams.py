@@ -4,8 +4,8 @@ import pytest
 from relay_bench import MASTER, RELAY, RELAY_ADDRESS, SLAVE, STRANGER, End, Network, key_pair
 
 from services.relay.forwarder import PLACE_S
-from services.runtime.datagram.sealing import MOST_BYTES
-from services.runtime.relay.protocol import (
+from telenano.runtime.datagram.sealing import MOST_BYTES
+from telenano.runtime.relay.protocol import (
     COOKIE_BYTES,
     REQUEST_BYTES,
     TO_RELAY,
@@ -15,8 +15,8 @@ from services.runtime.relay.protocol import (
     raw_key,
     request_bytes,
 )
-from services.runtime.security.keyring import KeyPair
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.security.keyring import KeyPair
+from telenano.runtime.security.sealed import RejectedError
 
 ELSEWHERE = ("192.0.2.66", 666)
 

@@ -19,11 +19,11 @@ from services.relay import server, site_end
 from services.relay.channel import Channel, Gone, dial
 from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.loop.log import StructuredLog
-from services.runtime.relay.protocol import PUBLIC_BYTES, raw_key
-from services.runtime.security.access_control import AccessControl
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.relay.protocol import PUBLIC_BYTES, raw_key
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.sealed import RejectedError
 from telenano.wire.errors import ConfigError
 
 PATIENCE_S = 30.0

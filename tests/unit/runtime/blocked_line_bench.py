@@ -16,7 +16,7 @@ import zmq
 from datagram_bench import SOURCES, Side, SocketLog
 from network_bench import payload
 
-from services.runtime.datagram.pacing import NETWORK_BYTES
+from telenano.runtime.datagram.pacing import NETWORK_BYTES
 
 MS, S = 1_000_000, 1_000_000_000
 DEADLINE_S, WITHDRAWN_S = 0.05, 0.25

@@ -9,12 +9,12 @@ from typing import Any
 import zmq
 from network_bench import payload
 
-from services.runtime.bus.address_book import LinkTransport
-from services.runtime.bus.bus import Received, Subscriber
-from services.runtime.bus.publisher import SPARSE
-from services.runtime.datagram.end import DatagramEnd
-from services.runtime.datagram.place import Outlets, Place
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.address_book import LinkTransport
+from telenano.runtime.bus.bus import Received, Subscriber
+from telenano.runtime.bus.publisher import SPARSE
+from telenano.runtime.datagram.end import DatagramEnd
+from telenano.runtime.datagram.place import Outlets, Place
 from telenano.wire import compose
 from telenano.wire.messages import Message
 

@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from services.runtime.datagram.line import Line
-from services.runtime.datagram.pacing import SendBudget
-from services.runtime.datagram.rate import Delivery, RateControl, Seen
-from services.runtime.loop.clock_offset import Exchange
+from telenano.runtime.datagram.line import Line
+from telenano.runtime.datagram.pacing import SendBudget
+from telenano.runtime.datagram.rate import Delivery, RateControl, Seen
+from telenano.timing.clock_offset import Exchange
 
 MS = 1_000_000
 OFFSET_NS = 37 * 10**9

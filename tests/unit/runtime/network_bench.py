@@ -10,12 +10,12 @@ from typing import Any
 from free_ports import free_ports
 from wire_contract import examples
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.security.keyring import Keyring, Role
-from services.runtime.wiring.transport import Transport, open_context
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.security.keyring import Keyring, Role
+from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.wire import TOPICS, Message, encode
 
 PATIENCE_S = 30.0

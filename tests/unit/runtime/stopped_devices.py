@@ -5,22 +5,22 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.bus.bus import Received
-from services.runtime.loop.arming import ARM
-from services.runtime.loop.commands import Command, CommandClient
-from services.runtime.loop.kept_stop import keep
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.loop.realtime import RealtimeStatus
+from telenano.afm import safety
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.arming import ARM
+from telenano.runtime.loop.commands import Command, CommandClient
+from telenano.runtime.loop.kept_stop import keep
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.wire import TOPICS, encode
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import is_meant, site_of

@@ -6,8 +6,8 @@ from itertools import pairwise
 import pytest
 from blocked_line_bench import DEADLINE_S, MS, WITHDRAWN_S, Network, S, Session
 
-from services.runtime.datagram.reception import SILENCE_NS
-from services.runtime.datagram.sparse import CALM_NS, SparseSamples, carried_by_tcp
+from telenano.runtime.datagram.reception import SILENCE_NS
+from telenano.runtime.datagram.sparse import CALM_NS, SparseSamples, carried_by_tcp
 
 EVER_NS = 10**12
 # After this a session has begun, and its line was measured; then something is blocked.

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
+from telenano.timing.clock import NEVER_NS
 
 US, MS = 1_000, 1_000_000
 

@@ -11,13 +11,13 @@ import pytest
 import zmq
 from recorder_samples import haptic_state
 
-from services.launcher.fan_out import endpoints_of, fan_out
-from services.launcher.plan import UpRequest, make_plan
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.fan_out import serve
-from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
-from services.runtime.wiring.observer import Observer
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.launcher.fan_out import endpoints_of, fan_out
+from telenano.launcher.plan import UpRequest, make_plan
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.fan_out import serve
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from telenano.runtime.wiring.observer import Observer
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import encode
 
 WAIT_MS = 20_000
@@ -117,7 +117,7 @@ def test_a_rig_has_the_process_while_it_runs_and_leaves_nothing(
     base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_s: float
 ) -> None:
     # a process that has no processor for so long is killed, and cannot remove its sockets by itself
-    monkeypatch.setattr("services.launcher.fan_out._STOP_S", patience_s)
+    monkeypatch.setattr("telenano.launcher.fan_out._STOP_S", patience_s)
     plan = make_plan(UpRequest(scenario="fig12", out=tmp_path / "out"), tmp_path)
     first = fan_out_endpoint(endpoints_of(plan)[0])
     with fan_out(plan):
@@ -130,7 +130,7 @@ def test_a_rig_has_the_process_while_it_runs_and_leaves_nothing(
 
 def test_it_ends_with_a_launcher_that_is_killed(base: Path) -> None:
     read, write = os.pipe()
-    command = [sys.executable, "-m", "services.runtime.bus.fan_out", f"ipc://{base}/node"]
+    command = [sys.executable, "-m", "telenano.runtime.bus.fan_out", f"ipc://{base}/node"]
     process = subprocess.Popen(command, stdin=read)
     os.close(read)
     os.close(write)

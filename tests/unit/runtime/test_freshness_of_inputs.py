@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from wire_contract import examples
 
-from services.delay_node.declared_delay import DeclaredDelay
-from services.delay_node.fate import Release, delayed
-from services.runtime.bus.bus import Received
-from services.runtime.loop.freshness import LOOP_DEADLINE_NS, Freshness
+from telenano.link.declared_delay import DeclaredDelay
+from telenano.link.fate import Release, delayed
+from telenano.runtime.bus.bus import Received
+from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
 from telenano.wire import TOPICS, encode
 from telenano.wire.sequence import Arrival
 from telenano.wire.topics import LOOP_DEADLINE_S

@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
-from services.runtime.loop.hang_guard import HangGuard
+from telenano.runtime.loop.hang_guard import HangGuard
 
 RUN = """
 import time
-from services.runtime.loop import hang_guard
+from telenano.runtime.loop import hang_guard
 hang_guard.LIMIT_S = 0.2
 
 def burn(cpu_s):

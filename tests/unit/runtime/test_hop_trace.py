@@ -8,10 +8,10 @@ import pytest
 import zmq
 from hop_trace import PARTS, HopTrace
 
-from services.runtime.bus.bus import Subscriber, ZmqBus
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.loop.log import StructuredLog
+from telenano.runtime.bus.bus import Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.log import StructuredLog
+from telenano.timing.clock import SystemClock
 
 
 def test_a_hop_is_divided_into_its_parts() -> None:

@@ -17,10 +17,10 @@ from stage_line import StageLine
 from telenano_afm_controllers.nanonis_driver import FrameLog
 from telenano_afm_controllers.nanonis_model import DEFLECTION
 
-from services.haptic_node.devices import wire
-from services.haptic_node.driver import DriveCommand
-from services.haptic_node.safety import MODE_OFF
+from telenano.devices.hand import wire
 from telenano.extend.testing import HOSTILITIES, HostileService, TakenReading, unseen
+from telenano.hand.driver import DriveCommand
+from telenano.hand.safety import MODE_OFF
 
 MS = 1_000_000
 BEGINS_MS, ENDS_MS = 300, 1200

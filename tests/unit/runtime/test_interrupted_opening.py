@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 OPENERS = {
-    "observer": "from services.runtime.wiring.observer import Observer; make = Observer",
+    "observer": "from telenano.runtime.wiring.observer import Observer; make = Observer",
     "messages of a page": "from services.viz_node.live import LiveSource; make = lambda book: LiveSource(book, 'rig')",
-    "messages of a recorder": "from services.recorder.live import LiveRecording; make = LiveRecording",
+    "messages of a recorder": "from telenano.console.live_recording import LiveRecording; make = LiveRecording",
     "console": """
 def make(book):
     with open_participant("console@master", book) as participant:
@@ -24,8 +24,8 @@ def make(book):
 # A process, because a context that waits for a socket cannot be interrupted.
 CODE = """
 import gc, sys
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.wiring.participant import open_participant
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.wiring.participant import open_participant
 
 folder, every = sys.argv[1], int(sys.argv[2])
 nodes = ("haptic_node@master", "afm_node@slave", "delay_node@master", "delay_node@slave", "controller@master",

@@ -6,17 +6,17 @@ import msgspec
 import pytest
 from test_runtime_node import MS, Journalled, Rig, journalled_rig
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop import journal
-from services.runtime.loop.node_state import is_whole, pack
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.runtime.loop import journal
 from telenano.wire import encode
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionEvent
+from telenano.wire.node_state import is_whole, pack
 
 
 class State(NamedTuple):

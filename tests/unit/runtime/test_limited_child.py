@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.runtime.untrusted.limited_child import Limits, limits_for, read_in_child
+from telenano.files.limited_child import Limits, limits_for, read_in_child
 
 READER = """
 import os, signal, sys, time

@@ -6,17 +6,17 @@ from typing import Any
 import pytest
 from test_runtime_node import MS, FakeBus, Rig
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.runtime.bus.bus import Received
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop.commands import STALL_NS
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
-from services.runtime.loop.realtime import RealtimeStatus
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.commands import STALL_NS
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import SUPERSEDED, SessionControl, SessionEvent
 from telenano.wire.sequence import Arrival
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.runtime.loop.loop_age import (
+from telenano.timing.loop_age import (
     STAGES,
     TOGETHER,
     WITH_JITTER,

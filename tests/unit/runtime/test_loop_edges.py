@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig, turns_of
 
-from services.runtime.loop.commands import stop_of
-from services.runtime.loop.journal import DEFERRED
-from services.runtime.loop.kept_stop import keep
-from services.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.commands import stop_of
+from telenano.runtime.loop.journal import DEFERRED
+from telenano.runtime.loop.kept_stop import keep
+from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.wire import encode
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionControl
@@ -129,7 +129,7 @@ def test_a_report_states_the_share_of_a_processor_since_the_last_one(monkeypatch
     begun_s = 7.0
     # The clock of processor time may step back, and no share is negative.
     used_s = iter((begun_s, begun_s + 0.1, begun_s + 0.25, begun_s + 0.2))
-    monkeypatch.setattr("services.runtime.loop.node_loop.time.process_time", lambda: next(used_s))
+    monkeypatch.setattr("telenano.runtime.loop.node_loop.time.process_time", lambda: next(used_s))
     rig = Rig(period_ns=MS)
     rig.run_until(1010 * MS)
     assert [report.cpu_percent for report in rig.health[1:]] == pytest.approx([30.0, 0.0])

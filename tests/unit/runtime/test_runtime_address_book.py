@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from services.runtime.bus.address_book import AddressBook, NodeEntry, is_relayed, may_carry
-from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.settings.config import read_yaml, validate
+from telenano.runtime.bus.address_book import AddressBook, NodeEntry, is_relayed, may_carry
+from telenano.runtime.bus.local_endpoint import runtime_directory
+from telenano.settings.config import read_yaml, validate
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.nodes import site_of

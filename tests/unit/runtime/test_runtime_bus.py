@@ -18,10 +18,10 @@ import pytest
 import zmq
 from wire_contract import examples
 
-from services.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
-from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
-from services.runtime.clock import SystemClock
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
+from telenano.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
+from telenano.timing.clock import SystemClock
 from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import AfmState, HapticState, SessionControl
@@ -537,8 +537,8 @@ def test_an_ipc_endpoint_in_use_names_its_holder(context: Context, endpoint: str
 
 HOLDER = """
 import sys, zmq
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.timing.clock import SystemClock
 holder = ZmqPublisher(zmq.Context(), SystemClock(), "afm_node@slave", sys.argv[1])
 print("holding", flush=True)
 sys.stdin.read()
@@ -743,8 +743,8 @@ def test_ten_seconds_of_the_busiest_publisher_wait_for_its_readers() -> None:
 
 READER = """
 import sys, time, zmq
-from services.runtime.bus.bus import Subscriber
-from services.runtime.clock import SystemClock
+from telenano.runtime.bus.bus import Subscriber
+from telenano.timing.clock import SystemClock
 reader = Subscriber(zmq.Context(), SystemClock(), {sys.argv[1]: ["clock/ping"]}, newest_only=True, queue_s=0.2)
 while True:
     reader.socket.poll(100)
@@ -803,8 +803,8 @@ def test_a_reader_that_stands_still_for_longer_than_the_queue_goes_on_with_the_n
 
 HELD_UP = """
 import os, signal, sys, time, zmq
-from services.runtime.bus.bus import Subscriber
-from services.runtime.clock import SystemClock
+from telenano.runtime.bus.bus import Subscriber
+from telenano.timing.clock import SystemClock
 endpoint, by_a_stop, late_s = sys.argv[1], sys.argv[2] == "stop", float(sys.argv[3])
 reader = Subscriber(zmq.Context(), SystemClock(), {endpoint: ["clock/ping"]}, newest_only=True, queue_s=0.2)
 print("begun", flush=True)

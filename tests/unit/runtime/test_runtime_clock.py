@@ -1,7 +1,7 @@
 import pytest
 
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from telenano.extend.testing import VirtualClock
+from telenano.timing.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from telenano.wire.errors import ConfigError
 
 

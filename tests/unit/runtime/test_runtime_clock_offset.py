@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from services.runtime.loop.clock_offset import Exchange, OffsetFilter
+from telenano.timing.clock_offset import Exchange, OffsetFilter
 
 
 def exchange(offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000) -> Exchange:

@@ -4,8 +4,8 @@ from typing import Any, Literal
 
 import pytest
 
-from services.runtime.loop.commands import Command, CommandClient, CommandHandler
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.loop.commands import Command, CommandClient, CommandHandler
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar, SessionControl, SessionEvent
 

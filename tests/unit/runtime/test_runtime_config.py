@@ -9,7 +9,7 @@ import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.runtime.settings.config import (
+from telenano.settings.config import (
     environment_overrides,
     flag_overrides,
     layered,
@@ -18,7 +18,7 @@ from services.runtime.settings.config import (
     read_yaml,
     validate,
 )
-from services.runtime.settings.scenario import Scenario
+from telenano.settings.scenario import Scenario
 from telenano.wire.errors import ConfigError
 
 

@@ -11,15 +11,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from network_bench import payload
 
-from services.runtime.datagram.agreement import REKEY_NS, Agreement
-from services.runtime.datagram.arrivals import SETTLE_NS, ArrivalRecord
-from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPORT, packed, parse, short_report
-from services.runtime.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
-from services.runtime.datagram.reception import FIRST_NS
-from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
-from services.runtime.datagram.sealing import HEADER, MOST_BYTES, OVERHEAD_BYTES, DirectionKeys, KeyPair, Opener, Sealer
-from services.runtime.datagram.touch import Touch
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.datagram.agreement import REKEY_NS, Agreement
+from telenano.runtime.datagram.arrivals import SETTLE_NS, ArrivalRecord
+from telenano.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPORT, packed, parse, short_report
+from telenano.runtime.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
+from telenano.runtime.datagram.reception import FIRST_NS
+from telenano.runtime.datagram.replay_window import WINDOW, ReplayWindow
+from telenano.runtime.datagram.sealing import (
+    HEADER,
+    MOST_BYTES,
+    OVERHEAD_BYTES,
+    DirectionKeys,
+    KeyPair,
+    Opener,
+    Sealer,
+)
+from telenano.runtime.datagram.touch import Touch
+from telenano.runtime.security.sealed import RejectedError
 
 KEYS = DirectionKeys(bytes(range(32)), b"abcd")
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
 from telenano.wire.messages import SessionEvent
 from telenano.wire.sequence import Arrival, SequenceTracker
 

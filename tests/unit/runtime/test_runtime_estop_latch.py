@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from stopped_devices import HAND, MS, TIP, World
 
-from services.runtime.clock import process_start_ns
-from services.runtime.loop.commands import stop_of
-from services.runtime.loop.estop_latch import EstopLatch, begins_motion
-from services.runtime.loop.kept_stop import forget, keep, kept
+from telenano.runtime.loop.commands import stop_of
+from telenano.runtime.loop.estop_latch import EstopLatch, begins_motion
+from telenano.runtime.loop.kept_stop import forget, keep, kept
+from telenano.timing.clock import process_start_ns
 from telenano.wire import encode
 from telenano.wire.messages import SessionControl
 

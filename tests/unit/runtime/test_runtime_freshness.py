@@ -2,8 +2,8 @@
 
 import pytest
 
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, Freshness, age_s
+from telenano.timing.clock import NEVER_NS
+from telenano.timing.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, Freshness, age_s
 from telenano.wire import TOPICS
 from telenano.wire.messages import LinkDelay
 from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of

@@ -7,11 +7,11 @@ import pytest
 from datagram_bench import Pair, Side, pair
 from fuzz_datagrams import CAUSES, Datagrams
 
-from services.runtime.datagram.arrivals import MOST_ROWS, SETTLE_NS, ArrivalRecord
-from services.runtime.datagram.body import BOUND, DATAGRAMS_OF, REPORT
-from services.runtime.datagram.end import DatagramEnd
-from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
-from services.runtime.loop.clock_offset import OffsetFilter
+from telenano.runtime.datagram.arrivals import MOST_ROWS, SETTLE_NS, ArrivalRecord
+from telenano.runtime.datagram.body import BOUND, DATAGRAMS_OF, REPORT
+from telenano.runtime.datagram.end import DatagramEnd
+from telenano.runtime.datagram.replay_window import WINDOW, ReplayWindow
+from telenano.timing.clock_offset import OffsetFilter
 
 # TELENANO_FUZZ_DATAGRAMS in the environment replaces it, for a longer search
 COUNT = int(os.environ.get("TELENANO_FUZZ_DATAGRAMS", 1500))

@@ -10,7 +10,7 @@ import msgpack
 import pytest
 import zmq
 
-from services.runtime.loop import healthcheck
+from telenano.runtime.loop import healthcheck
 
 NODE = "afm_node@slave"
 HEALTHY = {"src": NODE, "state": "running", "rate_hz": 1000.0, "uptime_s": 12.0}
@@ -143,7 +143,7 @@ def test_what_cannot_be_asked_is_reported(
 
 def test_it_imports_next_to_nothing() -> None:
     # it runs every few seconds beside the loops: models and arrays would cost it five times as much
-    code = "import sys, services.runtime.loop.healthcheck; print(*sys.modules)"
+    code = "import sys, telenano.runtime.loop.healthcheck; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert {"zmq", "msgpack"} <= loaded

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from line_bench import MS, Bottleneck, Jitter, even, normal, pareto, run, stalls
 
-from services.runtime.datagram.line import Line
-from services.runtime.datagram.outgoing import LEAST_HZ
-from services.runtime.datagram.rate import FULL_NS, Delivery, RateControl, Seen
-from services.runtime.loop.clock_offset import Exchange
+from telenano.runtime.datagram.line import Line
+from telenano.runtime.datagram.outgoing import LEAST_HZ
+from telenano.runtime.datagram.rate import FULL_NS, Delivery, RateControl, Seen
+from telenano.timing.clock_offset import Exchange
 
 MBIT = 125_000.0
 FIXED_NS = 20 * MS

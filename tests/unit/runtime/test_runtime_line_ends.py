@@ -11,10 +11,10 @@ from datagram_bench import Pair, pair
 from network_bench import payload
 from test_runtime_datagram import _Blocked
 
-from services.runtime.bus.address_book import LinkTransport
-from services.runtime.datagram import end
-from services.runtime.datagram.arrivals import ArrivalRecord
-from services.runtime.datagram.body import (
+from telenano.runtime.bus.address_book import LinkTransport
+from telenano.runtime.datagram import end
+from telenano.runtime.datagram.arrivals import ArrivalRecord
+from telenano.runtime.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
     DICTIONARY,
@@ -26,13 +26,13 @@ from services.runtime.datagram.body import (
     parse,
     short_report,
 )
-from services.runtime.datagram.incoming import Incoming
-from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS, Outgoing
-from services.runtime.datagram.rate import Mode
-from services.runtime.datagram.reception import DEADLINE_NS, SILENCE_NS
-from services.runtime.datagram.replay_window import ReplayWindow
-from services.runtime.loop.clock_offset import Exchange
-from services.runtime.security.sealed import RejectedError
+from telenano.runtime.datagram.incoming import Incoming
+from telenano.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS, Outgoing
+from telenano.runtime.datagram.rate import Mode
+from telenano.runtime.datagram.reception import DEADLINE_NS, SILENCE_NS
+from telenano.runtime.datagram.replay_window import ReplayWindow
+from telenano.runtime.security.sealed import RejectedError
+from telenano.timing.clock_offset import Exchange
 
 MS = 1_000_000
 REPORTED = REPORT.pack(1, 0, 0, 0, 0)

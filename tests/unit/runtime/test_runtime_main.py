@@ -16,11 +16,11 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 import services
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.bus import Received
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.security.keyring import Keyring
-from services.runtime.wiring.main import EXIT_BAD_START, NodeKind, node_kind, ordinary, parse_arguments, run_node
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.wiring.main import EXIT_BAD_START, NodeKind, node_kind, ordinary, parse_arguments, run_node
 from telenano.wire.errors import ConfigError
 
 SCENARIO = """

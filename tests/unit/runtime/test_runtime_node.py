@@ -15,15 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.clock import NEVER_NS
-from services.runtime.loop import journal
-from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
-from services.runtime.loop.node_loop import NodeLoop, install_stop_signals
-from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.loop import journal
+from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
+from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
+from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.timing.clock import NEVER_NS
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.ends import read_end
 from telenano.wire.errors import ConfigError, RefusedError
@@ -377,7 +377,7 @@ def test_a_batch_of_the_journal_begins_where_no_task_of_the_node_waits(monkeypat
     rig.run_until(590 * MS)
     assert waiting == [False]
     # one that is full does not wait for a gap
-    monkeypatch.setattr("services.runtime.loop.journal._BATCH", 20)
+    monkeypatch.setattr("telenano.runtime.loop.journal._BATCH", 20)
     journals = len(rig.bus.of(NodeJournal))
     rig.node.defer(rig.node.carried_out.clear)
     rig.loop.turn()

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.controller.law import HandSample
-from services.runtime.loop.node_state import FindInput, Part, is_whole, pack, part, restore
+from telenano.laws.law import HandSample
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import HapticCommand
+from telenano.wire.node_state import FindInput, Part, is_whole, pack, part, restore
 
 COMMAND = HapticCommand(
     seq=3, t_ns=4, src="a@b", v=1, mode="off", position_m=(0.0, -0.0, 1e-300), velocity_m_per_s=(0.0, 0.0, 0.0),
@@ -154,7 +154,7 @@ SOURCE = """
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 import msgspec
-from services.runtime.loop.node_state import Part, part
+from telenano.wire.node_state import Part, part
 
 class Account(msgspec.Struct, array_like=True):
     joules: float = 0.0

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from services.runtime.wiring.observer import Observer, known_name
 from telenano.recording.tables import json_fields
+from telenano.runtime.wiring.observer import Observer, known_name
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import AfmScanline, Array
 

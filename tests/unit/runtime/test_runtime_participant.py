@@ -11,12 +11,12 @@ from typing import Any, ClassVar
 import pytest
 import zmq
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Received
-from services.runtime.bus.publisher import NullPublisher
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.wiring.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Received
+from telenano.runtime.bus.publisher import NullPublisher
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
 from telenano.wire.errors import ConfigError, EndpointError
 
 HAND, LINK = "haptic_node@master", "delay_node@master"

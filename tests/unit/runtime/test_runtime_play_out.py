@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from datagram_bench import STEP_NS, pair
 
-from services.runtime.datagram.play_out import PlayOut
+from telenano.timing.play_out import PlayOut
 
 MS = 1_000_000
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from services.runtime.loop import realtime
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import (
+from telenano.runtime.loop import realtime
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.realtime import (
     apply_realtime,
     freeze_garbage,
     lower_thread,
@@ -26,8 +26,8 @@ from services.runtime.loop.realtime import (
     processor_of,
     shallow_idle,
 )
-from services.runtime.settings.scenario import RealtimeConfig
-from services.signals.children import die_with_parent
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals.children import die_with_parent
 from telenano.wire.errors import ConfigError
 
 PR_GET_PDEATHSIG, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 2, 1, 29, 30
@@ -338,7 +338,7 @@ def test_every_key_is_described() -> None:
 
 _IN_A_PROCESS_OF_ITS_OWN = """
 import ctypes, mmap, sys
-from services.runtime.loop.realtime import use_huge_pages
+from telenano.runtime.loop.realtime import use_huge_pages
 size = 8 << 20
 full, sparse = (mmap.mmap(-1, 2 * size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(2))
 full.write(bytes(range(256)) * (2 * size // 256))

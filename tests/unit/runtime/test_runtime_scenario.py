@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.runtime.settings.scenario import RealtimeConfig, Scenario, load_scenario
+from telenano.settings.scenario import RealtimeConfig, Scenario, load_scenario
 from telenano.wire.errors import ConfigError
 
 GOOD = """

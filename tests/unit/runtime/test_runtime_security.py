@@ -9,9 +9,9 @@ import yaml
 import zmq
 from zmq.utils import z85
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.security.access_control import AccessControl, relay_key
-from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.security.access_control import AccessControl, relay_key
+from telenano.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
 from telenano.wire.errors import ConfigError, RigError
 
 

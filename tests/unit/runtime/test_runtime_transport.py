@@ -29,17 +29,17 @@ from network_bench import (
     until,
 )
 
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Subscriber, ZmqBus
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
-from services.runtime.security.keyring import Keyring
-from services.runtime.security.peer_connections import MessagePermissions
-from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
-from services.runtime.wiring import transport
-from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Subscriber, ZmqBus
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.security import peer_connections, socket_monitor, zap_authenticator
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.security.peer_connections import MessagePermissions
+from telenano.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
+from telenano.runtime.wiring import transport
+from telenano.runtime.wiring.transport import Transport
+from telenano.timing.clock import SystemClock
 from telenano.wire import WireError
 from telenano.wire.errors import ConfigError, EndpointError
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import yaml
 
-from services.signals import children
-from telenano import presets
+from telenano import settings as presets
+from telenano.signals import children
 
 SCHEMA = json.loads((Path(presets.__file__).parent / "schemas" / "scenario.json").read_text())
 # What a key needs beside it, so that it is looked at.
@@ -26,12 +26,12 @@ TRIAL = """
 import ctypes, json, sys
 from pathlib import Path
 from telenano.wire.errors import TelenanoError
-from services.afm_node.config import AfmConfig
-from services.delay_node.config import LinkSettings
-from services.delay_node.pipeline import read_files
-from services.haptic_node.config import HapticConfig
-from services.launcher.plan import UpRequest, make_plan
-from services.runtime.settings.scenario import load_scenario
+from telenano.afm.config import AfmConfig
+from telenano.link.config import LinkSettings
+from telenano.link.pipeline import read_files
+from telenano.hand.config import HapticConfig
+from telenano.launcher.plan import UpRequest, make_plan
+from telenano.settings.scenario import load_scenario
 
 now, ran, refused = [""], set(), set()
 

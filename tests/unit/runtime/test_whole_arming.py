@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from services.afm_node import safety
-from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop.commands import CommandHandler
-from services.runtime.settings.config import validate
+from telenano.afm import safety
+from telenano.afm.config import AfmConfig
+from telenano.afm.sim import simulated_afm
+from telenano.hand.config import HapticConfig
+from telenano.hand.sim import SimulatedHaptic
+from telenano.runtime.loop.commands import CommandHandler
+from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
 CURVE = {"program": "curve", "curve": {"load_n": 5e-9}}

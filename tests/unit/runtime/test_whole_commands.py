@@ -7,7 +7,7 @@ from typing import Any
 import fuzzed_nodes
 import pytest
 
-from services.runtime.loop.node import Node
+from telenano.runtime.loop.node import Node
 from telenano.wire import TOPICS
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Scalar

@@ -10,9 +10,9 @@ import pytest
 import zmq
 from network_bench import AFM, CONTROLLER, PATIENCE_S, Machine, two_machine_book, until
 
-from services.runtime.security import zap_authenticator
-from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
-from services.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
+from telenano.runtime.security import zap_authenticator
+from telenano.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
+from telenano.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
 
 
 @pytest.fixture

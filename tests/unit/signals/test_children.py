@@ -15,21 +15,21 @@ import pytest
 from telenano_experiments.apparatus.rig_process import RigError, RigProcess
 from telenano_networks import measured_lines
 
-from services.haptic_node.devices.servo_process import ProcessLink
-from services.haptic_node.driver import DeviceError
-from services.launcher.child_session import run_session
-from services.launcher.fan_out import fan_out
-from services.launcher.processes import NodeProcesses
-from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
-from services.runtime.untrusted.limited_child import read_in_child
-from services.signals import children
 from telenano.cli.commands.node import node as run_node
+from telenano.devices.hand.servo_process import ProcessLink
+from telenano.files.limited_child import read_in_child
+from telenano.hand.driver import DeviceError
+from telenano.launcher.child_session import run_session
+from telenano.launcher.fan_out import fan_out
+from telenano.launcher.processes import NodeProcesses
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from telenano.signals import children
 
 ROOT = Path(__file__).parents[3]
 # Tests start programs as users do. The page is built where the project is not installed.
 APART = (
     "tests/",
-    "services/signals/children.py",
+    "telenano/signals/children.py",
     "services/viz_node/build_page.py",
 )
 STARTS = {
@@ -114,7 +114,7 @@ def test_a_start_of_a_process_is_seen(text: str) -> None:
 
 def test_one_function_starts_every_process() -> None:
     found = {f"{path.relative_to(ROOT)}:{line}" for path in sources() for line in starts_in(path.read_text())}
-    assert not found, f"start it by services.signals.children: {sorted(found)}"
+    assert not found, f"start it by telenano.signals.children: {sorted(found)}"
 
 
 def test_shells_images_and_units_start_python_with_a_safe_path() -> None:
@@ -286,12 +286,12 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
-    "services/haptic_node/devices/servo_process.py": (by_servo,),
-    "services/launcher/child_session.py": (by_child_session,),
-    "services/launcher/fan_out.py": (by_fan_out,),
-    "services/launcher/processes.py": (by_launcher,),
-    "services/recorder/provenance.py": "git",
-    "services/runtime/untrusted/limited_child.py": (by_reader, by_watched_reader),
+    "telenano/devices/hand/servo_process.py": (by_servo,),
+    "telenano/launcher/child_session.py": (by_child_session,),
+    "telenano/launcher/fan_out.py": (by_fan_out,),
+    "telenano/launcher/processes.py": (by_launcher,),
+    "telenano/recording/provenance.py": "git",
+    "telenano/files/limited_child.py": (by_reader, by_watched_reader),
     "telenano/cli/commands/node.py": (by_node_command,),
     "telenano/doctor/checks.py": "Python with -I",
 }
@@ -316,7 +316,7 @@ def test_what_a_start_runs_imports_nothing_of_the_folder(
 
 
 def test_a_process_takes_the_place_of_this_one_with_a_safe_path() -> None:
-    code = f"import sys; from services.signals import children; children.become([sys.executable, '-c', {SHOWS_PATH!r}])"
+    code = f"import sys; from telenano.signals import children; children.become([sys.executable, '-c', {SHOWS_PATH!r}])"
     assert children.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split()[1:] == [
         "1",
         "True",

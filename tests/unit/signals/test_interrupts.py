@@ -9,11 +9,11 @@ import pytest
 # compiled code that returns named tuples, called again and again while signals arrive at random times
 _COMPUTES = """
 import os, random, signal, sys, threading, time
-from services.signals import interrupts
+from telenano.signals import interrupts
 {prepare}
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
-from services.numerics.compiled import compiled
+from telenano.afm.config import AfmConfig
+from telenano.afm.dynamic import NO_NOISE, advance, steady_state
+from telenano.numerics.compiled import compiled
 
 plant = AfmConfig().to_dynamic()
 state = steady_state(plant, -1e-6, 0.0)
@@ -60,7 +60,7 @@ def test_a_signal_within_compiled_code_is_raised_after_it(prepare: str, name: st
 def test_an_interruption_that_a_destructor_would_swallow_is_raised_again() -> None:
     done = run("""
 import os, signal, time
-from services.signals import interrupts
+from telenano.signals import interrupts
 
 class Ends:
     def __del__(self):
@@ -80,7 +80,7 @@ except KeyboardInterrupt:
 def test_a_signal_is_kept_until_the_end_of_what_must_be_done_as_a_whole() -> None:
     done = run("""
 import os, signal
-from services.signals import interrupts
+from telenano.signals import interrupts
 
 interrupts.install()
 try:
@@ -97,7 +97,7 @@ except KeyboardInterrupt:
 def test_a_signal_while_results_are_written_is_kept_and_a_second_one_gives_up() -> None:
     done = run("""
 import os, signal
-from services.signals import interrupts
+from telenano.signals import interrupts
 
 interrupts.install()
 with interrupts.finishing() as finish:
@@ -125,7 +125,7 @@ except KeyboardInterrupt:
 def test_a_signal_that_is_ignored_stays_so_and_a_handler_of_somebody_else_too() -> None:
     done = run("""
 import signal
-from services.signals import interrupts
+from telenano.signals import interrupts
 
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 interrupts.install()

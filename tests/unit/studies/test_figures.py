@@ -17,8 +17,8 @@ from telenano_studies.pages.stability_page import _edges, _up_to
 from telenano_studies.push_command import push_figure
 from typer.testing import CliRunner
 
-from services.controller.config import OWN_LAWS as ALL_LAWS
 from telenano.cli.root import app
+from telenano.laws.config import OWN_LAWS as ALL_LAWS
 
 
 def test_a_fault_in_a_layout_is_found() -> None:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.driver import DriveCommand, SpatialCommand
-from services.haptic_node.physics.coupled import coupled_plant_step, initial_coupled
-from services.numerics.compiled import compiled_form
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupled import coupled_plant_step, initial_coupled
+from telenano.hand.driver import DriveCommand, SpatialCommand
 from telenano.lockstep.simulation import simulate_scenario
+from telenano.numerics.compiled import compiled_form
 
 DEVICE = {"haptic_node.driver": "simulated_impedance", "haptic_node.coupling.rest_s": 0.05}
 # F_m over alpha_f F_s at rest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
-from services.delay_node.config import parse_settings
+from telenano.link.config import parse_settings
 from telenano.lockstep import link
 from telenano.lockstep.link import schedule_of
 from telenano.wire.errors import ConfigError

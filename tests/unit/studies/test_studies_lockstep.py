@@ -7,12 +7,12 @@ import pytest
 from telenano_studies.loops.cells import Cell, course_of, rig_of, trajectory_of
 from telenano_studies.loops.links import symmetric_link
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics import step as afm
-from services.afm_node.safety import MODE_FOLLOW
-from services.controller.config import OWN_LAWS as LAWS
-from services.controller.law import NO_SIGNAL, HandSample
-from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
+from telenano.afm import step as afm
+from telenano.afm.config import AfmConfig
+from telenano.afm.safety import MODE_FOLLOW
+from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.law import NO_SIGNAL, HandSample
+from telenano.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.lockstep import lockstep
 from telenano.lockstep.link import schedule_of
 

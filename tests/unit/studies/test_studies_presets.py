@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 import telenano
-from services.controller.config import OWN_LAWS
+from telenano.laws.config import OWN_LAWS
 from telenano.lockstep.simulation import SimulatedSession
-from telenano.presets import SCENARIO_DIRECTORY
+from telenano.settings import SCENARIO_DIRECTORY
 from telenano.wire.errors import ConfigError, RigError
 
 LAWS = tuple(OWN_LAWS)

@@ -12,14 +12,14 @@ from telenano_afm_controllers import gwyscope_model, nanonis_model
 from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
-from services.afm_node import config as afm
-from services.afm_node.instrument import calibration_of_file
-from services.afm_node.physics.sample.surface_files import read_surface
-from services.launcher.plan import Plan, UpRequest, make_plan
-from services.runtime.settings.config import validate
+from telenano.afm import config as afm
+from telenano.afm.sample.surface_files import read_surface
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
-from telenano.presets import plugins
+from telenano.devices.afm.instrument import calibration_of_file
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.settings import plugins
+from telenano.settings.config import validate
 from telenano.wire import extras
 from telenano.wire.errors import ConfigError
 
@@ -30,7 +30,7 @@ NAMED = ("afm_node.driver=gwyscope", "afm_node.gwyscope={calibration: gwyscope.y
 IMPORTED = """
 import json, sys
 from telenano.wire.nodes import SERVICES
-from services.runtime.wiring.main import node_kind
+from telenano.runtime.wiring.main import node_kind
 for name in SERVICES:
     node_kind(name).config()
 import telenano.cli.root, telenano.cli.commands.up
@@ -63,7 +63,7 @@ def told(package: str) -> str:
 @pytest.fixture
 def bare(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let no package be installed."""
-    for module in ("telenano.presets.plugins", "services.runtime.settings.device_drivers"):
+    for module in ("telenano.settings.plugins", "telenano.settings.device_drivers"):
         monkeypatch.setattr(f"{module}.installed", lambda kind: {})
     monkeypatch.setattr(afm.DRIVERS, "_asked", {})
     yield
@@ -82,7 +82,7 @@ def test_no_node_imports_a_package_that_its_section_does_not_name() -> None:
 
 def test_a_session_is_reported_with_what_its_image_and_the_demo_have(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[3]
-    words = (root / "deploy/locks/rig.lock", root / "telenano/presets/demo.mcap", tmp_path)
+    words = (root / "deploy/locks/rig.lock", root / "telenano/settings/demo.mcap", tmp_path)
     done = subprocess.run([sys.executable, "-c", REPORTED, *map(str, words)], capture_output=True, text=True)
     assert (done.stdout.strip(), done.stderr) == ("stable", "")
     assert (tmp_path / "fig12.png").exists()

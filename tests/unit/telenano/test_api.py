@@ -17,8 +17,8 @@ from recorder_samples import sample
 from telenano_studies.repetitions import share, statistic
 
 import telenano
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.timing.clock import SystemClock
 from telenano.wire.errors import ConfigError, RecordingError, RigError
 
 

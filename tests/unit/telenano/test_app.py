@@ -9,12 +9,12 @@ import command_page
 import pytest
 from typer.testing import CliRunner
 
-from services.runtime.wiring.main import node_kind, parse_arguments, run_node
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app
-from telenano.presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
-from telenano.presets.known_packages import KNOWN_PACKAGES
+from telenano.runtime.wiring.main import node_kind, parse_arguments, run_node
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import RigError
 
 RUNNER = CliRunner()
@@ -24,7 +24,7 @@ RUNNER = CliRunner()
 def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
     # The rigs of others on this machine may hold its processors, which is said on the terminal.
-    monkeypatch.setattr("services.launcher.processors._SHARED", tmp_path)
+    monkeypatch.setattr("telenano.launcher.processors._SHARED", tmp_path)
 
 
 def run(*arguments: str) -> tuple[int, str, str]:

@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
+from services.player.command import replay
+from services.recorder.command import record
 from telenano.cli.commands.bag import app
-from telenano.cli.commands.record import record
-from telenano.cli.commands.replay import replay
 from telenano.cli.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
 from telenano.cli.tables import summary_tables
 from telenano.recording.reader import Recording

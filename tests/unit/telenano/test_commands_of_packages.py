@@ -11,16 +11,16 @@ import pytest
 from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
-from services.afm_node.physics.sample.surface_files import read_surface
-from services.recorder.provenance import plugin_facts
+from telenano.afm.sample.surface_files import read_surface
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
 from telenano.doctor.report import checks_of_packages
 from telenano.extend.exports import write_recording
 from telenano.extend.images import Image, write_images
 from telenano.extend.messages import example, recorded
-from telenano.presets import plugins
 from telenano.recording.export import export_recording
+from telenano.recording.provenance import plugin_facts
+from telenano.settings import plugins
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
 

@@ -66,7 +66,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 import yaml
 from typer.testing import CliRunner
-from services.launcher.plan import UpRequest, make_plan
+from telenano.launcher.plan import UpRequest, make_plan
 from telenano.wire.errors import ConfigError
 from telenano.cli.root import app
 from telenano.doctor.devices import check_instrument

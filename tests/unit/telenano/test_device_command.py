@@ -6,7 +6,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from services.afm_node.config import AfmConfig
+from telenano.afm.config import AfmConfig
 from telenano.cli import root
 from telenano.cli.commands.device_files import section_of
 

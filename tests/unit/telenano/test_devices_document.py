@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from services.afm_node.config import AfmConfig
-from services.haptic_node.config import HapticConfig
-from services.runtime.settings.scenario import load_scenario
+from telenano.afm.config import AfmConfig
+from telenano.hand.config import HapticConfig
+from telenano.settings.scenario import load_scenario
 
 ROOT = Path(__file__).parents[3]
 

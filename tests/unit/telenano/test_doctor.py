@@ -13,14 +13,14 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from services.controller.config import KNOWN_LAWS
-from services.runtime.bus.address_book import AddressBook, NodeEntry
-from services.runtime.security.keyring import Keyring
 from telenano.cli.root import app
 from telenano.doctor import checks
 from telenano.doctor import report as doctor
 from telenano.doctor.checks import Endpoint, Finding, KernelClock
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.laws.config import KNOWN_LAWS
+from telenano.runtime.bus.address_book import AddressBook, NodeEntry
+from telenano.runtime.security.keyring import Keyring
+from telenano.settings import DEFAULT_SITE_FILE
 
 REQUIRES = [
     "msgpack>=1.1",

@@ -10,15 +10,15 @@ import pytest
 from documented_lines import RULES, differing, lines, makes, pictures, rule_of, runner_of
 from typer.testing import CliRunner
 
-from services.afm_node.programs.settings import requested
-from services.console.command_client import parse_parameters
-from services.delay_node.config import LinkSettings, profile_changes
-from services.delay_node.profiles import PROFILES
-from services.launcher.plan import Plan, UpRequest, make_plan
-from services.runtime.wiring.observer import known_name
+from telenano.afm.programs.settings import requested
 from telenano.cli.lazy_commands import load
 from telenano.cli.model_options import validated
 from telenano.cli.root import app
+from telenano.console.command_client import parse_parameters
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.link.config import LinkSettings, profile_changes
+from telenano.link.profiles import PROFILES
+from telenano.runtime.wiring.observer import known_name
 
 ROOT = Path(__file__).parents[3]
 # what a page runs the command by, besides its own name
@@ -109,7 +109,7 @@ def test_a_documented_command_is_one_that_there_is(
     page: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the map of a page is made by the line before
-    monkeypatch.setattr("services.launcher.plan.read_map", lambda path: None)
+    monkeypatch.setattr("telenano.launcher.plan.read_map", lambda path: None)
     context = context_of(arguments)
     options, path = context.params, context.command_path
     if path == "up":

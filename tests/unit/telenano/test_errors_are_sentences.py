@@ -247,7 +247,7 @@ def test_a_group_by_itself_shows_its_help(group: tuple[str, ...]) -> None:
 
 
 def test_a_node_is_told_what_is_missing_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    from services.runtime.wiring.main import parse_arguments
+    from telenano.runtime.wiring.main import parse_arguments
 
     for arguments, said in (
         ([], "the following arguments are required: --scenario"),

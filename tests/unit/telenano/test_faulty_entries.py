@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from telenano.cli.new_package import new_package
-from telenano.presets.plugins import KINDS
+from telenano.settings.plugins import KINDS
 
 pytestmark = pytest.mark.check("one process loads every entry of every kind and runs the doctor")
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import pytest
 from interruptions import Ended, as_at_a_terminal, environment, files_below, interrupted
 
-from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.afm.sample.surface_files import read_surface
 from telenano.cli.exit_codes import EXIT_INTERRUPTED, EXIT_TERMINATED
 
 CODES = {signal.SIGINT: EXIT_INTERRUPTED, signal.SIGTERM: EXIT_TERMINATED}

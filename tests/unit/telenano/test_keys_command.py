@@ -10,8 +10,8 @@ import zmq
 from typer.testing import CliRunner
 from zmq.utils import z85
 
-from services.runtime.security.keyring import Keyring, utc_today
 from telenano.cli.commands.keys import app
+from telenano.runtime.security.keyring import Keyring, utc_today
 
 RUNNER = CliRunner()
 # the same at each collection: they stand in the names of tests, which two workers must agree on

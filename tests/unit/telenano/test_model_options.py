@@ -6,9 +6,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from services.afm_node.programs.curve import CurveSettings
-from services.afm_node.programs.scan import ScanSettings
-from services.afm_node.programs.table import OWN_PROGRAMS
+from telenano.afm.programs.curve import CurveSettings
+from telenano.afm.programs.scan import ScanSettings
+from telenano.afm.programs.table import OWN_PROGRAMS
 from telenano.cli.model_options import GIVEN, options_of, validated, with_options
 from telenano.wire.errors import ConfigError
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.loop import realtime
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import RealtimeStatus, apply_realtime
-from services.runtime.settings.scenario import RealtimeConfig
-from services.signals import children
+from telenano.runtime.loop import realtime
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.realtime import RealtimeStatus, apply_realtime
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals import children
 from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
@@ -39,7 +39,7 @@ import json, pathlib, telenano
 session = telenano.open(sys.argv[1])
 tip = session.table("afm/state")
 from telenano_studies.comparison import compare, compare_figure, rows_of
-from services.viz_node.figure_style import FigureOptions, drawn
+from telenano.analysis.figure_style import FigureOptions, drawn
 found = compare([pathlib.Path(sys.argv[1])] * 2)
 files = drawn(compare_figure(found), "compare", FigureOptions(("svg",), "paper"))
 print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdict"], "law": rows_of(found)[0]["law"],

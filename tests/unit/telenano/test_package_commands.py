@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 import pytest
 
-from services.afm_node.physics.part import AfmSample
+from telenano.afm.part import AfmSample
 from telenano.cli.new_package import Kind, new_package
 from telenano.wire.errors import ConfigError
 
@@ -32,16 +32,16 @@ import json
 from types import SimpleNamespace
 import numpy as np
 from pydantic import ValidationError
-from services.afm_node.instrument import driver_of
-from services.afm_node.config import AfmConfig
-from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
-from services.controller.law import HandSample
-from services.controller.law_rules import broken_rules
+from telenano.devices.afm.instrument import driver_of
+from telenano.afm.config import AfmConfig
+from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.law import HandSample
+from telenano.laws.law_rules import broken_rules
 from services.haptic_node.__main__ import _device
-from services.haptic_node.config import HapticConfig
+from telenano.hand.config import HapticConfig
 from msgspec import msgpack
-from services.haptic_node.driver import DriveCommand
-from services.runtime.loop.node_state import Part, part
+from telenano.hand.driver import DriveCommand
+from telenano.wire.node_state import Part, part
 
 import sys
 
@@ -84,7 +84,7 @@ own.open()
 found["own_instrument_n"] = own.exchange(5e-9).force_n
 own.close()
 
-from services.launcher.scenario_keys import scenario_schema
+from telenano.launcher.scenario_keys import scenario_schema
 
 NAMES = ("stub_handle", "stub_afm")
 parts = [scenario_schema()["properties"][node]["properties"] for node in ("haptic_node", "afm_node")]
@@ -94,7 +94,7 @@ found["sections"] = [
 
 found["messages"] = []
 from telenano.wire.errors import ConfigError
-from services.runtime.settings.config import validate
+from telenano.settings.config import validate
 for model, document in (
     (AfmConfig, {"stub_handle": {}}),
     (AfmConfig, {"driver": "stub_handle"}),

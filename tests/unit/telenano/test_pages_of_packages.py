@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from telenano.cli.lazy_commands import load_row, package_commands
 from telenano.cli.root import app
-from telenano.presets import plugins
+from telenano.settings import plugins
 
 PACKAGES = Path(__file__).parents[3] / "packages"
 FOLDERS = {row.target.partition(".")[0]: row.package for row in plugins.installed("commands").values()}

@@ -22,10 +22,10 @@ import pytest
 from telenano.extend.testing import NodeBench as Bench
 from test_afm_programs import Imager
 from telenano.wire.errors import ConfigError, RefusedError
-from services.afm_node.config import AfmConfig
-from services.console.command_client import parse_parameters
-from services.runtime.loop.node_state import pack, restore
-from services.runtime.settings.config import validate
+from telenano.afm.config import AfmConfig
+from telenano.console.command_client import parse_parameters
+from telenano.wire.node_state import pack, restore
+from telenano.settings.config import validate
 from services.viz_node.commander import forms
 
 RIG = {"cantilever": {"stiffness_n_per_m": 1.0}}

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from services.afm_node import config as afm
-from services.afm_node.physics.sample_models import checked_sample
-from services.controller import config as controller
-from services.haptic_node import config as haptic
-from services.runtime.settings.device_drivers import Drivers
+from telenano.afm import config as afm
+from telenano.afm.sample_models import checked_sample
 from telenano.cli.new_package import new_package
-from telenano.presets import plugins
-from telenano.presets.plugins import Plugin
+from telenano.hand import config as haptic
+from telenano.laws import config as controller
+from telenano.settings import plugins
+from telenano.settings.device_drivers import Drivers
+from telenano.settings.plugins import Plugin
 from telenano.wire.errors import ConfigError
 
 MODELS = (

@@ -13,12 +13,12 @@ import yaml
 from rig_graph import edges
 from typer.testing import CliRunner
 
-from services.launcher.plan import UpRequest, make_plan
-from services.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
-from services.runtime.settings.config import read_yaml
 from telenano.cli import completion
 from telenano.cli.root import app
-from telenano.presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
+from telenano.launcher.plan import UpRequest, make_plan
+from telenano.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
+from telenano.settings import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
+from telenano.settings.config import read_yaml
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import SERVICES
 
@@ -35,8 +35,8 @@ def core() -> dict[str, Any]:
     """Return what an installation without packages has: the schema of a scenario, its page, and no entries."""
     program = """
 import json, scenario_page
-from telenano.presets.plugins import all_installed
-from services.launcher.scenario_keys import scenario_schema
+from telenano.settings.plugins import all_installed
+from telenano.launcher.scenario_keys import scenario_schema
 found = {"schema": scenario_schema(), "page": scenario_page.page(), "installed": all_installed()}
 print(json.dumps(found))
 """
@@ -194,7 +194,7 @@ def test_the_shell_completes_keys_of_a_scenario_and_their_values() -> None:
 def test_names_of_laws_are_completed_without_importing_one() -> None:
     code = (
         "import sys; from telenano.cli.completion import law_names; law_names('');"
-        "print([m for m in ('numpy', 'numba', 'pydantic', 'services.controller.law') if m in sys.modules])"
+        "print([m for m in ('numpy', 'numba', 'pydantic', 'telenano.laws.law') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "[]\n"

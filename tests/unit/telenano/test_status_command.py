@@ -8,7 +8,10 @@ import pytest
 import zmq
 from typer.testing import CliRunner
 
-from services.launcher.rig_status import (
+from telenano.cli.commands import status
+from telenano.cli.root import app
+from telenano.cli.tables import health_cells
+from telenano.launcher.rig_status import (
     NEEDED,
     RigStatus,
     document_of,
@@ -17,16 +20,13 @@ from services.launcher.rig_status import (
     problems_of,
     stalled_inputs,
 )
-from services.launcher.rigs import RigFacts
-from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
-from services.runtime.wiring.observer import ObservedMessage, Observer
-from telenano.cli.commands import status
-from telenano.cli.root import app
-from telenano.cli.tables import health_cells
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.launcher.rigs import RigFacts
+from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.wiring.observer import ObservedMessage, Observer
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 from telenano.wire.messages import InputHealth, Message, NodeHealth

@@ -10,9 +10,9 @@ import damaged_files as files
 import pytest
 from rich.console import Console
 
-from services.runtime.untrusted.printable import printable
 from telenano.cli import output, terminal
 from telenano.cli.tables import rows_table
+from telenano.files.printable import printable
 
 ROOT = Path(__file__).parents[3]
 # sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction

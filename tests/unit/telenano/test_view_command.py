@@ -18,14 +18,14 @@ import pytest
 import typer
 import zmq
 
-from services.console.emergency_stop import LocalRig
-from services.runtime.bus.local_endpoint import estop_endpoint
-from services.runtime.loop.healthcheck import endpoint_of, receive_health
+from services.viz_node.command import _serve_again, view
 from services.viz_node.commander import RigCommander, forms
 from services.viz_node.requests import PROTOCOL
-from services.viz_node.serve import Tls, announced, bind, check_exposure, page_folder
-from telenano.cli.commands.view import _serve_again, view
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.emergency_stop import LocalRig
+from telenano.runtime.bus.local_endpoint import estop_endpoint
+from telenano.runtime.loop.healthcheck import endpoint_of, receive_health
+from telenano.serving.serve import Tls, announced, bind, check_exposure, page_folder
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, RecordingError, TelenanoError
 from telenano.wire.nodes import DEVICES, PAGE
 

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from recorder_samples import sample
 
-from services.console.command_client import send_control
-from services.runtime.bus.address_book import load_site
-from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.commands import Command
-from services.runtime.wiring.observer import Observer
-from services.runtime.wiring.participant import open_participant
-from services.viz_node.access import Role
 from services.viz_node.commander import RigHand
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_session import Session
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.command_client import send_control
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.loop.commands import Command
+from telenano.runtime.wiring.observer import Observer
+from telenano.runtime.wiring.participant import open_participant
+from telenano.serving.access import Role
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import RigError, TelenanoError
 from telenano.wire.messages import Array
 from telenano.wire.nodes import TIP

@@ -10,8 +10,8 @@ import pytest
 from figure_layout import arrows, faults
 from matplotlib.text import Text
 
-from services.viz_node.fig12 import SessionSeries, TipStates, draw_fig12, retracting
-from services.viz_node.figure_style import figure_options, styled
+from telenano.analysis.fig12 import SessionSeries, TipStates, draw_fig12, retracting
+from telenano.analysis.figure_style import figure_options, styled
 from telenano.analysis.report import read_session
 from telenano.recording.multi_file import open_recordings
 

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from services.viz_node.fig12 import SessionSeries, draw_fig12, fig12_files
-from services.viz_node.figure_style import COLUMN_IN, VERDICTS, drawn, figure_options
+from telenano.analysis.fig12 import SessionSeries, draw_fig12, fig12_files
+from telenano.analysis.figure_style import COLUMN_IN, VERDICTS, drawn, figure_options
 from telenano.analysis.verdict import KINDS
 from telenano.wire.errors import ConfigError
 

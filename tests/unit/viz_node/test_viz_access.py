@@ -1,6 +1,6 @@
 import pytest
 
-from services.viz_node.access import Access, Role, is_loopback
+from telenano.serving.access import Access, Role, is_loopback
 from telenano.wire.errors import ConfigError
 
 OPERATOR, OBSERVER = "o" * 20, "p" * 20

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.console.lease import ASKED_NS, VANISHED_NS, Lease, act, take
-from services.viz_node.access import Role
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.page_session import Session
-from services.viz_node.people import Person
 from services.viz_node.requests import LeaseRequest
+from telenano.console.lease import ASKED_NS, VANISHED_NS, Lease, act, take
+from telenano.serving.access import Role
+from telenano.serving.people import Person
 from telenano.wire.errors import RefusedError
 
 TICK_NS, HERE_NS, WAY_NS = 33_000_000, 250_000_000, 40_000_000

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from services.runtime.loop.loop_age import Part
 from services.viz_node.metrics import NODE_METRICS, metrics_text
+from telenano.timing.loop_age import Part
 
 SAMPLE = re.compile(r'^([a-z_0-9]+)\{((?:[a-z]+="(?:[^"\\\n]|\\.)*",?)+)\} (-?[0-9.e+-]+|nan|inf)$')
 NODES = {

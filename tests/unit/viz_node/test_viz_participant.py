@@ -23,13 +23,13 @@ from wire_contract import examples
 
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.access import Access
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
 from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
+from telenano.serving.access import Access
 from telenano.wire import TOPICS
 from telenano.wire.experiment_messages import Question
 from telenano.wire.messages import Array, Message
@@ -361,7 +361,7 @@ def test_a_shorter_delay_shows_what_was_held_and_in_order() -> None:
 
 
 def test_a_participant_has_a_token_of_its_own() -> None:
-    from services.viz_node.access import Role
+    from telenano.serving.access import Role
     from telenano.wire.errors import ConfigError
 
     access = Access.made(participant="q" * 20)

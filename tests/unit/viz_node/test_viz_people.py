@@ -16,15 +16,15 @@ from starlette.websockets import WebSocketDisconnect
 from test_viz_server import ACCESS, Page, Rig, command, until
 from typer.testing import CliRunner
 
-from services.runtime.loop.loop_age import Part
+from services.viz_node import command as view_command
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.access import Role
 from services.viz_node.feed import Seen
 from services.viz_node.metrics import metrics_text
-from services.viz_node.people import People
-from telenano.cli.commands import view as view_command
 from telenano.cli.root import app
+from telenano.serving.access import Role
+from telenano.serving.people import People
+from telenano.timing.loop_age import Part
 from telenano.wire.errors import ConfigError
 
 ADDRESSES = [

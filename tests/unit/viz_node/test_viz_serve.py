@@ -18,17 +18,17 @@ from test_viz_server import Rig
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from services.console import lease
-from services.viz_node import connections as limits
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.access import Access
-from services.viz_node.connections import MOST_CONNECTIONS, Connections
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.requests import LARGEST_FRAME, PROTOCOL
-from services.viz_node.serve import PageServer, bind, make_server
 from services.viz_node.source import NoTransport
+from telenano.console import lease
+from telenano.serving import connections as limits
+from telenano.serving.access import Access
+from telenano.serving.connections import MOST_CONNECTIONS, Connections
+from telenano.serving.serve import PageServer, bind, make_server
 from telenano.wire.errors import EndpointError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123")
@@ -281,10 +281,10 @@ def test_a_signal_ends_the_wait_of_the_node_that_serves_the_page() -> None:
 # A page whose commander hangs in a command, and whose emergency stop takes a while.
 HANGING = """
 import sys, threading, time
-from services.runtime.wiring.participant import StopSignals
-from services.viz_node.access import Access
+from telenano.runtime.wiring.participant import StopSignals
+from telenano.serving.access import Access
 from services.viz_node.hub import Hub
-from services.viz_node.serve import PageServer, bind
+from telenano.serving.serve import PageServer, bind
 from services.viz_node.source import NoTransport
 
 class Source(NoTransport):

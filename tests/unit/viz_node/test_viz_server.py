@@ -18,15 +18,15 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from services.haptic_node.operator_config import InteractiveConfig
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.access import Access, Role
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
 from services.viz_node.source import NoTransport
+from telenano.hand.operator_config import InteractiveConfig
+from telenano.serving.access import Access, Role
 from telenano.wire.errors import RigError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))

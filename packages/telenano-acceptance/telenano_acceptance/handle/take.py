@@ -7,8 +7,8 @@ until its watchdog switches it off, and its cable is pulled out.
 import math
 from typing import Any, NamedTuple
 
-from services.haptic_node.devices import wire
-from services.haptic_node.devices.calibration import HandleCalibration
+from telenano.devices.hand import wire
+from telenano.devices.hand.calibration import HandleCalibration
 from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DriveCommand
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of

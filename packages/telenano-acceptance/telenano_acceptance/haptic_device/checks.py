@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from services.haptic_node.coupling import (
+from telenano.extend.devices import Capabilities
+from telenano.hand.coupling import (
     GATE_ACTIVE,
     GATE_DEADMAN,
     GATE_FROZEN,
@@ -15,7 +16,6 @@ from services.haptic_node.coupling import (
     GATES,
     CouplingSettings,
 )
-from telenano.extend.devices import Capabilities
 from telenano_acceptance.haptic_device.take import (
     AXES,
     LEVELS,

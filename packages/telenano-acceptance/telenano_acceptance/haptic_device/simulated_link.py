@@ -9,11 +9,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample
-from services.numerics.normal_numbers import normal_number
 from telenano.extend.emulators import HandMotion, arm_step
 from telenano.extend.impedance import UPRIGHT, Capabilities, Quaternion
+from telenano.hand.coupling import ZERO, Vector
+from telenano.hand.servo import DeviceSample, Servo, ServoCommand, ServoSample
+from telenano.numerics.normal_numbers import normal_number
 
 
 class DeviceFaults(NamedTuple):

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices.capabilities import TABLE, capabilities_of
-from services.afm_node.instrument import calibration_of_file, driver_of
-from services.runtime.settings.config import merge, validate
+from telenano.afm.config import AfmConfig
+from telenano.devices.afm.capabilities import TABLE, capabilities_of
+from telenano.devices.afm.instrument import calibration_of_file, driver_of
 from telenano.extend.commands import ConfigError
 from telenano.extend.devices import AfmDriver
+from telenano.settings.config import merge, validate
 from telenano_acceptance.instrument.take import Facts, press_of, record_take
 from telenano_acceptance.take import MACHINE, PERIOD_S, SILENT, Clock, Guide, Take
 

@@ -9,7 +9,7 @@ import contextlib
 import math
 from typing import NamedTuple
 
-from services.afm_node import safety
+from telenano.afm import safety
 from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import AfmDriver, AfmLimits, AfmSample
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of

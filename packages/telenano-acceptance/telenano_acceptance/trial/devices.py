@@ -4,10 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from services.runtime.settings.config import validate
-from services.runtime.settings.device_drivers import missing_driver
 from telenano.extend.commands import ConfigError, run_ahead
+from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from telenano.settings.config import validate
+from telenano.settings.device_drivers import missing_driver
 from telenano.wire.errors import known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
@@ -73,7 +73,7 @@ def tried(
 
 
 def _instrument(name: str, section: dict[str, Any], calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from services.afm_node.instrument import calibration_of_file
+    from telenano.devices.afm.instrument import calibration_of_file
     from telenano_acceptance.instrument.instruments import config_of, make_take
 
     if calibration is None:
@@ -92,8 +92,8 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
 
 
 def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from services.haptic_node.devices.calibration import read_calibration
-    from services.haptic_node.devices.serial_driver import SerialHandle
+    from telenano.devices.hand.calibration import read_calibration
+    from telenano.devices.hand.serial_driver import SerialHandle
     from telenano_acceptance.handle.take import facts_of, record_take
 
     if port is None or calibration is None:

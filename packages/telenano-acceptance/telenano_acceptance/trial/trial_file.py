@@ -15,7 +15,7 @@ import msgspec
 
 from telenano.extend.exports import whole_file
 from telenano.extend.readers import open_regular
-from telenano.presets.plugins import all_installed
+from telenano.settings.plugins import all_installed
 from telenano.wire.errors import ConfigError
 from telenano_acceptance.handle.checks import HANDLE
 from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.signals import children
-from telenano.presets.regular_files import is_own, is_own_path
+from telenano.files.regular_files import is_own, is_own_path
+from telenano.signals import children
 from telenano.wire.errors import TelenanoError
 
 SOURCES = Path(__file__).parent / "handle"

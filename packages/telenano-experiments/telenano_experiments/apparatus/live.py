@@ -14,18 +14,18 @@ from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
-from services.console.command_client import send_control
-from services.console.coupling import couple_anew
-from services.console.lease import EXPERIMENT
-from services.console.lease_register import Hold, holding
-from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings, changed, network_name
-from services.haptic_node.config import HapticConfig
-from services.runtime.bus.address_book import load_site
-from services.runtime.loop.commands import Command, CommandName
-from services.runtime.wiring.observer import Observer
-from telenano.presets import DEFAULT_SITE_FILE
+from telenano.console.command_client import send_control
+from telenano.console.coupling import couple_anew
+from telenano.console.lease import EXPERIMENT
+from telenano.console.lease_register import Hold, holding
+from telenano.hand.config import HapticConfig
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings, changed, network_name
 from telenano.recording.reader import Recording
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.loop.commands import Command, CommandName
+from telenano.runtime.wiring.observer import Observer
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import RecordingError, RigError
 from telenano.wire.messages import AfmState, HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
 from telenano.wire.nodes import HAND, LINK, RECORDER, TIP

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from services.controller.config import ControllerConfig
-from services.haptic_node.physics.lateral_hand import LateralHandConfig
-from services.runtime.bus.address_book import load_site
-from services.runtime.wiring.participant import OBSERVER, Participant, open_participant
 from services.viz_node.commander import RigHand
+from telenano.hand.lateral_hand import LateralHandConfig
+from telenano.laws.config import ControllerConfig
 from telenano.lockstep.across import steering_force_n
 from telenano.lockstep.push_hand import Hand, hand_moves
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.participant import OBSERVER, Participant, open_participant
 from telenano.wire.errors import RigError
 from telenano.wire.messages import HapticState, TeleopBackward
 from telenano.wire.nodes import HAND, LINK

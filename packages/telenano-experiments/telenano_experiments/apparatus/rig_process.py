@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
-from services.launcher.rigs import running_rigs
-from services.runtime.bus.local_endpoint import RIG_VARIABLE
-from services.signals import children
-from services.signals.interrupts import kept_from_children
+from telenano.launcher.rigs import running_rigs
+from telenano.runtime.bus.local_endpoint import RIG_VARIABLE
+from telenano.signals import children
+from telenano.signals.interrupts import kept_from_children
 from telenano.wire.errors import RigError
 
 # A rig is ready within half a minute also where its models have to be compiled first.

@@ -4,12 +4,12 @@ import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from services.afm_node.config import AfmConfig
-from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings, flattened
-from services.runtime.loop.freshness import DELAY_STEP_NS
-from services.runtime.settings.config import flatten, validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
+from telenano.afm.config import AfmConfig
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings, flattened
+from telenano.settings.config import flatten, validate
+from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire.messages import Scalar
 from telenano_experiments.plan import changes_while_running
 

@@ -14,10 +14,10 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 from telenano_studies.loops.cells import Cell, Environment, sources
 
-from services.controller.config import LAWS
-from services.delay_node.config import LinkSettings, parse_settings
-from services.delay_node.profiles import PROFILES, refusal_of
-from services.runtime.settings.config import Settings
+from telenano.laws.config import LAWS
+from telenano.link.config import LinkSettings, parse_settings
+from telenano.link.profiles import PROFILES, refusal_of
+from telenano.settings.config import Settings
 from telenano.wire.errors import ConfigError, known_names
 
 VERSION = 2

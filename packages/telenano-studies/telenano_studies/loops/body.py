@@ -3,7 +3,7 @@
     m y'' + b y' + K y = F,    F = k max(x_s - L - y, 0)
 
 y is how far the body has been pushed from its place L [m], k the cantilever. It is a part, in the place of
-cantilever and sample. Time is discrete as in the arm of `services.haptic_node.physics.operator`: every quantity is that
+cantilever and sample. Time is discrete as in the arm of `telenano.hand.operator`: every quantity is that
 of the middle of the step, and the force the mean that the spring of the contact has over its way,
 (V(z1) - V(z0)) / (z1 - z0). Force times motion of the base is then exactly the energy that goes into springs, mass and
 damper: the body is passive at every period. For the instrument's period to show its motion, it has to be slower than
@@ -13,7 +13,7 @@ FASTEST_HZ in contact.
 import math
 from typing import NamedTuple
 
-from services.afm_node.physics.part import Part, register
+from telenano.afm.part import Part, register
 from telenano.extend.samples import AfmSample, PlantInputs, compiled
 
 FASTEST_HZ = 150.0

@@ -17,26 +17,26 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from services.afm_node.config import SAMPLES, AfmConfig
-from services.afm_node.physics.cantilever import Plant
-from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.disturbed import noisy_params
-from services.afm_node.physics.spring import spring_params
-from services.afm_node.physics.step import AfmParams
-from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
-from services.afm_node.section_config import CantileverConfig, SafetyConfig
-from services.controller.config import LAWS, ControllerConfig
-from services.delay_node.config import LinkSettings, parse_settings
-from services.haptic_node.config import HapticConfig, LimitsConfig
-from services.haptic_node.operator_config import ARMS
-from services.numerics.source_digest import source_digest
-from services.runtime.settings.config import Settings, merge, nested, validate
-from services.runtime.settings.option import Option
+from telenano.afm.cantilever import Plant
+from telenano.afm.config import SAMPLES, AfmConfig
+from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm.disturbed import noisy_params
+from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
+from telenano.afm.section_config import CantileverConfig, SafetyConfig
+from telenano.afm.spring import spring_params
+from telenano.afm.step import AfmParams
 from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
 from telenano.analysis.holds import FactKind, judge_holds
+from telenano.hand.config import HapticConfig, LimitsConfig
+from telenano.hand.operator_config import ARMS
+from telenano.laws.config import LAWS, ControllerConfig
+from telenano.link.config import LinkSettings, parse_settings
 from telenano.lockstep.link import Schedule, schedule_of
 from telenano.lockstep.lockstep import Rig, Series, Trajectory, build_rig, simulate, time_to_place_s
 from telenano.lockstep.simulation import instrument_of, known_of, programme_of
+from telenano.numerics.source_digest import source_digest
+from telenano.settings.config import Settings, merge, nested, validate
+from telenano.settings.option import Option
 from telenano.wire.errors import ConfigError, known_names
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
@@ -145,7 +145,7 @@ class Cell(Conditions):
         default=None, description="A link that is uneven in time both ways, instead of jitter and loss"
     )
     network: str | None = Field(
-        default=None, description="A network of telenano/presets/networks both ways, instead of delay, jitter and loss"
+        default=None, description="A network of telenano/settings/networks both ways, instead of delay, jitter and loss"
     )
     uneven_ms: float = Field(default=30.0, gt=0.0, le=1e4, description="Its slots, outages, pauses or teeth [ms]")
 

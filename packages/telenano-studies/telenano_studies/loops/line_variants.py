@@ -2,7 +2,7 @@
 
     python -m telenano_studies.loops.line_variants NETWORK [--law LAW,...] [--seeds N] [--period S] [--hold S]
 
-Three groups of variants of a network of telenano/presets/networks that `telenano link fit` has made:
+Three groups of variants of a network of telenano/settings/networks that `telenano link fit` has made:
 
 - its parts: a constant delay; the usual delays, each message by itself or with their memory; a constant delay with the
   stalls, whose messages are held or lost; all of it.
@@ -29,10 +29,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from services.delay_node.config import Outage, parse_settings
-from services.delay_node.models.outages import Outages
-from services.delay_node.random_streams import stream
 from telenano.extend.sessions import profile_named
+from telenano.link.config import Outage, parse_settings
+from telenano.link.models.outages import Outages
+from telenano.link.random_streams import stream
 from telenano.lockstep.link import Schedule, schedule_of
 from telenano.lockstep.lockstep import simulate
 from telenano.wire.errors import ConfigError

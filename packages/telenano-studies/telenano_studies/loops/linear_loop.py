@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from services.controller.config import LAWS, ControllerConfig
-from services.haptic_node.config import DeviceConfig
-from services.haptic_node.operator_config import ARMS
-from services.haptic_node.physics.motor import closed_loop_coefficients
-from services.runtime.settings.config import Settings, merge, nested, validate
+from telenano.hand.config import DeviceConfig
+from telenano.hand.motor import closed_loop_coefficients
+from telenano.hand.operator_config import ARMS
+from telenano.laws.config import LAWS, ControllerConfig
+from telenano.settings.config import Settings, merge, nested, validate
 from telenano.wire.errors import ConfigError, known_names
 from telenano_studies.loops.theory import (
     Arm,
@@ -41,7 +41,7 @@ from telenano_studies.loops.theory import (
     transfer_function,
 )
 
-# a hand of constant force, or one of the arms of `services.haptic_node.operator_config.ARMS`
+# a hand of constant force, or one of the arms of `telenano.hand.operator_config.ARMS`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
 # Newton's method begins on a grid of the region, and ends after so many steps at the latest.

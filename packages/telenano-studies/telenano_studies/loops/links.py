@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from services.delay_node.config import LinkSettings, parse_settings
+from telenano.link.config import LinkSettings, parse_settings
 from telenano.lockstep.link import Schedule, Times, fresh, last_together, schedule_from
 
 # How a link lets signals out in no even flow; `uneven_ns` says what each is.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from services.delay_node.config import LinkSettings, parse_settings
+from telenano.link.config import LinkSettings, parse_settings
 from telenano.wire.errors import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, course_of, judged
 from telenano_studies.loops.tuning import tuned

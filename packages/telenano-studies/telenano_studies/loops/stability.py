@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from services.runtime.settings.option import Option
+from telenano.settings.option import Option
 from telenano.wire.errors import ConfigError
 from telenano_studies import option_values
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions

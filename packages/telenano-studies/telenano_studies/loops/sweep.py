@@ -16,9 +16,9 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.signals import children
-from services.signals.interrupts import kept_from_children
-from telenano.recording.whole_files import locked
+from telenano.files.whole_files import locked
+from telenano.signals import children
+from telenano.signals.interrupts import kept_from_children
 from telenano.wire.errors import ConfigError, RigError
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
 

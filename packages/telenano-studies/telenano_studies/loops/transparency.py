@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
+from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
 from telenano.lockstep.lockstep import Trajectory
 from telenano_studies.loops.cells import Cell, course_of, run_cell, scales_of
 

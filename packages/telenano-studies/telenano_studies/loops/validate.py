@@ -31,11 +31,11 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from services.afm_node.config import SAMPLES, AfmConfig
-from services.launcher.child_session import reason_of, run_session
+from telenano.afm.config import SAMPLES, AfmConfig
 from telenano.analysis.holds import lacks_of
 from telenano.analysis.report import read_session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.launcher.child_session import reason_of, run_session
 from telenano.lockstep.lockstep import Trajectory, simulate
 from telenano.recording.arrays import columns, last_programme
 from telenano.recording.reader import Recording

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.config import AfmConfig
-from services.launcher.child_session import reason_of, run_session
-from services.runtime.settings.scenario import load_scenario
+from telenano.afm.config import AfmConfig
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.presets import SCENARIO_DIRECTORY
+from telenano.launcher.child_session import reason_of, run_session
 from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
+from telenano.settings import SCENARIO_DIRECTORY
+from telenano.settings.scenario import load_scenario
 from telenano.wire.errors import RigError
 
 if TYPE_CHECKING:

@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.contact.capillary import meniscus_force, printed_meniscus_force
-from services.afm_node.physics.contact.maugis_dugdale import MaugisDugdale, pull_off_force_n
-from services.afm_node.physics.dynamic import damping_at
-from services.afm_node.programs.tactile import felt_speed_m_per_s
-from services.afm_node.section_config import TipSampleConfig
-from services.controller.config import LAWS
-from services.controller.laws.tactile import impedance_scaled
-from services.haptic_node.config import DeviceConfig
-from services.haptic_node.physics.motor import bandwidth_hz, closed_loop_poles
+from telenano.afm.config import AfmConfig
+from telenano.afm.contact.capillary import meniscus_force, printed_meniscus_force
+from telenano.afm.contact.maugis_dugdale import MaugisDugdale, pull_off_force_n
+from telenano.afm.dynamic import damping_at
+from telenano.afm.programs.tactile import felt_speed_m_per_s
+from telenano.afm.section_config import TipSampleConfig
+from telenano.hand.config import DeviceConfig
+from telenano.hand.motor import bandwidth_hz, closed_loop_poles
+from telenano.laws.config import LAWS
+from telenano.laws.tactile import impedance_scaled
 from telenano.lockstep.simulation import SimulatedSession, simulate_scenario
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 

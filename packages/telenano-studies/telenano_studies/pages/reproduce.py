@@ -11,14 +11,14 @@ from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.cantilever import volts_per_m
-from services.afm_node.physics.contact.capillary import meniscus_force, meniscus_radius_m
-from services.afm_node.physics.contact.contact_table import table_force
-from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
-from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
-from services.afm_node.physics.contact.tip_sample import branch_force
-from telenano.recording.whole_files import whole_file
+from telenano.afm.cantilever import volts_per_m
+from telenano.afm.config import AfmConfig
+from telenano.afm.contact.capillary import meniscus_force, meniscus_radius_m
+from telenano.afm.contact.contact_table import table_force
+from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
+from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
+from telenano.afm.contact.tip_sample import branch_force
+from telenano.files.whole_files import whole_file
 from telenano.wire.errors import RigError
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path

@@ -1,0 +1,1 @@
+"""Drivers of real devices and what they share: lines, processes of their own, calibrations, capabilities."""

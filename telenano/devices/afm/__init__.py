@@ -1,0 +1,1 @@
+"""Real and simulated instruments behind the guard of the AFM."""

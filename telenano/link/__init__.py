@@ -1,0 +1,1 @@
+"""What the network between the sites does to messages: models of delay, loss and queues, profiles, the engine."""

@@ -1,0 +1,1 @@
+"""What serves a page: address, access, connections, certificates."""

@@ -1,0 +1,1 @@
+"""Clocks and ages: how old a sample is, how far two clocks are apart, when a message is played out."""
