@@ -24,11 +24,11 @@ import zmq
 from link import ANSWER, SIGNAL
 
 from services.relay.server import Relay
-from services.relay.site_end import SiteEnd
 from telenano.runtime.bus.address_book import RELAY, AddressBook, LinkTransport
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage, shallow_idle
 from telenano.runtime.relay.protocol import split_host_port
+from telenano.runtime.relay.site_end import SiteEnd
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
 from telenano.runtime.wiring.participant import Participant

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from services.relay.channel import Budget
 from telenano.runtime.datagram.sealing import MOST_BYTES
+from telenano.runtime.relay.channel import Budget
 from telenano.runtime.relay.protocol import (
     COOKIE,
     COOKIE_BYTES,

@@ -12,9 +12,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from services.relay.channel import CHUNK_BYTES, HELLO_S, Budget, Channel, Gone, abort, meet, splice, tend
 from services.relay.forwarder import Forwarder
 from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.relay.channel import CHUNK_BYTES, HELLO_S, Budget, Channel, Gone, abort, meet, splice, tend
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import KeyPair, key_text
 from telenano.runtime.security.sealed import RejectedError

@@ -16,6 +16,7 @@ from services.viz_node.hub import Hub
 from services.viz_node.level_cache import LevelCache
 from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
+from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
 from telenano.cli.options import (
     AllowOption,
@@ -39,7 +40,7 @@ from telenano.serving.access import LOOPBACK, Access
 from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Listener
 from telenano.serving.people import ROLES, People
-from telenano.serving.serve import PageServer, Tls, addresses_of, announced, missing_for_view, served_addresses
+from telenano.serving.serve import Tls, addresses_of, announced, missing_for_view, served_addresses
 from telenano.settings import DEFAULT_SITE_FILE, DEMO_RECORDING
 from telenano.timing.clock import SystemClock
 from telenano.wire.errors import ConfigError, TelenanoError

@@ -7,6 +7,7 @@ from typing import ClassVar
 from services.viz_node.commander import RigCommander, RigHand, forms
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
+from services.viz_node.page_server import PageServer
 from telenano.console.lease import Party
 from telenano.console.lease_register import LeaseRegister
 from telenano.runtime.bus.bus import Received, Refusals, ZmqBus
@@ -15,7 +16,7 @@ from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.wiring.participant import Participant
 from telenano.serving.access import Access
 from telenano.serving.connections import Listener
-from telenano.serving.serve import PageServer, Tls
+from telenano.serving.serve import Tls
 from telenano.wire.errors import EndpointError
 
 

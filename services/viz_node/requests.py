@@ -6,11 +6,11 @@ from typing import Annotated, Literal, get_args
 import msgspec
 from msgspec import Meta
 
+from telenano.serving.serve import LARGEST_FRAME
 from telenano.wire.messages import Scalar
 
 # raised when a page of an older build would misread what the server says, or the other way round
 PROTOCOL = 1
-LARGEST_FRAME = 1 << 16
 Name = Literal["start", "stop", "arm", "set", "mark", "couple"]
 COMMANDS: tuple[Name, ...] = get_args(Name)
 _Id = Annotated[str, Meta(pattern="^[A-Za-z0-9_-]{1,64}\\Z")]

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, MutableMapping
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from services.viz_node.page_session import Session
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 from telenano.serving.access import Access, Role, is_loopback
 from telenano.serving.connections import SILENCE_S, Connections
+from telenano.serving.gate import POLICY, client_of, end_quietly, guarded
 from telenano.serving.people import Person
 from telenano.timing.clock import SystemClock
 
@@ -29,102 +30,7 @@ _HELLO_S = SILENCE_S
 # a token is tried once a connection, and a connection takes this long
 _WRONG_TOKEN_S = 0.5
 # close codes of RFC 6455
-_POLICY, _TRY_LATER, _UNSUPPORTED = 1008, 1013, 1003
-# styles of elements are set by the libraries through the object model, which needs no exception
-_HEADERS = (
-    (
-        b"content-security-policy",
-        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-        b"font-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    ),
-    (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"cross-origin-opener-policy", b"same-origin"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"permissions-policy", b"camera=(), microphone=(), geolocation=(), xr-spatial-tracking=(self), gamepad=(self)"),
-    (b"cache-control", b"no-cache"),
-)
-
-_CLIENT = "telenano.client"
-
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-
-
-class _Accounted:
-    """Accounts for the connection of each request, by the address that it comes from and not by what a header says."""
-
-    def __init__(self, app: Any, connections: Connections) -> None:
-        self._app = app
-        self._connections = connections
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        client = scope.get("client")
-        scope[_CLIENT] = tuple(client or ())
-        self._connections.begin(scope[_CLIENT])
-        try:
-            await self._app(scope, receive, send)
-        finally:
-            self._connections.end(scope[_CLIENT])
-
-
-class _Gate:
-    """Refuses addresses and host names that are not admitted, before anything else; adds the headers of the page."""
-
-    def __init__(self, app: Any, access: Access) -> None:
-        self._app = app
-        self._access = access
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        fault = self._fault(scope)
-        if fault and scope["type"] == "http":
-            await PlainTextResponse(f"telenano: {fault}\n", 403)(scope, receive, send)
-        elif fault:
-            await receive()
-            await send({"type": "websocket.close", "code": _POLICY, "reason": fault})
-        else:
-            await self._app(scope, receive, lambda message: send(_with_headers(message)))
-
-    def _fault(self, scope: Scope) -> str:
-        client = scope.get("client")
-        address = client[0] if client else ""
-        if not self._access.admits_address(address):
-            return f"connections from {address or 'an unknown address'} are not allowed: start the server with --allow"
-        headers = dict(scope["headers"])
-        host = headers.get(b"host", b"").decode("latin-1")
-        if not self._access.admits_host(host):
-            return f"{host!r} is not a name of this server: use one of {', '.join(self._access.hosts)}"
-        origin = headers.get(b"origin", b"").decode("latin-1")
-        if scope["type"] == "websocket" and not self._access.admits_origin(origin, host):
-            others = ", or name its origin with --allow-origin" if self._access.origins else ""
-            return f"a page from {origin!r} may not connect: open the address that was printed{others}"
-        return ""
-
-
-def guarded(app: Any, access: Access, connections: Connections) -> Any:
-    """Return an application behind the gate, whose connections are accounted for.
-
-    A proxy on this machine may say in `X-Forwarded-For` from where a request comes, as web servers have it.
-    """
-    from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
-
-    gate: Any = _Gate(app, access)
-    return _Accounted(ProxyHeadersMiddleware(gate), connections)
-
-
-def client_of(scope: Scope) -> Any:
-    """Return what `Connections` knows the connection of a request by."""
-    return scope.get(_CLIENT)
-
-
-def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    if message["type"] == "http.response.start":
-        message["headers"] = [*message.get("headers", ()), *_HEADERS]
-    return message
+_TRY_LATER, _UNSUPPORTED = 1013, 1003
 
 
 class _PageSocket:
@@ -155,19 +61,19 @@ class _PageSocket:
                 text = (
                     f"this page speaks version {request.protocol}, the server version {PROTOCOL}: load the page again"
                 )
-                await _refuse(socket, _POLICY, text)
+                await _refuse(socket, POLICY, text)
                 return None
             role = self._access.role_of(request.token)
             person = self._access.person_of(request.token)
             if role is None and person is not None:
                 self._hub.desk.refused.note("revoked", f"{person.name}: the address was revoked, or has expired")
-                await _refuse(socket, _POLICY, REVOKED)
+                await _refuse(socket, POLICY, REVOKED)
             elif role is None:
                 self._hub.desk.refused.note("token", "a page showed a token that is nobody's")
                 await asyncio.sleep(_WRONG_TOKEN_S)
                 await _refuse(
                     socket,
-                    _POLICY,
+                    POLICY,
                     "the token is wrong: open the address that telenano view --addresses prints where the rig runs",
                 )
             elif (pages := len(self._hub.sessions)) >= MOST_PAGES:
@@ -176,7 +82,7 @@ class _PageSocket:
                 return role, person
             return None
         except TimeoutError:
-            await _refuse(socket, _POLICY, f"no token came within {_HELLO_S:g} s")
+            await _refuse(socket, POLICY, f"no token came within {_HELLO_S:g} s")
         except RequestError as error:
             await _refuse(socket, _UNSUPPORTED, str(error))
         return None
@@ -199,13 +105,6 @@ class _PageSocket:
             await end_quietly(sender)
 
 
-async def end_quietly(sender: "asyncio.Task[None]") -> None:
-    """Cancel what sends to a socket that may be closed already."""
-    sender.cancel()
-    with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-        await sender
-
-
 async def _receive(socket: WebSocket) -> bytes:
     """Return the bytes of the next frame; RequestError for a frame of text."""
     message = await socket.receive()
@@ -220,7 +119,7 @@ async def _receive(socket: WebSocket) -> bytes:
 async def _send_all(socket: WebSocket, session: Session) -> None:
     while not session.is_over:
         await socket.send_bytes(await session.next_frame())
-    await socket.close(_POLICY)
+    await socket.close(POLICY)
 
 
 async def _refuse(socket: WebSocket, code: int, text: str) -> None:

@@ -58,8 +58,17 @@ _ABOUT = {
     "device": "List, probe and watch real devices; emulate some.",
 }
 _GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "sample", "keys", "device")
+# A command that is a process of the rig lies with that process.
+_WITH_PROCESS = {
+    "record": "services.recorder.command",
+    "relay": "services.relay.command",
+    "replay": "services.player.command",
+    "view": "services.viz_node.command",
+}
 LAZY_COMMANDS = {
-    name: LazyCommand(f"telenano.cli.commands.{name}", "app" if name in _GROUPS else name, about)
+    name: LazyCommand(
+        _WITH_PROCESS.get(name, f"telenano.cli.commands.{name}"), "app" if name in _GROUPS else name, about
+    )
     for name, about in _ABOUT.items()
 } | {"doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig.")}
 

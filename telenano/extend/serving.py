@@ -3,9 +3,6 @@
 It needs the extra `view`.
 """
 
-from services.viz_node.server import client_of as client_of
-from services.viz_node.server import end_quietly as end_quietly
-from services.viz_node.server import guarded as guarded
 from telenano.cli.options import AllowOption as AllowOption
 from telenano.cli.options import CertificateKeyOption as CertificateKeyOption
 from telenano.cli.options import CertificateOption as CertificateOption
@@ -16,6 +13,9 @@ from telenano.serving.access import Access as Access
 from telenano.serving.connections import Connections as Connections
 from telenano.serving.connections import Listener as Listener
 from telenano.serving.connections import most_connections as most_connections
+from telenano.serving.gate import client_of as client_of
+from telenano.serving.gate import end_quietly as end_quietly
+from telenano.serving.gate import guarded as guarded
 from telenano.serving.serve import Tls as Tls
 from telenano.serving.serve import announced as announced
 from telenano.serving.serve import bind as bind

@@ -1,6 +1,7 @@
 """What the tests of a package put around their code: messages of a rig, and nodes in virtual time."""
 
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -17,6 +18,7 @@ from telenano.settings.config import validate as validate
 from telenano.wire import TOPICS, encode
 from telenano.wire.errors import RefusedError as RefusedError
 from telenano.wire.messages import Message
+from telenano.wire.nodes import TIP, module_of, name_of
 from telenano.wire.ranges import limited
 from telenano.wire.sequence import Arrival
 
@@ -149,9 +151,8 @@ def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = 
     Raises:
         DeviceError: The driver refuses to open.
     """
-    from services.afm_node.node import AfmNode
-
-    return AfmNode(bench.context, afm_config(section), driver)
+    process = import_module(f"{module_of(name_of(TIP))}.node")
+    return process.AfmNode(bench.context, afm_config(section), driver)
 
 
 def refused_laws(driver: str) -> dict[str, str]:

@@ -11,7 +11,6 @@ from typing import Any, BinaryIO, NamedTuple
 
 import zmq
 
-from services.relay.__main__ import at_relay
 from telenano.console.command_client import console_of
 from telenano.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RATE, RECORDING_FILE, TOPIC
 from telenano.recording.merge_sites import merge_sites
@@ -19,6 +18,7 @@ from telenano.recording.reader import Recording
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import Command, CommandClient
+from telenano.runtime.relay.site_end import at_relay
 from telenano.runtime.wiring.participant import Participant, open_participant
 from telenano.wire import encode
 from telenano.wire.errors import EndpointError, RecordingError, RigError

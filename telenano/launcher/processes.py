@@ -15,7 +15,7 @@ from telenano.runtime.bus.publisher import LINGER_S
 from telenano.settings.config import ENVIRONMENT_PREFIX
 from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
-from telenano.wire.nodes import name_of
+from telenano.wire.nodes import module_of, name_of
 
 # a node is safe within milliseconds and then publishes how much it has sent
 GRACE_S = 8.0
@@ -213,7 +213,7 @@ def node_command(node: str, site_file: Path, scenario_file: Path) -> list[str]:
     """Return the command line that runs `node@site` as a child of this process."""
     name, _, site = node.partition("@")
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
-    return [sys.executable, "-m", f"services.{name}", *files, "--site", site, "--with-parent"]
+    return [sys.executable, "-m", module_of(name), *files, "--site", site, "--with-parent"]
 
 
 def _readable(line: str) -> str:

@@ -16,12 +16,11 @@ from telenano.settings.plugins import modules as package_modules
 _ROOT = Path(__file__).resolve().parents[2]
 # These folders and files hold the steps, and everything else that the outcome of a study depends on.
 SOURCES = (
-    *("telenano/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
-    *("telenano/lockstep", "telenano/analysis/modes.py", "telenano/analysis/verdict.py"),
+    *("telenano/numerics", "telenano/afm", "telenano/hand", "telenano/laws", "telenano/link", "telenano/lockstep"),
+    *("telenano/analysis/modes.py", "telenano/analysis/verdict.py"),
     # deadlines, which are compiled into the loop
     *("telenano/wire/topics.py", "telenano/timing/freshness.py"),
 )
-_SHELLS = ("node.py", "half.py", "__main__.py")
 # Each edit begins a folder of a few megabytes; as many are kept as were used last.
 KEPT_FOLDERS = 8
 # Every module with steps imports this one before it defines them.
@@ -93,7 +92,7 @@ def _has_own_steps(module: str) -> bool:
 def _source_files(root: Path) -> Iterator[Path]:
     for source in SOURCES:
         for path in sorted((root / source).rglob("*.py")) or [root / source]:
-            if not path.name.endswith(_SHELLS) and path.is_file():
+            if path.is_file():
                 yield path
 
 

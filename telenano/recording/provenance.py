@@ -66,7 +66,7 @@ def _shown(path: Path) -> str:
     """Return a path as it is found again: what comes with the project by its place in it."""
     absolute = path.absolute()
     return (
-        str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "telenano" / "presets") else str(absolute)
+        str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "telenano" / "settings") else str(absolute)
     )
 
 

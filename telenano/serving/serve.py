@@ -1,6 +1,5 @@
 """Binding and running the web server of the page, and telling its address to whom it is for."""
 
-import asyncio
 import contextlib
 import importlib.util
 import os
@@ -16,27 +15,25 @@ from telenano.files.whole_files import write_whole
 from telenano.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.serving.access import LOOPBACK, Access, is_loopback
-from telenano.serving.connections import Connections, Listener, most_connections
-from telenano.wire.errors import ConfigError, EndpointError, RigError, TelenanoError
+from telenano.serving.connections import Listener
+from telenano.wire.errors import ConfigError, EndpointError, TelenanoError
 from telenano.wire.extras import how_to_install
+from telenano.wire.nodes import PAGE, module_of, name_of
 
 if TYPE_CHECKING:
     import uvicorn
-
-    from services.viz_node.hub import Hub
 
 DEFAULT_PORT = 8650
 # the number of a socket that the launcher has bound for this process
 SOCKET_VARIABLE = "TELENANO_VIEW_SOCKET"
 _PACKAGES = ("starlette", "uvicorn", "websockets")
-_WEB = Path(__file__).parent / "web"
+# largest frame of a web socket [bytes]
+LARGEST_FRAME = 1 << 16
 _BACKLOG = 64
 _PING_S = 5.0
 _STOP_S = 1
 # the end of the names of the files that have the addresses of servers, and how long is waited for one to answer [s]
 _ADDRESSES, _LOOK_S = ".addresses", 0.5
-# a browser opens six connections at once
-_LEAST_STRANGERS = 8
 
 
 class Tls(NamedTuple):
@@ -48,8 +45,9 @@ class Tls(NamedTuple):
 
 def page_folder() -> Path | None:
     """Return the folder of the built page, None where it has not been built."""
-    folder = _WEB / "dist"
-    return folder if (folder / "index.html").is_file() else None
+    process = importlib.util.find_spec(module_of(name_of(PAGE)))
+    folder = Path(process.origin).parent / "web" / "dist" if process is not None and process.origin else None
+    return folder if folder is not None and (folder / "index.html").is_file() else None
 
 
 def missing_for_view() -> str:
@@ -183,54 +181,9 @@ def _answers(line: str, port: int) -> bool:
     return False
 
 
-class PageServer:
-    """The web server of a hub in this thread: it serves while `run` waits."""
-
-    def __init__(self, hub: "Hub", access: Access, bound: Listener, tls: Tls | None, wake_descriptor: int) -> None:
-        """Prepare to serve at a bound address; `run` returns as soon as `wake_descriptor` is readable."""
-        from services.viz_node.server import MOST_PAGES, make_app
-
-        # the web server closes what it is given, and may be started again
-        listener = bound.again(Connections(most_connections(MOST_PAGES + _LEAST_STRANGERS)))
-        self._server = make_server(make_app(hub, access, page_folder(), listener.connections), tls)
-        # signals are for who waits
-        self._server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]
-        self._hub = hub
-        hub.on_end = lambda: setattr(self._server, "should_exit", True)
-        self._loop = asyncio.new_event_loop()
-        self._woken = asyncio.Event()
-        self._loop.add_reader(wake_descriptor, self._woken.set)
-        self._serving = self._loop.create_task(self._server.serve(sockets=[listener]))
-
-    def run(self, wait_s: float | None = None) -> None:
-        """Serve for a time [s], or until the descriptor is readable. Raises what has ended the server."""
-        self._loop.run_until_complete(self._wait(wait_s))
-        if self._serving.done():
-            raise self._hub.fault or self._serving.exception() or RigError("the server of the page could not begin")
-
-    async def _wait(self, wait_s: float | None) -> None:
-        woken = asyncio.create_task(self._woken.wait())
-        await asyncio.wait({self._serving, woken}, timeout=wait_s, return_when=asyncio.FIRST_COMPLETED)
-        woken.cancel()
-
-    def close(self) -> None:
-        """End the server and the connections of its pages."""
-        self._server.should_exit = True
-        self._loop.run_until_complete(asyncio.wait({self._serving}))
-        # what pages had asked for has nobody to be told to any more
-        left = asyncio.all_tasks(self._loop)
-        for task in left:
-            task.cancel()
-        if left:
-            self._loop.run_until_complete(asyncio.wait(left))
-        self._loop.close()
-
-
 def make_server(app: Any, tls: Tls | None = None) -> "uvicorn.Server":
     """Return a server with the limits of the page: a larger frame ends its connection before it is read."""
     import uvicorn
-
-    from services.viz_node.requests import LARGEST_FRAME
 
     config = uvicorn.Config(
         app,

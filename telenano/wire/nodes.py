@@ -95,6 +95,11 @@ def site_of(node: str) -> str:
 SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
 
 
+def module_of(name: str) -> str:
+    """Return the module of the process of a name, which is run as `python -m`; its `node` has the class of the node."""
+    return f"services.{name}"
+
+
 def sites_of(name: str) -> tuple[str, ...]:
     """Return the sites at which processes of a name may run, the master's first."""
     return tuple(sorted(site_of(row.key) for row in _PROCESSES if name_of(row.key) == name))

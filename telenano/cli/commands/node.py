@@ -11,7 +11,7 @@ from telenano.cli.output import print_answer, report_errors
 from telenano.signals import children
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, known_names
-from telenano.wire.nodes import NODES, SERVICES, name_of
+from telenano.wire.nodes import NODES, SERVICES, module_of, name_of
 
 app = command_group()
 
@@ -36,7 +36,7 @@ def node(
     with report_errors(as_json=False):
         if name not in SERVICES:
             raise ConfigError(f"unknown node {name!r}: {known_names(name, SERVICES)}")
-    children.become([sys.executable, "-m", f"services.{name}", *context.args])
+    children.become([sys.executable, "-m", module_of(name), *context.args])
 
 
 def _list(*, as_json: bool) -> None:

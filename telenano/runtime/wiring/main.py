@@ -30,7 +30,7 @@ from telenano.settings.plugins import fault_of_package
 from telenano.settings.scenario import RealtimeConfig, load_scenario
 from telenano.signals.children import die_with_parent
 from telenano.wire.errors import TelenanoError
-from telenano.wire.nodes import sites_of
+from telenano.wire.nodes import module_of, sites_of
 
 C = TypeVar("C", bound=BaseModel)
 
@@ -67,7 +67,7 @@ class NodeKind(Generic[C]):
 
 def node_kind(name: str) -> NodeKind[Any]:
     """Return the kind that a service declares for itself, so that a check and the node's own cannot differ."""
-    module = importlib.import_module(f"services.{name}.__main__")
+    module = importlib.import_module(f"{module_of(name)}.__main__")
     return next(value for value in vars(module).values() if isinstance(value, NodeKind))
 
 

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from services.relay.server import Relay
-from services.relay.site_end import SiteEnd
 from telenano.launcher import far_recording
 from telenano.launcher.far_recording import PartialFile, checked_names, fetch, note_files, noted_files
 from telenano.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, OFFSET, PIECE_BYTES, RATE, PieceSender
@@ -26,6 +25,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.address_book import AddressBook, NodeEntry
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.relay.site_end import SiteEnd
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.participant import NO_REALTIME, open_participant

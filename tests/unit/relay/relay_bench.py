@@ -7,8 +7,8 @@ from typing import Any
 import zmq
 from zmq.utils import z85
 
-from services.relay.channel import Budget
 from services.relay.forwarder import Forwarder
+from telenano.runtime.relay.channel import Budget
 from telenano.runtime.relay.path import RelayPath
 from telenano.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key
 from telenano.runtime.security.keyring import KeyPair, Keyring

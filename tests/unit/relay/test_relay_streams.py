@@ -16,12 +16,12 @@ from relay_bench import ring
 
 from services.relay import channel as channels
 from services.relay import server, site_end
-from services.relay.channel import Channel, Gone, dial
 from services.relay.server import Relay
-from services.relay.site_end import SiteEnd
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.relay.channel import Channel, Gone, dial
 from telenano.runtime.relay.protocol import PUBLIC_BYTES, raw_key
+from telenano.runtime.relay.site_end import SiteEnd
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.sealed import RejectedError
 from telenano.wire.errors import ConfigError

@@ -4,7 +4,6 @@ import msgpack
 import pytest
 
 from services.viz_node.requests import (
-    LARGEST_FRAME,
     CommandRequest,
     DocumentRequest,
     EstopRequest,
@@ -15,6 +14,7 @@ from services.viz_node.requests import (
     TransportRequest,
     read_request,
 )
+from telenano.serving.serve import LARGEST_FRAME
 
 COMMAND: dict[str, Any] = {
     "k": "command",

@@ -22,13 +22,14 @@ from services.viz_node import hub as hubs
 from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
-from services.viz_node.requests import LARGEST_FRAME, PROTOCOL
+from services.viz_node.page_server import PageServer
+from services.viz_node.requests import PROTOCOL
 from services.viz_node.source import NoTransport
 from telenano.console import lease
 from telenano.serving import connections as limits
 from telenano.serving.access import Access
 from telenano.serving.connections import MOST_CONNECTIONS, Connections
-from telenano.serving.serve import PageServer, bind, make_server
+from telenano.serving.serve import LARGEST_FRAME, bind, make_server
 from telenano.wire.errors import EndpointError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123")
@@ -284,7 +285,8 @@ import sys, threading, time
 from telenano.runtime.wiring.participant import StopSignals
 from telenano.serving.access import Access
 from services.viz_node.hub import Hub
-from telenano.serving.serve import PageServer, bind
+from services.viz_node.page_server import PageServer
+from telenano.serving.serve import bind
 from services.viz_node.source import NoTransport
 
 class Source(NoTransport):

@@ -8,14 +8,17 @@ the relay sees: connections of CURVE.
 import asyncio
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
+from threading import Thread
 from typing import Any
 
-from services.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
-from telenano.runtime.bus.address_book import AddressBook, split_tcp
+from telenano.runtime.bus.address_book import RELAY, AddressBook, split_tcp
 from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
 from telenano.runtime.relay.protocol import raw_key, split_host_port
 from telenano.runtime.security.access_control import AccessControl, relay_key
+from telenano.runtime.security.keyring import Keyring
 from telenano.wire.errors import ConfigError, EndpointError
 
 _PING_S, _SILENCE_S = 4.0, 12.0
@@ -255,3 +258,42 @@ class SiteEnd:
         if text != told or now_s - told_s >= _REMIND_S:
             self._told[about] = (text, now_s)
             self._log.write(level, text)
+
+
+def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
+    """Return the end of a site; ConfigError where the site file has no relay, or a key is missing."""
+    if book.relay is None:
+        raise ConfigError("the site file has no `relay: host:port`")
+    return SiteEnd(book, site, AccessControl(site, Keyring(), requires_keys=True), log)
+
+
+@contextlib.contextmanager
+def at_relay(book: AddressBook) -> Iterator[None]:
+    """Be the end of the master's site at the relay of the site file, if it has one, in a thread while a block runs.
+
+    Where another process of this machine is that end, this one leaves it to that.
+
+    Raises:
+        ConfigError: A key is missing.
+    """
+    if book.relay is None:
+        yield
+        return
+    end = site_end(book, "master", StructuredLog(f"{RELAY}@master"))
+    running: Future[tuple[asyncio.AbstractEventLoop, asyncio.Task[None] | None]] = Future()
+
+    async def run() -> None:
+        running.set_result((asyncio.get_running_loop(), asyncio.current_task()))
+        with contextlib.suppress(EndpointError, asyncio.CancelledError):
+            await end.run()
+
+    thread = Thread(target=lambda: asyncio.run(run()), name=f"{RELAY}@master", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        loop, task = running.result()
+        # A loop that has ended by itself can be told nothing.
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(lambda: task is not None and task.cancel())
+        thread.join()

@@ -1,0 +1,117 @@
+"""The gate of a web server: addresses, host names and origins that are admitted, and an account of connections."""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+
+from starlette.responses import PlainTextResponse
+from starlette.websockets import WebSocketDisconnect
+
+from telenano.serving.access import Access
+from telenano.serving.connections import Connections
+
+# close code of RFC 6455
+POLICY = 1008
+# styles of elements are set by the libraries through the object model, which needs no exception
+_HEADERS = (
+    (
+        b"content-security-policy",
+        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+        b"font-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"permissions-policy", b"camera=(), microphone=(), geolocation=(), xr-spatial-tracking=(self), gamepad=(self)"),
+    (b"cache-control", b"no-cache"),
+)
+
+_CLIENT = "telenano.client"
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+class _Accounted:
+    """Accounts for the connection of each request, by the address that it comes from and not by what a header says."""
+
+    def __init__(self, app: Any, connections: Connections) -> None:
+        self._app = app
+        self._connections = connections
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        client = scope.get("client")
+        scope[_CLIENT] = tuple(client or ())
+        self._connections.begin(scope[_CLIENT])
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._connections.end(scope[_CLIENT])
+
+
+class _Gate:
+    """Refuses addresses and host names that are not admitted, before anything else; adds the headers of the page."""
+
+    def __init__(self, app: Any, access: Access) -> None:
+        self._app = app
+        self._access = access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        fault = self._fault(scope)
+        if fault and scope["type"] == "http":
+            await PlainTextResponse(f"telenano: {fault}\n", 403)(scope, receive, send)
+        elif fault:
+            await receive()
+            await send({"type": "websocket.close", "code": POLICY, "reason": fault})
+        else:
+            await self._app(scope, receive, lambda message: send(_with_headers(message)))
+
+    def _fault(self, scope: Scope) -> str:
+        client = scope.get("client")
+        address = client[0] if client else ""
+        if not self._access.admits_address(address):
+            return f"connections from {address or 'an unknown address'} are not allowed: start the server with --allow"
+        headers = dict(scope["headers"])
+        host = headers.get(b"host", b"").decode("latin-1")
+        if not self._access.admits_host(host):
+            return f"{host!r} is not a name of this server: use one of {', '.join(self._access.hosts)}"
+        origin = headers.get(b"origin", b"").decode("latin-1")
+        if scope["type"] == "websocket" and not self._access.admits_origin(origin, host):
+            others = ", or name its origin with --allow-origin" if self._access.origins else ""
+            return f"a page from {origin!r} may not connect: open the address that was printed{others}"
+        return ""
+
+
+def guarded(app: Any, access: Access, connections: Connections) -> Any:
+    """Return an application behind the gate, whose connections are accounted for.
+
+    A proxy on this machine may say in `X-Forwarded-For` from where a request comes, as web servers have it.
+    """
+    from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
+
+    gate: Any = _Gate(app, access)
+    return _Accounted(ProxyHeadersMiddleware(gate), connections)
+
+
+def client_of(scope: Scope) -> Any:
+    """Return what `Connections` knows the connection of a request by."""
+    return scope.get(_CLIENT)
+
+
+def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    if message["type"] == "http.response.start":
+        message["headers"] = [*message.get("headers", ()), *_HEADERS]
+    return message
+
+
+async def end_quietly(sender: "asyncio.Task[None]") -> None:
+    """Cancel what sends to a socket that may be closed already."""
+    sender.cancel()
+    with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+        await sender
