@@ -27,7 +27,7 @@ from services.controller.master_half import MasterController
 from services.delay_node.node import DelayNode
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import parse_settings
-from telenano.runtime.bus.bus import Received, Subscriber, ZmqBus
+from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.journal import InputJournal
 from telenano.runtime.loop.log import StructuredLog
@@ -36,6 +36,7 @@ from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, decode, encode
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 TURNS = 1000

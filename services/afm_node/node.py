@@ -24,7 +24,6 @@ from telenano.devices.afm.capabilities import refusal
 from telenano.devices.afm.guarded import AfmMemory, GuardedInstrument, Step, line_fields, parts_of
 from telenano.devices.afm.instrument import pointed, reach_of, runner_of, sample_text
 from telenano.numerics.frames import to_paper_axis
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import FreshnessState
@@ -32,6 +31,7 @@ from telenano.wire.errors import RefusedError, cause
 from telenano.wire.instrument import MOST_TEXT
 from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 from telenano.wire.node_state import FindInput, Part, part
+from telenano.wire.received import Received
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 _PROGRAM_PERIOD_NS = 100_000_000

@@ -21,12 +21,12 @@ from telenano.laws.law import (
     port_signal,
 )
 from telenano.numerics.frames import to_paper_axis, to_site_frame
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import SessionControl, TeleopBackward, TeleopForward
 from telenano.wire.node_state import Part, part
+from telenano.wire.received import Received
 
 STATUS_PERIOD_S = 0.01
 ROUND_TRIP_UNKNOWN = (0.0, False)

@@ -21,10 +21,10 @@ from telenano.laws.lateral import (
 )
 from telenano.laws.law import EnergyAccount, HandSample, MasterReference
 from telenano.numerics.frames import to_paper_axis, to_site_frame
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import NodeContext
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 from telenano.wire.node_state import FindInput
+from telenano.wire.received import Received
 
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")

@@ -11,12 +11,12 @@ from telenano.laws.integration import Settled, SlaveTiming, TimingParams
 from telenano.laws.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
 from telenano.laws.law import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
 from telenano.numerics.frames import to_paper_axis
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
 from telenano.wire.node_state import FindInput
+from telenano.wire.received import Received
 
 # A program that is silent for so long is over [ns]: it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000

@@ -10,7 +10,6 @@ from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, De
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine, LinkState
 from telenano.link.fate import Direction, Fate, Release
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.deferred import Task
@@ -22,6 +21,7 @@ from telenano.wire.messages import ClockPong, LinkClock, LinkDirection, Message,
 from telenano.wire.node_state import FindInput
 from telenano.wire.nodes import LINK
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
 STATUS_PERIOD_NS = 100_000_000

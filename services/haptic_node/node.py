@@ -11,7 +11,6 @@ from telenano.hand.driver import DeviceReading, DeviceReport, DriveCommand, Hapt
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.numerics.frames import to_paper_axis, to_site_frame
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.device_node import DeviceNode, Parts
 from telenano.runtime.loop.node import NodeContext
@@ -21,6 +20,7 @@ from telenano.wire.errors import RefusedError
 from telenano.wire.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from telenano.wire.node_state import FindInput, Part, part
 from telenano.wire.nodes import is_meant
+from telenano.wire.received import Received
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
 _NO_COMMAND = HapticCommand(

@@ -12,12 +12,13 @@ from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.info import END_NAME
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
-from telenano.runtime.bus.bus import Received, split_frames
+from telenano.runtime.bus.bus import split_frames
 from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import START_ORDER, name_of, site_of
+from telenano.wire.received import Received
 from telenano.wire.sequence import MOST_COUNTED, Arrival
 
 # messages on these topics are decoded, of all others only the header is read

@@ -10,13 +10,14 @@ from services.recorder.intake import Intake
 from telenano.console.listener import Listener
 from telenano.recording.disk_watch import DiskWatch
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.runtime.bus.bus import NetworkEvents, Received, ZmqBus
+from telenano.runtime.bus.bus import NetworkEvents, ZmqBus
 from telenano.runtime.bus.publisher import Publisher
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.timing.clock import Clock
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import MAX_TEXT, SessionControl
+from telenano.wire.received import Received
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives

@@ -183,7 +183,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
 def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: Served) -> None:
     def judged() -> Mapping[str, Any]:
         # What draws the figures takes longer to import than the page to open.
-        from telenano.recording_document import judged_recording
+        from telenano.analysis.recording_document import judged_recording
 
         return judged_recording(open_indexed(files))
 

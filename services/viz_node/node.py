@@ -10,7 +10,7 @@ from services.viz_node.live import LiveSource
 from services.viz_node.page_server import PageServer
 from telenano.console.lease import Party
 from telenano.console.lease_register import LeaseRegister
-from telenano.runtime.bus.bus import Received, Refusals, ZmqBus
+from telenano.runtime.bus.bus import Refusals, ZmqBus
 from telenano.runtime.bus.publisher import NullPublisher, Publisher
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.wiring.participant import Participant
@@ -18,6 +18,7 @@ from telenano.serving.access import Access
 from telenano.serving.connections import Listener
 from telenano.serving.serve import Tls
 from telenano.wire.errors import EndpointError
+from telenano.wire.received import Received
 
 
 class PageBus(ZmqBus):

@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.sample.surface_files import GSF_MAGIC
+from telenano.analysis.live_image import LiveImage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from telenano.console.live_program import LiveImage
 
 
 class Image(NamedTuple):
@@ -46,7 +45,7 @@ class ImageFacts(NamedTuple):
     sample: str = ""
 
 
-def images_of_lines(image: "LiveImage", count: int) -> dict[str, Image]:
+def images_of_lines(image: LiveImage, count: int) -> dict[str, Image]:
     """Return the channels of the first lines of an image that came line by line; each is whole, both ways."""
 
     def named(title: str, unit: str, values: npt.NDArray[np.float64]) -> Image:

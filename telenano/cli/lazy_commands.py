@@ -56,6 +56,7 @@ _ABOUT = {
     "keys": "Make, show and list the keys that identify machines.",
     "relay": "Run a relay between two sites that can only dial out.",
     "device": "List, probe and watch real devices; emulate some.",
+    "doctor": "Check whether this machine can run a rig.",
 }
 _GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "sample", "keys", "device")
 # A command that is a process of the rig lies with that process.
@@ -70,7 +71,7 @@ LAZY_COMMANDS = {
         _WITH_PROCESS.get(name, f"telenano.cli.commands.{name}"), "app" if name in _GROUPS else name, about
     )
     for name, about in _ABOUT.items()
-} | {"doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig.")}
+}
 
 
 # The order of the list of commands; those of packages of the project stand in it where they are installed.

@@ -10,7 +10,6 @@ from telenano.laws.law import changed_in_contact as changed_in_contact
 from telenano.laws.law import longest_pause_periods as longest_pause_periods
 from telenano.laws.law import paced as paced
 from telenano.laws.law_rules import known_law as known_law
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings.config import merge as merge
@@ -20,6 +19,7 @@ from telenano.wire.errors import RefusedError as RefusedError
 from telenano.wire.messages import Message
 from telenano.wire.nodes import TIP, module_of, name_of
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 _MS = 1_000_000

@@ -10,12 +10,12 @@ from telenano.launcher.liveness import Change, LivenessMonitor
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.recorder_wait import has_last
 from telenano.launcher.supervisor import Supervisor
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.ends import read_end
 from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
+from telenano.wire.received import Received
 
 Phase = Literal["starting", "arming", "running", "ending", "over"]
 

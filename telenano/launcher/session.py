@@ -10,12 +10,12 @@ from telenano.launcher.readiness import READY_DEADLINE_S, ReadinessGate
 from telenano.launcher.recorder_wait import LastMessages, RecorderWait
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.node import NodeContext
 from telenano.wire.messages import NodeHealth, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
+from telenano.wire.received import Received
 
 # A rig that stops waits so long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
 _STOP_ANSWER_NS = 2_000_000_000

@@ -8,11 +8,11 @@ from telenano.launcher.piece_sender import PieceSender
 from telenano.launcher.readiness import READY_DEADLINE_S, unmet
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import NodeContext
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import ClockPing, SessionControl
 from telenano.wire.nodes import LINK, TIP
+from telenano.wire.received import Received
 
 
 class SiteNode(RigNode):

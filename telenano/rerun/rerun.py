@@ -20,7 +20,7 @@ from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun_bus import DifferenceError, RerunBus, RerunOutlet
 from telenano.rerun.rerun_inputs import JOURNAL, RecordedNode, Turn, start_ns, turns_of
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import Reader, Received, Subscriber, ZmqBus
+from telenano.runtime.bus.bus import Reader, Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
 from telenano.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED
 from telenano.runtime.loop.log import StructuredLog
@@ -35,6 +35,7 @@ from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionControl
 from telenano.wire.node_state import is_whole, restore
 from telenano.wire.nodes import RERUN_NODES, name_of, no_rerun_reason
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 # the first parts of a journal may name inputs from before the recording began; later ones have to be complete

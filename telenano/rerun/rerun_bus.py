@@ -7,12 +7,12 @@ from telenano.analysis.forwarded import Forwarded, compare_forwarded
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.tolerance import Tolerances, first_difference
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
-from telenano.runtime.bus.bus import Received
 from telenano.timing.clock import TurnClock
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import site_of
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
 

@@ -9,10 +9,10 @@ from typing import NamedTuple, cast
 
 import msgspec
 
-from telenano.runtime.bus.bus import Received
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
 from telenano.wire.nodes import LINK, name_of, site_of
+from telenano.wire.received import Received
 from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)

@@ -49,7 +49,7 @@ def view(path: Path, folder: Path) -> None:
     """Do what `telenano view FILE` does until everything is read: the transport, the curves, the judgement, a part."""
     from services.viz_node.document import RecordingDocument
     from services.viz_node.playback import RecordingPlayback
-    from telenano.recording_document import judged_recording
+    from telenano.analysis.recording_document import judged_recording
 
     recording = open_indexed([path])
     playback = RecordingPlayback(recording, time.monotonic)

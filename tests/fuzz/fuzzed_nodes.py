@@ -43,7 +43,7 @@ from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber, ZmqBus
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber, ZmqBus
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
@@ -52,6 +52,7 @@ from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood

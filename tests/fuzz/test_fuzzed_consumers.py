@@ -31,6 +31,7 @@ from services.viz_node.feed import seen
 from services.viz_node.hub import Hub
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from telenano.analysis.recording_document import judged_recording
 from telenano.analysis.report import write_report
 from telenano.console.listener import Listener
 from telenano.extend.testing import VirtualClock
@@ -40,7 +41,6 @@ from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.tables import plain
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.recording_document import judged_recording
 from telenano.runtime.bus.bus import Subscriber
 from telenano.serving.access import Role
 from telenano.wire import TOPICS, encode

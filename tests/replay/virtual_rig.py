@@ -31,7 +31,7 @@ from telenano.recording.provenance import write_provenance
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RejectedRecord
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
@@ -44,6 +44,7 @@ from telenano.wire import TOPICS, Message, WireError, decode, decode_header, enc
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000

@@ -79,7 +79,7 @@ def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
 
 
 def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
-    from telenano.console.live_program import LiveImage
+    from telenano.extend.images import LiveImage
 
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:

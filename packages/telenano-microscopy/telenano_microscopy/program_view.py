@@ -10,7 +10,8 @@ from telenano.cli.keyboard import RawKeyboard
 from telenano.wire.errors import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.console.live_program import LiveCurve, LiveImage
+    from telenano.console.live_program import LiveCurve
+    from telenano.extend.images import LiveImage
     from telenano.wire.instrument import AfmProgram
     from telenano.wire.messages import Scalar
 

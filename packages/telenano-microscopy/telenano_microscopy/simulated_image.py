@@ -11,8 +11,8 @@ from telenano.afm.config import AfmConfig
 from telenano.afm.programs.program import FinishedLine
 from telenano.afm.programs.settings import requested
 from telenano.afm.sample.surface import height_at
-from telenano.console.live_program import LiveImage
 from telenano.devices.afm.guarded import line_fields
+from telenano.extend.images import LiveImage
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import AfmScanline, Scalar
 from telenano_microscopy.virtual_instrument import VirtualInstrument

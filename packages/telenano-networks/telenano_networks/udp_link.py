@@ -11,10 +11,10 @@ from typing import NamedTuple, Protocol, TypeVar
 from services.delay_node.node import DelayNode, DirectionPath, SiteEndpoint
 from telenano.link.config import LinkSettings
 from telenano.link.fate import Direction, Fate, Release
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import SessionControl
+from telenano.wire.received import Received
 
 TOPIC = "udp"
 WAYS: tuple[Direction, Direction] = ("forward", "backward")

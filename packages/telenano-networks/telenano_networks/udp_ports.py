@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from telenano.link.fate import Direction
-from telenano.runtime.bus.bus import Received
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import InputHealth
+from telenano.wire.received import Received
 from telenano.wire.sequence import SequenceTracker
 
 # The largest datagram of UDP is smaller.

@@ -62,7 +62,7 @@ def package_rows() -> list[dict[str, Any]]:
     That is what a check of `telenano doctor` with the name of the driver found.
     """
     from telenano.afm.config import DRIVERS as INSTRUMENTS
-    from telenano.doctor.report import checks_of_packages
+    from telenano.cli.commands.doctor import checks_of_packages
     from telenano.hand.config import DRIVERS as HANDLES
 
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()

@@ -15,6 +15,7 @@ from telenano.wire import TOPICS, WireError, accept, decode_header
 from telenano.wire.codec import MAX_MESSAGE_BYTES
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival, SequenceTracker
 
 # Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
@@ -48,16 +49,6 @@ MOST_REPORTED = 64
 Taken = tuple[Sequence[bytes], int]
 # the sequence statistics of its source, seq, t_ns
 Header = tuple[SequenceTracker, int, int]
-
-
-class Received(NamedTuple):
-    """A message as a node gets it."""
-
-    topic: str
-    message: Message
-    payload: bytes
-    received_ns: int
-    arrival: Arrival
 
 
 class Bus(Protocol):

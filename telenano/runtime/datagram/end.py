@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal, cast
 
 from telenano.runtime.bus.address_book import LinkTransport
-from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber, Taken
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber, Taken
 from telenano.runtime.datagram.agreement import Agreement
 from telenano.runtime.datagram.arrivals import ArrivalRecord
 from telenano.runtime.datagram.body import (
@@ -46,6 +46,7 @@ from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.timing.play_out import PlayOut
 from telenano.wire.messages import InputHealth, Message
 from telenano.wire.network_messages import LinkKey
+from telenano.wire.received import Received
 
 # The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64

@@ -17,9 +17,10 @@ from math import sqrt
 
 import zmq
 
-from telenano.runtime.bus.bus import Received, Subscriber, Taken
+from telenano.runtime.bus.bus import Subscriber, Taken
 from telenano.runtime.bus.publisher import SPARSE
 from telenano.timing.clock import Clock
+from telenano.wire.received import Received
 
 # A reader takes a sample over TCP when no datagram has come for so long. With two pauses, for one connection while the
 # other waits, that is within a deadline of 50 ms.

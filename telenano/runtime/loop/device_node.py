@@ -7,9 +7,9 @@ node is built, so that no step asks what there is (ADR 0067).
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.messages import NodeHealth, SessionControl
+from telenano.wire.received import Received
 
 S = TypeVar("S")
 M = TypeVar("M")

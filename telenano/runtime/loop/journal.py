@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.runtime.bus.bus import Received
 from telenano.timing.clock import TurnClock
 from telenano.wire.journal_messages import JournalInput
 from telenano.wire.messages import Array
 from telenano.wire.node_state import pack
+from telenano.wire.received import Received
 
 DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3
 # A message holds so many turns: some 80 kB, and below the limit however many sources there are.

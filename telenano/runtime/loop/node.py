@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
-from telenano.runtime.bus.bus import Bus, ConnectionEvent, Received
+from telenano.runtime.bus.bus import Bus, ConnectionEvent
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
 from telenano.runtime.loop.log import StructuredLog
@@ -16,6 +16,7 @@ from telenano.timing.freshness import Freshness
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
 from telenano.wire.node_state import FindInput
+from telenano.wire.received import Received
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 # This is the period of a rig that gives no `realtime.rate_hz`.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, cast
 
-from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
 from telenano.runtime.loop.deadlines import LatenessWindow
 from telenano.runtime.loop.deferred import Deferred, Task
@@ -21,6 +21,7 @@ from telenano.timing.clock import NEVER_NS
 from telenano.timing.freshness import LOOP_DEADLINE_NS
 from telenano.wire import TOPICS, WireError, accept
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 # At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.

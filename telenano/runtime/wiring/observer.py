@@ -12,12 +12,13 @@ import numpy as np
 import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.local_endpoint import local_endpoint
 from telenano.runtime.wiring.participant import OBSERVER, open_participant
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 from telenano.wire.nodes import is_visitor, site_of
+from telenano.wire.received import Received
 from telenano.wire.sequence import SequenceTracker
 
 # Users see this hint when nothing is received.

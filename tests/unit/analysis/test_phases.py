@@ -7,8 +7,8 @@ import pytest
 from made_sessions import Made
 
 from telenano.analysis.phases import contacts_of, moments_of, phases_of
+from telenano.analysis.recording_document import judged_recording
 from telenano.recording.multi_file import open_recordings
-from telenano.recording_document import judged_recording
 
 TIME_S = np.arange(0.0, 8.0, 0.001)
 

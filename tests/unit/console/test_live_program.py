@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.console.live_program import LiveImage
+from telenano.analysis.live_image import LiveImage
 from telenano.wire.messages import AfmScanline, Array
 
 

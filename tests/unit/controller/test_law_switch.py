@@ -10,8 +10,8 @@ from services.controller.slave_half import SlaveController
 from telenano.laws.config import LAWS as INSTALLED
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
-from telenano.runtime.bus.bus import Received
 from telenano.wire.errors import RefusedError
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 PERIOD_NS = 1_000_000

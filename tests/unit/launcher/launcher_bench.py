@@ -11,11 +11,11 @@ from telenano.launcher.processes import StopObserver
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.wire import TOPICS
 from telenano.wire.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]

@@ -8,8 +8,8 @@ from rich.console import Console
 from telenano.cli.live_view import nodes_table, rig_picture
 from telenano.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
 from telenano.launcher.rig_node import _Ending
-from telenano.runtime.bus.bus import Received
 from telenano.wire.messages import NodeHealth, SessionEvent
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 

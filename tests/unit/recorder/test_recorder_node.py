@@ -22,7 +22,7 @@ from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
@@ -34,6 +34,7 @@ from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import InputHealth, SessionEvent
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 PATIENCE_S = 30.0

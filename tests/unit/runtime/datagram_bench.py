@@ -11,12 +11,13 @@ from network_bench import payload
 
 from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import LinkTransport
-from telenano.runtime.bus.bus import Received, Subscriber
+from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.bus.publisher import SPARSE
 from telenano.runtime.datagram.end import DatagramEnd
 from telenano.runtime.datagram.place import Outlets, Place
 from telenano.wire import compose
 from telenano.wire.messages import Message
+from telenano.wire.received import Received
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

@@ -12,11 +12,12 @@ from wire_contract import examples
 
 from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring, Role
 from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.wire import TOPICS, Message, encode
+from telenano.wire.received import Received
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

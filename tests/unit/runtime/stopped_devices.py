@@ -13,7 +13,6 @@ from telenano.afm.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.kept_stop import keep
@@ -24,6 +23,7 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.wire import TOPICS, encode
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import is_meant, site_of
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"

@@ -8,9 +8,9 @@ from wire_contract import examples
 
 from telenano.link.declared_delay import DeclaredDelay
 from telenano.link.fate import Release, delayed
-from telenano.runtime.bus.bus import Received
 from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
 from telenano.wire import TOPICS, encode
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 from telenano.wire.topics import LOOP_DEADLINE_S
 

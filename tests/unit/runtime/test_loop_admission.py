@@ -10,7 +10,6 @@ from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.extend.testing import VirtualClock
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.commands import STALL_NS
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
@@ -18,6 +17,7 @@ from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import SUPERSEDED, SessionControl, SessionEvent
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 PLAIN = RealtimeStatus(fifo=False, memory_locked=False)

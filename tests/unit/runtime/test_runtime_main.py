@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 import services
 from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.main import EXIT_BAD_START, NodeKind, node_kind, ordinary, parse_arguments, run_node
 from telenano.wire.errors import ConfigError
+from telenano.wire.received import Received
 
 SCENARIO = """
 name: test

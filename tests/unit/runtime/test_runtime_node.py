@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from wire_contract import examples
 
 from telenano.extend.testing import VirtualClock
-from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.loop import journal
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.log import StructuredLog
@@ -30,6 +30,7 @@ from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.ranges import limited
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 MS = 1_000_000

@@ -13,11 +13,11 @@ import zmq
 
 from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import Received
 from telenano.runtime.bus.publisher import NullPublisher
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
 from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire.received import Received
 
 HAND, LINK = "haptic_node@master", "delay_node@master"
 

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from telenano.afm.sample.surface_files import read_surface
 from telenano.cli import lazy_commands
+from telenano.cli.commands.doctor import checks_of_packages
 from telenano.cli.root import app
-from telenano.doctor.report import checks_of_packages
 from telenano.extend.exports import write_recording
 from telenano.extend.images import Image, write_images
 from telenano.extend.messages import example, recorded

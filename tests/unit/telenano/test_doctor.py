@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from telenano.cli.commands import doctor
 from telenano.cli.root import app
 from telenano.doctor import checks
-from telenano.doctor import report as doctor
 from telenano.doctor.checks import Endpoint, Finding, KernelClock
 from telenano.laws.config import KNOWN_LAWS
 from telenano.runtime.bus.address_book import AddressBook, NodeEntry
@@ -449,7 +449,7 @@ def test_a_session_after_warming_compiles_nothing_and_one_before_it_says_that_it
     warm = (
         "from telenano.lockstep import simulation; warm = simulation.compile_scenario\n"
         "simulation.compile_scenario = lambda name, law: law == 'virtual_impedance' and warm(name, law)\n"
-        "from telenano.doctor.report import compile_models; compile_models(as_json=True)"
+        "from telenano.cli.commands.doctor import compile_models; compile_models(as_json=True)"
     )
     session = "import telenano; print(telenano.simulate('fig12', law='virtual_impedance').verdict)"
     said = []

@@ -22,7 +22,7 @@ from telenano.launcher.rig_status import (
 )
 from telenano.launcher.rigs import RigFacts
 from telenano.runtime.bus.address_book import AddressBook, load_site
-from telenano.runtime.bus.bus import ConnectionEvent, Received
+from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.settings import DEFAULT_SITE_FILE
@@ -30,6 +30,7 @@ from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 from telenano.wire.messages import InputHealth, Message, NodeHealth
+from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 RIG = [
