@@ -38,8 +38,7 @@ from wire_examples import ordinary_example
 from services.player.node import PlaySettings
 from services.player.plan import node_of
 from services.player.run import ReplayRequest, run_replay
-from services.recorder.begin_recording import begin_recording
-from services.recorder.intake import Intake, Listener
+from services.recorder.intake import Intake, Listener, begin_recording
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify

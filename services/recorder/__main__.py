@@ -8,8 +8,7 @@ if __name__ == "__main__":
 
 import sys
 
-from services.recorder.begin_recording import begin_recording
-from services.recorder.intake import Intake
+from services.recorder.intake import Intake, begin_recording
 from services.recorder.node import RecorderBus, RecorderNode
 from telenano.console.listener import Listener
 from telenano.console.live_recording import connect

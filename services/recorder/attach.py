@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from services.recorder.begin_recording import begin_recording
+from services.recorder.intake import begin_recording
 from services.recorder.node import RecorderBus, RecorderNode
 from telenano.console.live_recording import connect
 from telenano.recording.recorder_config import RecorderConfig

@@ -4,15 +4,19 @@ import contextlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from services.recorder.rotation import FileRotation, QuotaError
 from telenano.console.listener import Listener, Stream
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.info import END_NAME
+from telenano.recording.provenance import write_provenance
+from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
 from telenano.runtime.bus.bus import split_frames
+from telenano.timing.clock import Clock
 from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
@@ -330,3 +334,25 @@ class Intake:
             self.notes.append(f"the recording was stopped before its end: {error}")
             with contextlib.suppress(RecordingError):
                 writer.finish(self._end("quota"))
+
+
+def begin_recording(
+    key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None
+) -> Intake:
+    """Start a recording by the node `key`.
+
+    A file that cannot be written is a fault that the intake reports, not an error: the rig goes on.
+    """
+
+    def create_file(number: int) -> RecordingWriter:
+        writer = RecordingWriter.create(key, config, number)
+        write_provenance(writer, config, site_file, scenario_file, clock.now_ns())
+        return writer
+
+    rotation = FileRotation(config, create_file)
+    writer, fault = None, ""
+    try:
+        writer = rotation.begin(clock.monotonic_ns())
+    except RecordingError as error:
+        fault = str(error)
+    return Intake(writer, fault, selection=config.selection(), rotation=rotation)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Coroutine, Sequence
 from typing import Any
 
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.realtime import ahead_of_others, raise_file_limit
 from telenano.runtime.relay.site_end import site_end
@@ -25,11 +25,6 @@ async def until_stopped(work: Coroutine[Any, Any, None]) -> None:
         await task
 
 
-async def run_site_end(book: AddressBook, site: str, log: StructuredLog) -> None:
-    """Run the end of a site; ConfigError where the site file has no relay, or a key is missing."""
-    await site_end(book, site, log).run()
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the end of a site until it is stopped; return the exit code, 2 where it could not start."""
     given = parse_arguments("relay", ("master", "slave"), arguments)
@@ -40,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     raise_file_limit()
     ahead_of_others()
     try:
-        asyncio.run(until_stopped(run_site_end(load_site(given.site_file), given.site, log)))
+        asyncio.run(until_stopped(site_end(load_site(given.site_file), given.site, log).run()))
     except TelenanoError as error:
         log.error(str(error))
         return EXIT_BAD_START

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from services.relay.__main__ import run_site_end, until_stopped
+from services.relay.__main__ import until_stopped
 from services.relay.server import DEFAULT_PORT, Relay
 from telenano.cli.options import SiteFileOption
 from telenano.cli.output import report_errors
@@ -13,6 +13,7 @@ from telenano.runtime.bus.address_book import RELAY, load_site
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.realtime import ahead_of_others, raise_file_limit
 from telenano.runtime.relay.protocol import split_host_port
+from telenano.runtime.relay.site_end import site_end
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
 from telenano.settings import TWO_SITES_FILE
@@ -46,7 +47,7 @@ def relay(
         if join is not None:
             if join not in ("master", "slave"):
                 raise ConfigError(f"--join: {join} is no site, must be master or slave")
-            work = run_site_end(load_site(site_file), join, StructuredLog(f"{RELAY}@{join}"))
+            work = site_end(load_site(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
         else:
             work = _serve(listen, mbit_per_s)
         asyncio.run(until_stopped(work))

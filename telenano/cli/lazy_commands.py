@@ -17,6 +17,7 @@ from telenano.settings import plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, probably_meant
+from telenano.wire.nodes import module_of
 
 # what the wheel installs at the top level
 _OWN = ("services", "telenano")
@@ -59,18 +60,12 @@ _ABOUT = {
     "doctor": "Check whether this machine can run a rig.",
 }
 _GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "sample", "keys", "device")
+_MODULES = {name: f"telenano.cli.commands.{name}" for name in _ABOUT}
 # A command that is a process of the rig lies with that process.
-_WITH_PROCESS = {
-    "record": "services.recorder.command",
-    "relay": "services.relay.command",
-    "replay": "services.player.command",
-    "view": "services.viz_node.command",
-}
+_PROCESSES = (("record", "recorder"), ("relay", "relay"), ("replay", "player"), ("view", "viz_node"))
+_MODULES |= {name: f"{module_of(process)}.command" for name, process in _PROCESSES}
 LAZY_COMMANDS = {
-    name: LazyCommand(
-        _WITH_PROCESS.get(name, f"telenano.cli.commands.{name}"), "app" if name in _GROUPS else name, about
-    )
-    for name, about in _ABOUT.items()
+    name: LazyCommand(_MODULES[name], "app" if name in _GROUPS else name, about) for name, about in _ABOUT.items()
 }
 
 

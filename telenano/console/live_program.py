@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.live_image import LiveImage
+from telenano.analysis.image_files import LiveImage
 from telenano.console.command_client import send_control
 from telenano.console.lease_register import holding
 from telenano.runtime.bus.address_book import load_site

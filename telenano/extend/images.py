@@ -6,8 +6,8 @@ import typer
 
 from telenano.analysis.image_files import Image as Image
 from telenano.analysis.image_files import ImageFacts as ImageFacts
+from telenano.analysis.image_files import LiveImage as LiveImage
 from telenano.analysis.image_files import images_of_lines as images_of_lines
-from telenano.analysis.live_image import LiveImage as LiveImage
 from telenano.cli.sample_options import results_in as results_in
 from telenano.settings import plugins
 

@@ -1,13 +1,11 @@
 """Columns of equal length with units and descriptions: a table of messages, or of a simulated session."""
 
-import importlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy.typing as npt
 
-from telenano.wire.errors import ConfigError
-from telenano.wire.extras import missing
+from telenano.files.optional_modules import required_module
 
 Column = npt.NDArray[Any]
 
@@ -41,7 +39,7 @@ class ColumnTable(Mapping[str, Column]):
 
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
-        pandas = _package("pandas")
+        pandas = required_module("pandas", "a table as data of pandas")
         frame = pandas.DataFrame({name: list(values) if values.ndim > 1 else values for name, values in self.items()})
         frame.attrs.update(units=self.units)
         return frame
@@ -52,7 +50,7 @@ class ColumnTable(Mapping[str, Column]):
         Raises:
             ConfigError: xarray is not installed; the message says what adds it.
         """
-        xarray = _package("xarray")
+        xarray = required_module("xarray", "a table as data of xarray")
         facts = {name: {"units": self.units[name], "long_name": self.descriptions[name]} for name in self}
         variables = {
             name: (("time_s", *(f"{name}_{axis}" for axis in range(1, values.ndim))), values, facts[name])
@@ -60,10 +58,3 @@ class ColumnTable(Mapping[str, Column]):
         }
         times = variables.pop("time_s")
         return xarray.Dataset(variables, coords={"time_s": times}, attrs={"name": self._name})
-
-
-def _package(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ConfigError(f"a table as data of {name}: {missing(name)}") from error

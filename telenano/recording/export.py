@@ -1,7 +1,6 @@
 """Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP for viewers."""
 
 import csv
-import importlib
 import json
 import os
 from collections import Counter
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from telenano.files.optional_modules import required_module
 from telenano.files.whole_files import whole_file, whole_folder
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
@@ -29,7 +29,7 @@ from telenano.settings import plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
-from telenano.wire.extras import how_to_add_package, how_to_install
+from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import Record
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
@@ -78,14 +78,14 @@ def _export(recording: Recording, target: Path, kind: str, selection: Selection)
     if kind not in FORMATS:
         return _written_by_package(_of_package(kind), recording, target, kind, selection)
     if kind == "hdf5":
-        h5py = _package("h5py", "hdf5")
+        h5py = required_module("h5py", "hdf5")
         with whole_file(target, replace=False) as file:
             _, total, damage = write_tables(recording, selection, partial(_hdf5_tables, h5py, recording, file))
     else:
         with whole_folder(target) as folder:
             begin: Callable[[Path], AbstractContextManager[OpenTable]] = _csv_tables
             if kind == "parquet":
-                arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
+                arrow, parquet = required_module("pyarrow", "parquet"), required_module("pyarrow.parquet", "parquet")
                 begin = parquet_tables(arrow, parquet, recording)
             columns, total, damage = write_tables(recording, selection, partial(begin, folder))
             if kind == "csv":
@@ -367,11 +367,3 @@ def _elements(value: Any) -> Iterator[Any]:
             yield from _elements(part)
     else:
         yield value
-
-
-def _package(name: str, format_name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        package = name.partition(".")[0]
-        raise ConfigError(f"{format_name} needs the package {package}: {how_to_install('export')}") from error

@@ -25,7 +25,7 @@ from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import Record
 
 FILE = Path(__file__).with_suffix(".json")
-SCENARIO = Path(__file__).parents[2] / "telenano" / "presets" / "scenarios" / "fig12.yaml"
+SCENARIO = Path(__file__).parents[2] / "telenano" / "settings" / "scenarios" / "fig12.yaml"
 WIRE = "1"
 _NS = 1_750_000_000_000_000_000
 _LEFT_OUT = ("description", "title", "default", "examples", "additionalProperties", "required", "type", "properties")

@@ -14,7 +14,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "replay")]
-DEMO = ROOT / "telenano" / "presets" / "demo.mcap"
+DEMO = ROOT / "telenano" / "settings" / "demo.mcap"
 # a quarter of the loop's usual rate, so that a file is small
 SETTINGS = (
     "realtime.rate_hz=250",

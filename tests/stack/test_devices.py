@@ -26,7 +26,7 @@ from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.endurance
 
-FIG12 = ROOT / "telenano" / "presets" / "scenarios" / "fig12.yaml"
+FIG12 = ROOT / "telenano" / "settings" / "scenarios" / "fig12.yaml"
 PATIENCE_S = 60.0
 DAC0, TRIPS = 1000, 46010
 # of the converters of a T7 with 80 nm for a volt, at the hand: the tip's base moves in steps of 0.1 nm

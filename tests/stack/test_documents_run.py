@@ -99,7 +99,7 @@ def test_what_the_lines_for_matlab_read_is_in_the_file(place: Path) -> None:
 
 def test_points_of_ones_own_lie_beside_a_session(place: Path) -> None:
     (line,) = [line for line in lines() if "my_points.csv" in line.text]
-    (place / "my_points.csv").write_text((ROOT / "telenano" / "presets" / "paper" / "fig12.csv").read_text())
+    (place / "my_points.csv").write_text((ROOT / "telenano" / "settings" / "paper" / "fig12.csv").read_text())
     done = run([sys.executable, "-m", "telenano", *line.words[:-1], "published"], place)
     assert done.returncode in (0, 3), done.stderr
     assert (place / "published" / "published.json").exists()

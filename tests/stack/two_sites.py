@@ -22,7 +22,7 @@ from following import Following, Recorded
 from telenano.runtime.security.keyring import Keyring
 
 ROOT = Path(__file__).resolve().parents[2]
-TWO_SITES = ROOT / "telenano" / "presets" / "sites" / "two_sites.yaml"
+TWO_SITES = ROOT / "telenano" / "settings" / "sites" / "two_sites.yaml"
 MASTER, SLAVE, GUEST = "10.77.0.1", "10.77.0.2", "10.77.0.3"
 HOSTS = {"master": MASTER, "slave": SLAVE}
 # far beyond what is expected: it only keeps a broken rig from holding the suite

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.analysis.live_image import LiveImage
+from telenano.analysis.image_files import LiveImage
 from telenano.wire.messages import AfmScanline, Array
 
 

@@ -61,7 +61,7 @@ print(type(model.step).__name__, type(step).__name__)
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("services/afm_node/forces.py", "telenano/laws/law.py", "telenano/lockstep/loop.py"):
+    for name in ("telenano/afm/forces.py", "telenano/laws/law.py", "telenano/lockstep/loop.py"):
         path = tmp_path / name
         path.parent.mkdir(parents=True)
         path.write_text("A = 1\n")
@@ -78,12 +78,12 @@ def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
 
 def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
     seen = {source_digest(tree)}
-    law = tree / "services" / "controller" / "law.py"
+    law = tree / "telenano" / "laws" / "law.py"
     law.write_text("A = 2\n")
     seen.add(source_digest(tree))
     law.rename(law.with_name("wave.py"))
     seen.add(source_digest(tree))
-    deep = tree / "services" / "afm_node" / "contact"
+    deep = tree / "telenano" / "afm" / "contact"
     deep.mkdir()
     (deep / "dugdale.py").write_text("")
     seen.add(source_digest(tree))
@@ -92,10 +92,10 @@ def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
     assert len(seen) == 4
 
 
-def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
+def test_processes_and_other_files_hold_no_compiled_code(tree: Path) -> None:
     first = source_digest(tree)
-    shells = ("services/afm_node/node.py", "services/controller/slave_half.py", "services/controller/__main__.py")
-    for name in (*shells, "services/afm_node/notes.md", "telenano/figures.py"):
+    (tree / "services" / "afm_node").mkdir(parents=True)
+    for name in ("services/afm_node/node.py", "telenano/afm/notes.md", "telenano/figures.py"):
         (tree / name).write_text("B = 1\n")
     assert source_digest(tree) == first
 

@@ -102,8 +102,8 @@ def test_a_folder_declares_one_kind_under_its_own_name(name: str) -> None:
 
 
 def test_launcher_and_player_have_a_folder_without_a_process_of_their_own() -> None:
-    for key in (LAUNCHER, PLAYER):
-        assert (ROOT / "services" / name_of(key) / "__init__.py").is_file()
+    for key, room in ((LAUNCHER, "telenano"), (PLAYER, "services")):
+        assert (ROOT / room / name_of(key) / "__init__.py").is_file()
         assert name_of(key) not in folders()
 
 

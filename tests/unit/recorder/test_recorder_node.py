@@ -323,7 +323,7 @@ Asked = Callable[[str, str], set[tuple[str, str]]]
 @pytest.fixture
 def asked_by(scenario_file: Path, config: RecorderConfig, monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
     """Return of which node the recorder of a site of two machines asks for which topic."""
-    site_file = Path(__file__).resolve().parents[3] / "telenano" / "presets" / "sites" / "two_sites.yaml"
+    site_file = Path(__file__).resolve().parents[3] / "telenano" / "settings" / "sites" / "two_sites.yaml"
     book = AddressBook.model_validate({**yaml.safe_load(site_file.read_text()), "insecure": True})
     clock, context = SystemClock(), zmq.Context()
 

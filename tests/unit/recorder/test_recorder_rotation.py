@@ -9,8 +9,7 @@ import pytest
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
-from services.recorder.begin_recording import begin_recording
-from services.recorder.intake import Intake, Listener
+from services.recorder.intake import Intake, Listener, begin_recording
 from services.recorder.node import RecorderNode
 from telenano.extend.testing import VirtualClock
 from telenano.recording.multi_file import open_recordings

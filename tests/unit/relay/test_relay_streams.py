@@ -14,11 +14,12 @@ import pytest
 from free_ports import free_ports
 from relay_bench import ring
 
-from services.relay import channel as channels
-from services.relay import server, site_end
+from services.relay import server
 from services.relay.server import Relay
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.relay import channel as channels
+from telenano.runtime.relay import site_end
 from telenano.runtime.relay.channel import Channel, Gone, dial
 from telenano.runtime.relay.protocol import PUBLIC_BYTES, raw_key
 from telenano.runtime.relay.site_end import SiteEnd

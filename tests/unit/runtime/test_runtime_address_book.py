@@ -13,7 +13,7 @@ from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.nodes import site_of
 
-TWO_SITES = Path(__file__).resolve().parents[3] / "telenano" / "presets" / "sites" / "two_sites.yaml"
+TWO_SITES = Path(__file__).resolve().parents[3] / "telenano" / "settings" / "sites" / "two_sites.yaml"
 NODES = (
     "haptic_node@master",
     "controller@master",

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-_ROOMS = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "packages")
+_ROOMS = ("services", "telenano", "packages")
 
 _MAYBE = re.compile(r"`[^`]{0,200}\{")
 

@@ -14,7 +14,7 @@ from telenano.wire.nodes import name_of
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 SVG = "{http://www.w3.org/2000/svg}"
-FOLDERS = ("services", "studies", "analysis", "recording", "packages/telenano-studies/telenano_studies")
+FOLDERS = ("services", "telenano", "packages/telenano-studies/telenano_studies")
 SOURCES = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
 
 
@@ -104,7 +104,7 @@ DECISIONS = sorted((DOCS / "decisions").glob("[0-9]*.md"))
 
 def test_a_decision_that_the_code_or_a_page_names_is_there_and_there_are_few() -> None:
     listed = {page.name[:4] for page in DECISIONS}
-    folders = ("proto", "recording", "services", "analysis", "studies", "telenano", "packages", "tests", "docs")
+    folders = ("proto", "services", "telenano", "packages", "tests", "docs")
     files = [path for folder in folders for end in ("py", "md") for path in (ROOT / folder).rglob(f"*.{end}")]
     named = {
         number

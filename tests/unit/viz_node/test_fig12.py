@@ -16,7 +16,7 @@ from telenano.analysis.report import read_session
 from telenano.recording.multi_file import open_recordings
 
 Series = npt.NDArray[np.float64]
-DEMO = Path(__file__).resolve().parents[3] / "telenano" / "presets" / "demo.mcap"
+DEMO = Path(__file__).resolve().parents[3] / "telenano" / "settings" / "demo.mcap"
 BEGINS, ENDS = {"meniscus": "meniscus forms", "contact": "contact begins"}, {
     "meniscus": "meniscus breaks", "contact": "contact ends",
 }  # fmt: skip
