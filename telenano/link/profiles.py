@@ -2,7 +2,7 @@
 
 A network is a file of `telenano/settings/networks`, and its name is that of the file. What is in one is `Profile`:
 `source` says which figures were published where, `assumed` what the source leaves open, and `statistics` what the
-messages of a direction have, which `tests/unit/delay_node/test_network_presets.py` measures. The environment variable
+messages of a direction have, which `tests/unit/link/test_network_presets.py` measures. The environment variable
 TELENANO_NETWORKS names a folder of further ones, such as what `telenano link fit` writes. Forward is the operator's
 uplink: the operator sits at the end of an access line, the instrument near the core of the network.
 """

@@ -3,24 +3,24 @@
 # tests that run in seconds and that have to notice a change of the module; the quickest come first
 MODULES: dict[str, tuple[str, ...]] = {
     "telenano/afm/safety.py": (
-        "tests/unit/afm_node/test_safety_codes.py",
-        "tests/unit/afm_node/test_afm_safety.py",
+        "tests/unit/afm/test_safety_codes.py",
+        "tests/unit/afm/test_afm_safety.py",
     ),
     "telenano/afm/programs/feedback.py": (
-        "tests/unit/afm_node/test_integral_share.py",
-        "tests/unit/afm_node/test_feedback.py",
+        "tests/unit/afm/test_integral_share.py",
+        "tests/unit/afm/test_feedback.py",
     ),
-    "telenano/afm/programs/runner.py": ("tests/unit/afm_node/test_program_runner.py",),
+    "telenano/afm/programs/runner.py": ("tests/unit/afm/test_program_runner.py",),
     "telenano/hand/safety.py": (
-        "tests/unit/haptic_node/test_haptic_safety.py",
-        "tests/unit/afm_node/test_safety_codes.py",
+        "tests/unit/hand/test_haptic_safety.py",
+        "tests/unit/afm/test_safety_codes.py",
     ),
     "telenano/timing/freshness.py": (
-        "tests/unit/runtime/test_freshness_of_inputs.py",
-        "tests/unit/runtime/test_runtime_freshness.py",
+        "tests/unit/timing/test_freshness_of_inputs.py",
+        "tests/unit/timing/test_runtime_freshness.py",
     ),
     "telenano/runtime/loop/deferred.py": ("tests/unit/runtime/test_deferred_tasks.py",),
-    "telenano/wire/node_state.py": ("tests/unit/runtime/test_runtime_node_state.py",),
+    "telenano/wire/node_state.py": ("tests/unit/wire/test_runtime_node_state.py",),
     "telenano/runtime/loop/journal.py": (
         "tests/unit/runtime/test_journal_state.py",
         "tests/unit/runtime/test_runtime_node.py",
@@ -36,15 +36,15 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_runtime_transport.py",
     ),
     "telenano/link/direction.py": (
-        "tests/unit/delay_node/test_link_order.py",
-        "tests/unit/delay_node/test_link_outages.py",
-        "tests/unit/delay_node/test_link_state.py",
+        "tests/unit/link/test_link_order.py",
+        "tests/unit/link/test_link_outages.py",
+        "tests/unit/link/test_link_state.py",
     ),
-    "telenano/laws/hand_periods.py": ("tests/unit/controller/test_hand_periods.py",),
-    "telenano/laws/integration.py": ("tests/unit/controller/test_integration.py",),
+    "telenano/laws/hand_periods.py": ("tests/unit/laws/test_hand_periods.py",),
+    "telenano/laws/integration.py": ("tests/unit/laws/test_integration.py",),
     "telenano/laws/passivity.py": (
-        "tests/unit/controller/test_passivity_ports.py",
-        "tests/unit/controller/test_passivity.py",
+        "tests/unit/laws/test_passivity_ports.py",
+        "tests/unit/laws/test_passivity.py",
     ),
     "telenano/recording/verify.py": ("tests/unit/recording/test_verify_missing.py",),
 }

@@ -1,7 +1,7 @@
 """A device that takes a force behind the real nodes, in virtual time: ratio, places, energy, and what takes the force.
 
 An arm presses with 2 N, as in the second hold of Fig. 12, and is held there; the session of Fig. 12 as a whole is in
-`tests/unit/studies/test_impedance_lockstep.py`.
+`tests/unit/lockstep/test_impedance_lockstep.py`.
 """
 
 import itertools

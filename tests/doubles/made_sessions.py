@@ -17,7 +17,7 @@ from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.wire import TOPICS, encode
 from telenano.wire.ends import end_data
 
-SCENARIO = Path(__file__).resolve().parents[3] / "telenano/settings/scenarios/fig12.yaml"
+SCENARIO = Path(__file__).resolve().parents[2] / "telenano/settings/scenarios/fig12.yaml"
 HAND, TIP, LINK, CONTROLLER = "haptic_node@master", "afm_node@slave", "delay_node@master", "controller@master"
 BEGAN_NS = 1_750_000_000_000_000_000
 MS, NS = 1_000_000, 1_000_000_000

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_maps import frequency_shift_hz, write_npz
-from test_recorded_map import Rig, config_of
+from recorded_maps import Rig, config_of, frequency_shift_hz, write_npz
 
 from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, FeelConfig, Felt, FeltInputs, FeltState, felt_step
 from telenano.afm.programs.lateral import Place

@@ -7,6 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from services.afm_node.node import AfmNode
+from telenano.afm import recorded_map
+from telenano.afm.config import AfmConfig
+from telenano.afm.part import PlantInputs
+from telenano.afm.recorded_map import MapState
+from telenano.devices.afm.instrument import driver_of
+
 Array = npt.NDArray[np.float64]
 STIFFNESS_N_PER_M = 2.0
 
@@ -56,3 +63,40 @@ def frequency_shift_hz(z_m: Any) -> Any:
 
 def near(force: float, expected: float, error_n: float) -> bool:
     return math.isfinite(force) and abs(force - expected) <= error_n
+
+
+def forces(params: recorded_map.MapParams, heights: Any, x_m: float = 0.0, y_m: float = 0.0) -> list[float]:
+    """Return the force at heights above the bottom, which the base goes through one after the other [N]."""
+    state, felt = MapState(math.inf, 0.0, False, 0.0), []
+    for z_m in heights:
+        inputs = PlantInputs(params.rest_distance_m - z_m, x_m, y_m)
+        state, sample = recorded_map.step(params, state, inputs, 1e-3)
+        felt.append(sample.force_n)
+    return felt
+
+
+def config_of(path: Path, **changes: Any) -> AfmConfig:
+    return AfmConfig.model_validate({"sample": {"map": str(path)}, "rest_distance_m": 20e-9, **changes})
+
+
+class Rig:
+    """An AFM over a recorded map on a bench."""
+
+    def __init__(self, bench: Any, config: AfmConfig) -> None:
+        self.bench, self.node = bench, AfmNode(bench.context, config, driver_of(config))
+
+    def go(self, x_s_m: float, steps: int = 1, x_m: float = 0.0, y_m: float = 0.0) -> Any:
+        """Command a base and a place a millisecond apart; return the last state."""
+        for _ in range(steps):
+            self.bench.advance_ms(1.0)
+            fields = {"mode": "position", "base_position_m": (x_m, y_m, -x_s_m), "hand_seq": 1, "hand_armed": True}
+            sent = self.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=self.bench.clock.now_ns())
+            self.node.on_message(sent)
+        return self.bench.take("afm/state")[-1]
+
+    def control(self, command: str, **parameters: Any) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
+        return self.node.on_control(self.bench.make("session/control", "console@master", **fields))
+
+    def said(self) -> list[str]:
+        return [event.text for event in self.bench.take("session/event")]
