@@ -40,7 +40,7 @@ TRIALS = 4
 LAWS = ("virtual_impedance", "wave")
 PICTURE_S = 0.21875
 # two windows: name, width and height
-SIZES = (("phone", 390, 844), ("laptop", 1366, 768))
+SIZES = (("laptop", 1366, 768), ("phone", 390, 844))
 
 
 class Runner(threading.Thread):
@@ -213,11 +213,11 @@ def take_trial(person: Person, cockpit: Any, index: int) -> None:
         # a reload in the middle of a trial leads back to it, and says nothing of what was before
         page.reload(wait_until="commit")
         until(lambda: person.begun(begun), f"the trial after a reload: {person.faults}")
-    person.press()
     if index == 1:
         page.wait_for_timeout(1200.0)
         person.check()
         experimenter(cockpit)
+    person.press()
     page.wait_for_timeout(300.0)
     # the answer that the task is about, while the hand presses
     page.keyboard.press("Space") if index % 2 else page.locator("#during-felt").dispatch_event("click")
