@@ -32,6 +32,8 @@ FORCE_SCALE = 1e8
 DEEP_MM, PUSH_MM, AGAIN_MM = 14.0, 6.0, 8.0
 # five swings
 WATCHED_S = 6.0
+# of a swing, whose verdict the reports leave open after less than 12 s
+SWUNG_S = 15.0
 # with which hand and tip press in steady state
 HELD_N = 1.0
 LINES = 40
@@ -215,10 +217,10 @@ class Watched(NamedTuple):
     mean_n: float
 
 
-def watched(rig: Rig) -> Watched:
+def watched(rig: Rig, for_s: float = WATCHED_S) -> Watched:
     """Watch for a while, and judge as the reports do."""
     begin_ns = time.time_ns()
-    end_ns = begin_ns + round(WATCHED_S * 1e9)
+    end_ns = begin_ns + round(for_s * 1e9)
     rig.wait_until(lambda: rig.recording().messages("afm/state")[-1].log_ns > end_ns, "what is watched")
     rows = since(rig, "afm/state", begin_ns)
     time_s = np.array([1e-9 * (row.t_ns - rows[0].t_ns) for row in rows])
@@ -342,7 +344,7 @@ def swing(rig: Rig, page: Page) -> tuple[int, Watched]:
             touch(rig, page)
             press(page, PUSH_MM)
             watched(rig)
-            swinging = watched(rig)
+            swinging = watched(rig, SWUNG_S)
             if swinging.peak_to_peak_n > 2.0 * HELD_N:
                 return delay_ms, swinging
     raise AssertionError(f"the loop does not swing at {DELAYS_MS[-1]} ms: {swinging}")
