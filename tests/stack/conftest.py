@@ -7,9 +7,11 @@
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import machine
 import pytest
+from browser_page import browser
 from commands import COMMANDS
 from stack_rig import CONSTANT_PUSH, FIGURE_AND_PUSH, FIGURE_S, Rig
 from two_sites import TwoSites
@@ -43,6 +45,13 @@ def our_turn() -> Iterator[None]:
 def rig(tmp_path: Path) -> Iterator[Rig]:
     with closing(Rig(tmp_path)) as rig:
         yield rig
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """Run one browser for all tests of a module."""
+    with browser() as found:
+        yield found
 
 
 @pytest.fixture

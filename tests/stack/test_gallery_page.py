@@ -2,12 +2,11 @@
 
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import AXE, Page, View, browser, keep, needs_browser, open_page
+from browser_page import AXE, Page, View, keep, needs_browser, open_page
 from made_sessions import Made, hand_force_n
 from telenano_studies.pages.gallery import FOLDER, page_of
 
@@ -21,12 +20,6 @@ MOVE = """([law, place]) => {
   slider.value = place;
   slider.dispatchEvent(new Event("input"));
 }"""
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as found:
-        yield found
 
 
 def move(page: Page, law: str, delay_ms: float) -> str:

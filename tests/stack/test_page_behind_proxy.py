@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from browser_page import PAGE_FOLDER, browser, needs_browser, open_page, until
+from browser_page import PAGE_FOLDER, needs_browser, open_page, until
 from free_ports import free_ports
 from slow_proxy import SlowProxy
 from wire_contract import examples
@@ -18,12 +18,6 @@ from telenano.wire import TOPICS
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
 
 FOLDER, TOKEN = "lab/rig", "operator-token-0123"
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as found:
-        yield found
 
 
 def rig_that_follows() -> list[Any]:

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import pytest
-from browser_page import AXE, Page, browser, needs_browser
+from browser_page import AXE, Page, needs_browser
 from documents import ROOT, run
 from experiment_tables import demo
 from telenano_experiments.folder_tables import describe
@@ -59,12 +59,6 @@ class Quiet(SimpleHTTPRequestHandler):
 
     def log_message(self, *_: Any) -> None:
         pass
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as found:
-        yield found
 
 
 def test_every_link_and_picture_of_the_site_is_there(site: Path) -> None:
