@@ -84,6 +84,7 @@ def lines() -> tuple[Line, ...]:
         "docs/**/*.md",
         "*/README.md",
         "services/*/README.md",
+        "telenano/*/README.md",
         "packages/*/telenano_*/*/*/README.md",
         "packages/*/README.md",
         "proto/*.md",

@@ -19,7 +19,7 @@ from traitlets.config import Config
 
 ROOT = Path(__file__).resolve().parents[2]
 # documents beside docs/, which its pages link to; a package that `telenano new` made here is none
-_FOLDERS = ("", "services/", "packages/", "packages/telenano-emulators/telenano_emulators/firmware/")
+_FOLDERS = ("", "services/", "telenano/", "packages/", "packages/telenano-emulators/telenano_emulators/firmware/")
 _BESIDE = ("*.md", *(f"{at}*/README.md" for at in _FOLDERS), "proto/*.md")
 _OTHERS = {
     str(path.relative_to(ROOT)): path

@@ -336,7 +336,7 @@ def compile_every_step() -> None:
         LAWS[name] = replace(
             law, **{key: compiled_form(value) for key, value in vars(law).items() if callable(value) and is_step(value)}
         )
-    for module in [found for name, found in sys.modules.items() if name.startswith("services.")]:
+    for module in [found for name, found in sys.modules.items() if name.startswith(("services.", "telenano."))]:
         for name, value in list(vars(module).items()):
             if isinstance(value, FunctionType) and is_step(value):
                 setattr(module, name, compiled_form(value))

@@ -88,7 +88,6 @@ ELSEWHERE = {
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
 }
 _COMMANDS_WITH_RESULTS = """
-import studies
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load, load_row, package_commands
 
 def walk(path, command):

@@ -85,7 +85,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         put_on_path(site / name, site)
     (site / "broken" / "telenano_broken" / "__init__.py").write_text("BROKEN = 7\n")
     tests = ROOT / "tests" / "unit"
-    folders = [site, site / "circle", site / "broken", ROOT, tests, tests / "afm_node"]
+    folders = [site, site / "circle", site / "broken", ROOT, tests, tests / "afm"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
     environment["XDG_CACHE_HOME"] = str(site / "cache")
     command = [sys.executable, "-W", "error", "-c", ON_THE_BENCH]
