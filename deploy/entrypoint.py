@@ -17,6 +17,7 @@ from telenano.settings.config import ENVIRONMENT_PREFIX, layered
 from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import module_of
 
 # the cache that the build filled; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")
@@ -52,7 +53,7 @@ def node_command(node: str) -> list[str]:
     scenario = Path(os.environ.get(SCENARIO) or presets.SCENARIO_DIRECTORY / "fig12.yaml")
     write_in_force(scenario)
     files = ["--site-file", site_file, "--scenario", str(IN_FORCE)]
-    return [sys.executable, "-m", f"services.{name}", *files, "--site", site]
+    return [sys.executable, "-m", module_of(name), *files, "--site", site]
 
 
 def write_in_force(scenario: Path) -> None:

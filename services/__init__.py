@@ -1,1 +1,1 @@
-"""Nodes of the rig, one package each, and what they share."""
+"""The processes that put the library on the bus, one package each."""

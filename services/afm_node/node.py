@@ -8,7 +8,7 @@ from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.driver import AfmDriver
 from telenano.afm.felt import FeltState
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.programs.program import Wanted
 from telenano.afm.programs.runner import RunnerState
 from telenano.afm.programs.settings import (

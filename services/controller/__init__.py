@@ -1,1 +1,1 @@
-"""The teleoperation laws and the process that runs one half of a law."""
+"""The process that runs one half of a teleoperation law."""

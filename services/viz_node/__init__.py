@@ -1,1 +1,1 @@
-"""Pictures of a session."""
+"""The process that serves the operator's page."""

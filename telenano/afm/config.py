@@ -15,14 +15,14 @@ from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
 from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.felt import FeelConfig
-from telenano.afm.over_map import guard_of, require_feelable
+from telenano.afm.lateral import LateralParams
+from telenano.afm.made_samples import SampleConfig
 from telenano.afm.particles.settings import ParticlesConfig
 from telenano.afm.particles.tip_shape import Spring, tip_shape
-from telenano.afm.programs.lateral import LateralParams
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
+from telenano.afm.safety import SafetyParams
 from telenano.afm.sample.force_map import Span
-from telenano.afm.sample.made_samples import SampleConfig
 from telenano.afm.sample.surface import Surface, dilated
 from telenano.afm.sample_models import checked_sample
 from telenano.afm.section_config import (
@@ -178,7 +178,7 @@ class _OwnSections(Settings):
         if self.sample is not None and self.sample.particles is not None:
             self._check_particles(self.sample.particles)
         if self.sample is not None and self.sample.map is not None:
-            require_feelable(self, self.sample.map)
+            self._check_map(self.sample.map)
         if self.torsion != TorsionConfig():
             self._check_torsion()
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
@@ -218,6 +218,49 @@ class _OwnSections(Settings):
                 f"torsion.factor_n_per_v times torsion.range_v = {self.torsion.most_n:g} N must be above"
                 f" safety.lateral_limit_n = {self.safety.lateral_limit_n:g} N, or the guard never sees that limit"
             )
+
+    def _check_map(self, path: str) -> None:
+        """Raise ValueError where the settings and the map of an instrument contradict each other."""
+        if self.driver != "simulated" or self.environment != "tip_sample" or self.model != "quasi_static":
+            raise ValueError("sample.map is for driver simulated, environment tip_sample and model quasi_static")
+        if self.friction.coefficient > 0.0:
+            raise ValueError("sample.map has the forces that were recorded, and no friction besides")
+        span, k = self.map_span, self.cantilever.stiffness_n_per_m
+        if span is None:
+            return
+        given = span.stiffness_n_per_m and "stiffness_n_per_m" in self.cantilever.model_fields_set
+        if given and not math.isclose(span.stiffness_n_per_m, k, rel_tol=1e-3):
+            raise ValueError(
+                f"cantilever.stiffness_n_per_m = {k:g} N/m contradicts sample.map {path}, which was measured with"
+                f" {span.stiffness_n_per_m:g} N/m: leave it out"
+            )
+        if span.quantity != "force" and (self.feel is None or self.feel.channel != span.quantity):
+            raise ValueError(
+                f"sample.map {path} has {span.quantity} and no forces: feel.channel must be {span.quantity}, with the"
+                " table that makes a force of it"
+            )
+
+    def to_guard(self) -> SafetyParams:
+        """Return the limits of the guard; over a recorded map the base has the range of the map and no more.
+
+        Raises:
+            ValueError: The base cannot be on the map; the message names the keys.
+        """
+        s, span, rest_m = self.safety, self.map_span, self.rest_distance_m
+        limits = SafetyParams(**s.model_dump())
+        if span is None:
+            return limits
+        given, low, high = s.model_fields_set, rest_m - span.high_m, rest_m - span.low_m
+        low = max(low, s.base_min_m) if "base_min_m" in given else low
+        high = min(high, s.base_max_m) if "base_max_m" in given else high
+        retracted = s.retract_position_m if "retract_position_m" in given else low
+        if not low <= retracted < high:
+            raise ValueError(
+                f"sample.map: with rest_distance_m = {rest_m:g} m the map is for a base from {rest_m - span.high_m:g}"
+                f" to {rest_m - span.low_m:g} m, in which safety.base_min_m, base_max_m and retract_position_m ="
+                f" {retracted:g} m leave the tip no way"
+            )
+        return limits._replace(base_min_m=low, base_max_m=high, retract_position_m=retracted)
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
@@ -285,7 +328,7 @@ class _OwnSections(Settings):
 
     def to_sample_params(self) -> AfmParams:
         """Return the parameters of the sample of another package behind the same guard."""
-        return AfmParams(guard_of(self), getattr(self, self.environment).to_params())
+        return AfmParams(self.to_guard(), getattr(self, self.environment).to_params())
 
     def to_dynamic(
         self,
@@ -338,7 +381,7 @@ class _OwnSections(Settings):
         )
         gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
         plant = _plant(properties, _TABLE_REACH * s.force_limit_n, c.stiffness_n_per_m, self.rest_distance_m, gain)
-        return AfmParams(guard_of(self), plant)
+        return AfmParams(self.to_guard(), plant)
 
 
 _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.sample.force_map import SI_UNITS, UNITS
 from telenano.settings.config import Settings
 

@@ -15,7 +15,7 @@ from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.extras import how_to_install
 
 if TYPE_CHECKING:
-    from telenano.afm.sample.made_samples import SampleConfig
+    from telenano.afm.made_samples import SampleConfig
 
 SampleOption = Annotated[
     str,
@@ -47,7 +47,7 @@ def sample_config(
     name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
 ) -> "SampleConfig":
     """Return the sample that the options describe; ConfigError names the option or key."""
-    from telenano.afm.sample.made_samples import SampleConfig
+    from telenano.afm.made_samples import SampleConfig
 
     if ":" in name:
         # a person has named this function here, and no file of somebody else

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from telenano.afm.driver import Oscillation
+from telenano.afm.lateral import Place as Place
+from telenano.afm.lateral import moved
 from telenano.afm.programs.feedback import gain_fault as gain_fault
 from telenano.afm.programs.feedback import integral_share as integral_share
-from telenano.afm.programs.lateral import Place as Place
-from telenano.afm.programs.lateral import moved
 from telenano.afm.programs.program import APPROACH as APPROACH
 from telenano.afm.programs.program import ARRIVED as ARRIVED
 from telenano.afm.programs.program import RISE as RISE

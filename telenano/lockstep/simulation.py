@@ -18,7 +18,6 @@ import numpy as np
 
 from telenano.afm.config import SAMPLES, AfmConfig
 from telenano.afm.disturbed import noisy_params
-from telenano.afm.over_map import guard_of as limits_of
 from telenano.afm.over_map import read_params
 from telenano.afm.over_surface import over_surface
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
@@ -334,7 +333,7 @@ def simulate_document(
     trip_s = link.forward.delay_s + link.backward.delay_s
     period_s = controller.period_s
     reference_m = controller.law_config().position_scale * haptic.device.start_position_m
-    settle = math.ceil(time_to_place_s(limits_of(afm), trip_s, reference_m) / period_s)
+    settle = math.ceil(time_to_place_s(afm.to_guard(), trip_s, reference_m) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
     rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
     schedule, path = schedule_of(link, ticks, period_s), None

@@ -30,6 +30,9 @@ def foreign(tmp_path: Path) -> Path:
     folder.mkdir()
     for name in NAMES:
         (folder / f"{name}.py").write_text("raise SystemExit('a file of the folder was run')\n")
+    for name in ("services", "proto", "analysis"):
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").write_text("raise SystemExit('a file of the folder was run')\n")
     return folder
 
 

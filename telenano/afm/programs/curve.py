@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
 from telenano.afm.programs.program_settings import Force, ProgramSettings, Speed
 from telenano.wire.errors import RefusedError

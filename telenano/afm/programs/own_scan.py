@@ -7,7 +7,7 @@ the force as ever; whatever ends the image withdraws the tip.
 from typing import NamedTuple
 
 from telenano.afm.driver import OwnImage, OwnLine
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.programs.program import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
 from telenano.afm.programs.scan import ScanSettings
 from telenano.wire.errors import RefusedError

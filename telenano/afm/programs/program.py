@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.driver import Oscillation, OwnImage, OwnLine
-from telenano.afm.programs.lateral import LateralParams, Place
+from telenano.afm.lateral import LateralParams, Place
 from telenano.afm.programs.reach import Reach, approach_limit_s
 from telenano.afm.safety import SafetyParams
 from telenano.settings.config import Settings

@@ -16,10 +16,10 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
+from telenano.afm.lateral import Place
 from telenano.afm.particles.steering import steered
 from telenano.afm.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 from telenano.afm.programs.feedback import gain_fault, integral_share
-from telenano.afm.programs.lateral import Place
 from telenano.afm.programs.program import (
     APPROACH,
     ARRIVED,

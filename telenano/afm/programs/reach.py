@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.safety import SafetyParams
 from telenano.afm.sample.surface import Surface
 

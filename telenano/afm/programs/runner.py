@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from telenano.afm import safety
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.programs.own_scan import OWN_SCAN
 from telenano.afm.programs.program import Inputs, Instrument, Wanted
 from telenano.afm.programs.settings import InstrumentRequest

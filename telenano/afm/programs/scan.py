@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from telenano.afm.lateral import LateralParams, Place, moved
 from telenano.afm.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
-from telenano.afm.programs.lateral import LateralParams, Place, moved
 from telenano.afm.programs.program import (
     APPROACH,
     ARRIVED,

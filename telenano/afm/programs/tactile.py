@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
+from telenano.afm.lateral import LateralParams, Place, moved
 from telenano.afm.programs.feedback import gain_fault, integral_share
-from telenano.afm.programs.lateral import LateralParams, Place, moved
 from telenano.afm.programs.program import (
     APPROACH,
     ARRIVED,

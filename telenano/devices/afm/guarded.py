@@ -15,8 +15,8 @@ from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
 from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
+from telenano.afm.lateral import LateralParams, Place, moved
 from telenano.afm.part import AfmSample, Particles
-from telenano.afm.programs.lateral import LateralParams, Place, moved
 from telenano.afm.programs.program import FinishedLine, Inputs, Wanted
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.section_config import FrictionConfig

@@ -11,9 +11,9 @@ from test_afm_programs import QUICK, Imager
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
+from telenano.afm.made_samples import SampleConfig
 from telenano.afm.programs.reach import Reach, Span, approach_limit_s
-from telenano.afm.sample.made_samples import SampleConfig
 from telenano.afm.sample.surface import Surface, checked, plane_levelled
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.analysis.image_files import Image, write_gsf

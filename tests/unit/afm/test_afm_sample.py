@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from telenano.afm.sample.made_samples import SampleConfig
+from telenano.afm.made_samples import SampleConfig
 from telenano.afm.sample.surface_files import read_surface
 from telenano.analysis.image_files import Image, write_gsf
 from telenano.wire.errors import ConfigError

@@ -7,7 +7,7 @@ import pytest
 
 from telenano.afm import safety
 from telenano.afm.driver import Oscillation
-from telenano.afm.programs.lateral import Place
+from telenano.afm.lateral import Place
 from telenano.afm.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
 from telenano.afm.programs.runner import ProgramRunner, RunnerState
 from telenano.afm.programs.table import PROGRAMS
