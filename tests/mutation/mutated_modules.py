@@ -82,7 +82,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         for place in ("", " (2)")
     },
     "telenano/runtime/loop/commands.py": {
-        "CommandHandler.__init__: self._stalled_s = 0.0 [self._stalled_s = 0.0 => pass]": "read only after it was set",
+        **{
+            f"CommandHandler.__init__: self._stalled_s = 0.0 {change}": "read only after it was set"
+            for change in ("[self._stalled_s = 0.0 => pass]", "[0.0 => 1.0]")
+        },
+        "CommandClient.__init__: self._sender = os.urandom(8).hex() [8 => 9]": "any number of random bytes tells senders"
+        " apart",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },
     "telenano/runtime/security/zap_authenticator.py": {
@@ -137,6 +142,8 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         },
     },
     "telenano/laws/passivity.py": {
+        "taken: if energy_j > 0.0: [energy_j > 0.0 => energy_j >= 0.0]": "the store keeps what it has either way where"
+        " nothing is taken",
         "moved_by_what_is_paid: damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j,"
         " 0.0), 1.0) [1.0 => 2.0] (2)": "a motion of the hand is cut to what its store has, which is never below zero",
     },
