@@ -20,6 +20,7 @@ PARAMS = SafetyParams(
 FRESH = SafetyInputs(reference_m=0.0, command_age_s=0.0, action=0, arm_requested=False, estop=False, force_n=0.0)
 FOLLOWING = SafetyState(safety.MODE_FOLLOW, 0.0, safety.REASON_ARMED)
 HOLDING = SafetyState(safety.MODE_HOLD, 0.0, safety.REASON_COMMAND_DEADLINE)
+HELD_BY_WISH = HOLDING._replace(reason=safety.REASON_HOLD_REQUESTED)
 RETRACTED = initial_safety_state(PARAMS)
 STOPPED = SafetyState(safety.MODE_ESTOP, PARAMS.retract_position_m, safety.REASON_ESTOP)
 # armed, and without a command that it may follow
@@ -68,6 +69,8 @@ def test_a_node_starts_retracted_and_stays_so_without_arming():
         (HOLDING, {"command_age_s": 0.051}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
         (HOLDING, {"command_age_s": 0.2500001}, safety.MODE_RETRACTING, safety.REASON_HOLD_EXPIRED),
         (HOLDING, {"action": 1}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        # a hold that was asked for keeps its reason when the commands stay away after it
+        (HELD_BY_WISH, {"command_age_s": 0.051}, safety.MODE_HOLD, safety.REASON_HOLD_REQUESTED),
         (HOLDING, {"action": 2}, safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED),
         (HOLDING, {"device_lost": True}, safety.MODE_RETRACTING, safety.REASON_DEVICE_LOST),
         (HOLDING, {"force_n": 201e-9}, safety.MODE_RETRACTING, safety.REASON_FORCE_LIMIT),

@@ -308,6 +308,16 @@ def test_a_pattern_waits_for_every_node_that_is_alive_however_soon_the_first_has
     assert sender.run_ms(1)
 
 
+def test_a_refusal_that_comes_when_the_commands_are_over_is_taken_and_ends_nothing() -> None:
+    sender = Sender(Command("arm", "*"))
+    sender.run_ms(1)
+    sender.answer(BOTH[0])
+    assert sender.run_ms(1300)
+    assert not sender.answer(BOTH[1], "refused", latch="run-1", estop_age_s=60.0)
+    assert sender.client.advance()
+    assert (sender.client.failure, set(sender.client.answers)) == ("", {BOTH[0]})
+
+
 def test_after_a_person_has_released_a_device_it_is_tried_for_as_long_as_was_asked() -> None:
     sender = Sender(ARM_HAND, releases_stops=False, retry_ns=500 * MS)
     for _ in range(2500):
