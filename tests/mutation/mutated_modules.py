@@ -106,6 +106,13 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "CommandClient._issue: self._issued += 1 [1 => 2]": "only that the ids of commands differ counts",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },
+    "telenano/runtime/loop/estop_latch.py": {
+        "EstopLatch.__init__: self._newest_ns = 0 [0 => 1]": "an age is stated in tenths of a second",
+    },
+    "telenano/console/emergency_stop.py": {
+        "module: _MOST_SUBSCRIPTIONS = 256 [256 => 512]": "any number at which a turn ends that is above what one inlet"
+        " is sent in it",
+    },
     "telenano/runtime/security/zap_authenticator.py": {
         "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
     },
