@@ -84,15 +84,21 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     },
     "telenano/timing/freshness.py": {
         "DelayHistory.forget_before: if place > 0: [place > 0 => place >= 0]": "deletes the first 0 entries",
+        "Freshness.age_s: return sample_age_s if sample_age_s > message_age_s else message_age_s"
+        " [sample_age_s > message_age_s => sample_age_s >= message_age_s]": "where both are equal either is the same",
         "Freshness.__init__: self._judged_ns = 0 [0 => 1]": "no sample of a hand is a nanosecond after 1970",
         "Freshness.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
         " [self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns) => self.lag_ns(hand_t_ns)]": "the lag of the"
         " newest sample is kept only to save looking it up",
     },
     "telenano/runtime/loop/deferred.py": {
-        "DeferredTasks.__init__: self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0, NEVER_NS"
-        f" [0 => 1]{place}": "no gap has begun, so nothing fits in whatever its end and middle are"
-        for place in ("", " (2)")
+        "DeferredTasks.__init__: self._in_gap = False [False => True]": "a gap before the first event would have begun"
+        " endlessly long ago, and is not measured",
+        **{
+            "DeferredTasks.__init__: self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0,"
+            f" NEVER_NS [0 => 1]{place}": "no gap has begun, so nothing fits in whatever its end and middle are"
+            for place in ("", " (2)")
+        },
     },
     "telenano/runtime/loop/commands.py": {
         **{
@@ -129,6 +135,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             " without a delay goes out by way of the heap then, in the same call"
             for change in ("[0 => 1] (3)", "[delay_ns == 0 and (not (heap and heap[0][0] <= now_ns)) => False]")
         },
+    },
+    "telenano/laws/shared/virtual_mass.py": {
+        "bounded: return -most if value < -most else value [value < -most => value <= -most]": "at the bound value and"
+        " bound are the same number",
     },
     "telenano/laws/hand_periods.py": {
         "module: ANEW = -1 [1 => 2]": "any negative number is no count",
