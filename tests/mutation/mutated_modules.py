@@ -64,6 +64,10 @@ MODULES: dict[str, tuple[str, ...]] = {
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
 EQUIVALENT: dict[str, dict[str, str]] = {
+    "telenano/afm/programs/feedback.py": {
+        "carried_out: if proportional_m > 0.0: [proportional_m > 0.0 => proportional_m >= 0.0]": "of no proportional"
+        " part nothing is taken on either way",
+    },
     "telenano/afm/programs/runner.py": {
         "ProgramRunner.restore: if plan is not None and reached is not None:"
         " [plan is not None and reached is not None => plan is not None or reached is not None]": "a state has both of"
@@ -124,6 +128,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " is sent in it",
     },
     "telenano/runtime/security/zap_authenticator.py": {
+        "BoundEndpoint: attempts: int = 0 [0 => 1]": "set to 0 where an endpoint is unbound, before any is counted",
         "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
     },
     "telenano/link/direction.py": {
