@@ -20,6 +20,7 @@ PARAMS = SafetyParams(
 FRESH = SafetyInputs(reference_m=0.0, command_age_s=0.0, action=0, arm_requested=False, estop=False, force_n=0.0)
 FOLLOWING = SafetyState(safety.MODE_FOLLOW, 0.0, safety.REASON_ARMED)
 HOLDING = SafetyState(safety.MODE_HOLD, 0.0, safety.REASON_COMMAND_DEADLINE)
+HELD_BY_WISH = HOLDING._replace(reason=safety.REASON_HOLD_REQUESTED)
 RETRACTED = initial_safety_state(PARAMS)
 STOPPED = SafetyState(safety.MODE_ESTOP, PARAMS.retract_position_m, safety.REASON_ESTOP)
 # armed, and without a command that it may follow
@@ -68,6 +69,8 @@ def test_a_node_starts_retracted_and_stays_so_without_arming():
         (HOLDING, {"command_age_s": 0.051}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
         (HOLDING, {"command_age_s": 0.2500001}, safety.MODE_RETRACTING, safety.REASON_HOLD_EXPIRED),
         (HOLDING, {"action": 1}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        # a hold that was asked for keeps its reason when the commands stay away after it
+        (HELD_BY_WISH, {"command_age_s": 0.051}, safety.MODE_HOLD, safety.REASON_HOLD_REQUESTED),
         (HOLDING, {"action": 2}, safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED),
         (HOLDING, {"device_lost": True}, safety.MODE_RETRACTING, safety.REASON_DEVICE_LOST),
         (HOLDING, {"force_n": 201e-9}, safety.MODE_RETRACTING, safety.REASON_FORCE_LIMIT),
@@ -241,3 +244,88 @@ def test_a_lateral_force_above_its_limit_retracts_the_tip() -> None:
     assert kept.mode == safety.MODE_FOLLOW
     assert (gone.mode, safety.REASON_NAMES[outputs.reason]) == (safety.MODE_RETRACTING, "lateral_limit")
     assert tick(FOLLOWING, lateral_n=1.0)[0].mode == safety.MODE_FOLLOW
+
+
+def test_a_tip_without_a_lateral_sensor_is_not_retracted_for_a_lateral_force() -> None:
+    # the limit of 50 nN is set, and the device measures no force across the tip
+    after, _ = safety_step(PARAMS._replace(lateral_limit_n=50e-9), FOLLOWING, FRESH, DT)
+    assert after.mode == safety.MODE_FOLLOW
+
+
+def test_the_base_neither_moves_nor_is_limited_while_it_is_held() -> None:
+    state, outputs = tick(FOLLOWING, reference_m=150e-9, action=safety.ACTION_HOLD)
+    assert (outputs.mode, outputs.base_m, outputs.limited) == (safety.MODE_HOLD, 0.0, 0)
+    assert not safety.is_placed(outputs)
+    assert safety.is_armed(state.mode, state.reason)
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason", "armed", "wished"),
+    [
+        (safety.MODE_FOLLOW, safety.REASON_ARMED, True, False),
+        (safety.MODE_FOLLOW, safety.REASON_COMMANDS_RESUMED, True, False),
+        (safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE, True, False),
+        (safety.MODE_RETRACTED, safety.REASON_ARMED, True, True),
+        (safety.MODE_RETRACTED, safety.REASON_START, False, False),
+        (safety.MODE_RETRACTED, safety.REASON_DEVICE_LOST, False, False),
+        (safety.MODE_RETRACTING, safety.REASON_FORCE_LIMIT, False, False),
+        (safety.MODE_RETRACTING, safety.REASON_ARMED, False, False),
+        (safety.MODE_ESTOP, safety.REASON_ESTOP, False, False),
+    ],
+)
+def test_a_tip_is_armed_while_it_follows_is_held_or_waits_for_a_command(
+    mode: int, reason: int, armed: bool, wished: bool
+) -> None:
+    assert (safety.is_armed(mode, reason), safety.is_wished(mode, reason)) == (armed, wished)
+
+
+@pytest.mark.parametrize(
+    ("reference_m", "placed"),
+    [
+        (2e-9, True),
+        # 2 nm in a tick is all that 2 um/s allow
+        (2.0001e-9, False),
+        (-2.0001e-9, False),
+        # beyond the range and the speed: still on its way
+        (1.0, False),
+    ],
+)
+def test_the_base_is_placed_where_no_speed_limit_keeps_it_from_its_reference(reference_m: float, placed: bool) -> None:
+    assert safety.is_placed(tick(FOLLOWING, reference_m=reference_m)[1]) is placed
+
+
+def test_the_base_is_placed_at_the_end_of_its_range_where_the_reference_lies_beyond() -> None:
+    _, outputs = tick(FOLLOWING._replace(base_m=199.5e-9), reference_m=250e-9)
+    assert (outputs.limited, safety.is_placed(outputs)) == (safety.LIMITED_BY_RANGE, True)
+
+
+@pytest.mark.parametrize(
+    "state", [HOLDING, RETRACTED, WISHED, STOPPED, FOLLOWING._replace(mode=safety.MODE_RETRACTING)]
+)
+def test_a_base_that_follows_nothing_is_not_placed(state: SafetyState) -> None:
+    outputs = safety.SafetyOutputs(state.base_m, state.mode, 0, state.reason, safety.ARM_NOT_REFUSED)
+    assert not safety.is_placed(outputs)
+
+
+@pytest.mark.parametrize(
+    ("base_m", "reference_m", "way_m"),
+    [
+        (-100e-9, 50e-9, 150e-9),
+        (50e-9, -100e-9, 150e-9),
+        (-100e-9, -150e-9, 50e-9),
+        (30e-9, 30e-9, 0.0),
+        # the base goes no further than its range of 200 nm either way
+        (-100e-9, 1.0, 300e-9),
+        (100e-9, -1.0, 300e-9),
+    ],
+)
+def test_placing_takes_the_way_to_the_reachable_reference_at_the_speed_of_the_base(
+    base_m: float, reference_m: float, way_m: float
+) -> None:
+    assert safety.placing_s(PARAMS, base_m, reference_m) == pytest.approx(way_m / 2e-6, rel=1e-12, abs=0.0)
+    # after that time the base is there, to one tick
+    state = SafetyState(safety.MODE_FOLLOW, base_m, safety.REASON_ARMED)
+    ticks, (state, outputs) = 1, tick(state, reference_m=reference_m)
+    while not safety.is_placed(outputs):
+        ticks, (state, outputs) = ticks + 1, tick(state, reference_m=reference_m)
+    assert ticks == pytest.approx(way_m / 2e-6 / DT, abs=1.0)

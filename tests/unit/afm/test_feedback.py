@@ -83,6 +83,14 @@ def test_an_impossible_gain_is_named_with_what_would_be_right(gain: float, propo
     assert re.search(words, gain_fault(gain, proportional, 1e-3, None, NAMES))
 
 
+def test_a_fault_of_a_feedback_without_a_proportional_gain_names_the_integral_gain_alone() -> None:
+    # in contact Ki T has to be below 2, less the margin, which is thousands a second at 1 kHz
+    alone = gain_fault(1e6, 0.0, 1e-3, None, ("--gain", ""))
+    beside = gain_fault(1e6, 0.0, 1e-3, None, NAMES)
+    assert alone.startswith("--gain = 1e+06 1/s makes the feedback unstable in contact mode at 1000 Hz: it must be")
+    assert beside.startswith(alone.partition(":")[0] + " with --proportional = 0: it must be")
+
+
 def limited(proportional: float, surface: Callable[[int], float], steps: int) -> list[tuple[float, float]]:
     """Give base and error of a rigid sample followed at 2 nm a step within -50 and 50 nm."""
     base = part = error = 0.0

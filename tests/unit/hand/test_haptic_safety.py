@@ -173,3 +173,45 @@ def test_every_code_has_its_words():
     assert codes == set(safety.REASONS)
     modes = {value for name, value in vars(safety).items() if name.startswith("MODE_") and isinstance(value, int)}
     assert modes == set(safety.MODE_NAMES)
+
+
+def test_a_hand_is_armed_by_a_person_and_by_nothing_else() -> None:
+    state = SafetyState(False, MODE_OFF, 0.0)
+    for _ in range(3):
+        # commands drive the motor of a hand that was never armed, and no tip follows it
+        state, out = guard(state)
+        assert (out.mode, out.armed, state.armed) == (MODE_POSITION, False, False)
+    state, out = guard(state, arm_requested=True)
+    assert (out.armed, state.armed) == (True, True)
+    for _ in range(3):
+        state, out = guard(state)
+        assert (out.armed, state.armed) == (True, True)
+
+
+def test_an_emergency_stop_disarms_the_hand_until_a_person_arms_it_again() -> None:
+    armed = SafetyState(False, MODE_POSITION, 0.0, armed=True)
+    state, out = guard(armed, estop=True)
+    assert (out.armed, state.armed) == (False, False)
+    # the stop wins over a request to arm in the same step
+    state, out = guard(armed, estop=True, arm_requested=True)
+    assert (out.estop_latched, out.armed, state.armed) == (True, False, False)
+    for _ in range(3):
+        state, out = guard(state)
+        assert (out.estop_latched, out.armed, state.armed) == (True, False, False)
+    state, out = guard(state, arm_requested=True)
+    assert (out.estop_latched, out.armed, state.armed) == (False, True, True)
+
+
+@pytest.mark.parametrize("was_armed", [True, False])
+def test_no_tip_follows_a_lost_hand_and_an_armed_one_is_followed_when_it_is_back(was_armed: bool) -> None:
+    state, out = guard(SafetyState(False, MODE_POSITION, 0.0, armed=was_armed), device_lost=True)
+    assert (out.armed, state.armed) == (False, was_armed)
+    _, out = guard(state)
+    assert out.armed is was_armed
+
+
+def test_a_hand_that_waits_or_has_no_fresh_command_stays_armed() -> None:
+    armed = SafetyState(False, MODE_POSITION, 0.0, armed=True)
+    for changes in ({"device_waits": True}, {"command_age_s": 1.0}, {"position_reference_m": math.nan}):
+        state, out = guard(armed, **changes)
+        assert (out.mode, out.armed, state.armed) == (MODE_OFF, True, True)

@@ -40,6 +40,11 @@ def test_motion_out_of_force_is_no_work() -> None:
         (-2e-3, True, EnergyAccount(0.0, 0.0, 2e-3), True),
         (-2e-3 - 2.0 * TOLERANCE_J, True, EnergyAccount(0.0, 0.0, 2e-3), False),
         (1.0, True, EnergyAccount(-1e-6, 0.0, 0.0), False),
+        (1.0, True, EnergyAccount(-TOLERANCE_J, 0.0, 0.0), True),
+        # rounding makes no more than a nanojoule
+        (-1e-9, True, NONE, True),
+        (-1.01e-9, True, NONE, False),
+        (1.0, True, EnergyAccount(-1.01e-9, 0.0, 0.0), False),
     ],
 )
 def test_passive_at_the_bound_and_not_past_it(net_j: float, known: bool, account: EnergyAccount, passive: bool) -> None:

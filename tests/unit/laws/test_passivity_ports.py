@@ -24,6 +24,7 @@ from telenano.laws.passivity import (
     retune,
     shared_out,
     slave_receive,
+    slave_retune,
     slave_send,
     slave_start,
     taken,
@@ -471,3 +472,91 @@ def test_a_half_that_is_taken_over_goes_on_in_the_motion_of_the_hand() -> None:
     assert master_start(PARAMS, hand).mass.velocity_m_per_s == 0.0
     kept = retune(PARAMS, PARAMS._replace(cap_j=1.0), pressed(4e-3)._replace(account=Account(1.0, 2.0, 4e-3, 3.0, 4.0)))
     assert kept.account == (1.0, 2.0, 4e-3, 3.0, 4.0)
+
+
+@pytest.mark.parametrize(("share", "grows"), [(0.99, False), (1.0, None), (1.01, True)])
+@pytest.mark.parametrize("settings", [{}, {"coupling_stiffness_n_per_m": 700.0, "position_scale": 3e-6}])
+def test_a_sample_at_the_limit_of_stiffness_gets_from_the_base_all_that_the_coupling_gives(
+    settings: dict[str, float], share: float, grows: bool | None
+) -> None:
+    config = PassivityConfig(**settings)
+    sample_n_per_m = share * config.stiffness_limit_n_per_m(T)
+    # a reference that stands, and a base that swings about its rest: x is its place at the hand's scale
+    coupling, relaxed = config.coupling_stiffness_n_per_m, config.to_params(T).relaxed
+    there = sample_n_per_m * config.force_scale * config.position_scale
+    place = swing = 1e-4
+    for _ in range(100):
+        place += relaxed * (-coupling * place - there * place) / coupling
+        swing = max(swing, abs(place)) if grows is None else abs(place)
+    assert swing == pytest.approx(1e-4, rel=1e-9, abs=0.0) if grows is None else (swing > 1e-4) is grows
+
+
+def test_the_limit_of_stiffness_of_the_shipped_law_is_800_n_per_m() -> None:
+    assert PassivityConfig().stiffness_limit_n_per_m(T) == pytest.approx(800.0, rel=0.02)
+
+
+def test_the_damper_brakes_a_hand_that_comes_back_by_itself_over_an_empty_store() -> None:
+    # hand and channel both drive back, 3 N and 5 N, and nothing is there to pay for the work of the channel
+    params = SHIPPED._replace(shared=0.0)
+    state = master(Mass(1e-3, 0.0, 0.0, True), Account(0.0, 0.0, 0.0, 0.0, 0.0))
+    hand = HAND._replace(force_n=-3.0, position_m=1e-3)
+    after, _ = master_receive(params, state, hand, ANSWER._replace(force_n=5.0 / params.mass.force_scale), T)
+    way = after.mass.position_m - 1e-3
+    # the damper is full, and pulls with its value times the mean speed of the whole motion under 8 N
+    whole = moved(params.mass, state.mass, -8.0).position_m - 1e-3
+    braked = whole / (1.0 + params.refill_n_s_per_m * params.mass.gamma_x_m_per_n / T)
+    pull_n = params.refill_n_s_per_m * -braked / T
+    assert pull_n > 0.1
+    assert way == exactly(moved(params.mass, state.mass, -3.0 + pull_n).position_m - 1e-3)
+    assert after.account.remaining_j == 0.0
+
+
+# --- a coupling whose settings change ---
+
+
+def tuned(remaining_j: float, **changes: float) -> SlaveState:
+    """Return a half with 2 N in a coupling of 1 000 N/m, 2 mJ, after a change of the settings."""
+    old = PARAMS._replace(coupling_n_per_m=1000.0)
+    scales = {name: changes.pop(name) for name in ("position_scale", "force_scale") if name in changes}
+    new = old._replace(mass=old.mass._replace(**{n: getattr(old.mass, n) * f for n, f in scales.items()}), **changes)
+    state = slave(2e-3, remaining_j=remaining_j, limit_n=4.0)._replace(lead_m=5e-3, last_n=1.5)
+    return slave_retune(old, new, state)
+
+
+def test_a_softer_coupling_is_stretched_further_for_the_same_force_and_its_energy_is_paid() -> None:
+    after = tuned(5e-3, coupling_n_per_m=500.0)
+    # 2 N stretch it by 4 mm, with 4 mJ instead of 2 mJ
+    assert after.stretch_m == exactly(4e-3)
+    assert (after.account.remaining_j, after.account.granted_j) == (exactly(3e-3), exactly(1e-3))
+    assert (after.account.in_j, after.account.lost_j) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("remaining_j", "paid_j"), [(0.5e-3, 0.5e-3), (0.0, 0.0), (-1e-3, 0.0)])
+def test_what_the_store_lacks_for_a_softer_coupling_is_granted(remaining_j: float, paid_j: float) -> None:
+    after = tuned(remaining_j, coupling_n_per_m=500.0)
+    assert after.account.remaining_j == exactly(remaining_j - paid_j)
+    assert after.account.granted_j == exactly(1e-3 + 2e-3 - paid_j)
+    assert (after.account.in_j, after.account.lost_j) == (0.0, 0.0)
+
+
+def test_what_a_stiffer_coupling_holds_less_is_dissipated() -> None:
+    after = tuned(4e-3, coupling_n_per_m=2000.0)
+    # 2 N stretch it by 1 mm, with 1 mJ instead of 2 mJ
+    assert after.stretch_m == exactly(1e-3)
+    assert after.account == (0.0, 0.0, 4e-3, exactly(1e-3), 1e-3)
+
+
+def test_a_coupling_that_does_not_change_keeps_its_account() -> None:
+    assert tuned(4e-3).account == slave().account
+    # but for what is above the new cap
+    assert tuned(4e-3, cap_j=1e-3).account.remaining_j == 1e-3
+
+
+def test_other_scales_keep_the_force_and_the_place_at_the_tip() -> None:
+    after = tuned(1.0, force_scale=2.0, cap_j=1.0)
+    # the same force at the tip is twice that at the hand
+    assert (after.stretch_m, after.limit_n, after.last_n) == (exactly(4e-3), exactly(8.0), exactly(3.0))
+    after = tuned(4e-3, position_scale=3.0)
+    # the 3 mm between coupling and reference are a third at the hand, the stretch has the same force
+    assert (after.stretch_m, after.lead_m) == (exactly(2e-3), exactly(1e-3 + 2e-3))
+    assert (after.position_m, after.last_m, after.coupled) == (0.0, 0.0, True)

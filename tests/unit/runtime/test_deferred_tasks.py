@@ -180,6 +180,24 @@ def test_tasks_that_are_not_needed_fill_a_gap_and_leave_others_the_processor_for
     assert (ticking.take(), ticking.take(), ticking.take()) == (["b"], ["settle"], [])
 
 
+def test_a_task_that_is_not_needed_leaves_the_gap_to_one_that_is(ticking: Loop) -> None:
+    ticking.add("settle", within_ns=NEVER_NS)
+    ticking.add("a", "b")
+    assert ticking.after(250 * US).take() == ["settle"]
+    ticking.after(40 * US).took("settle", 40 * US)
+    assert ticking.after(20 * US).take() == ["a"]
+    # and that was the one of this gap
+    assert ticking.after(20 * US).take() == []
+
+
+def test_a_task_that_is_overdue_leaves_the_gap_to_the_next(ticking: Loop) -> None:
+    ticking.add("a", within_ns=100 * US)
+    ticking.add("b", "c")
+    assert ticking.after(250 * US).take() == ["a"]
+    assert ticking.take() == ["b"]
+    assert ticking.take() == []
+
+
 def test_a_task_that_is_not_needed_is_not_run_without_a_gap(loop: Loop) -> None:
     loop.event()
     loop.add("settle", within_ns=NEVER_NS)

@@ -1,11 +1,13 @@
 """Commands in virtual time: the client that sends them, and the handler that a node takes them with."""
 
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 
 from telenano.extend.testing import VirtualClock
 from telenano.runtime.loop.commands import Command, CommandClient, CommandHandler
+from telenano.wire import decode
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar, SessionControl, SessionEvent
 
@@ -296,6 +298,113 @@ def test_a_device_that_is_expected_to_answer_is_concerned_whatever_the_target_sa
     assert sender.client.void
 
 
+def test_a_pattern_waits_for_every_node_that_is_alive_however_soon_the_first_has_answered() -> None:
+    sender = Sender(Command("arm", "*"))
+    # the client has existed for ten seconds
+    sender.clock.advance_ns(10 * SECOND)
+    sender.run_ms(1)
+    sender.answer(BOTH[0])
+    assert not sender.run_ms(1199)
+    assert sender.run_ms(1)
+
+
+def test_a_refusal_that_comes_when_the_commands_are_over_is_taken_and_ends_nothing() -> None:
+    sender = Sender(Command("arm", "*"))
+    sender.run_ms(1)
+    sender.answer(BOTH[0])
+    assert sender.run_ms(1300)
+    assert not sender.answer(BOTH[1], "refused", latch="run-1", estop_age_s=60.0)
+    assert sender.client.advance()
+    assert (sender.client.failure, set(sender.client.answers)) == ("", {BOTH[0]})
+
+
+def test_after_a_person_has_released_a_device_it_is_tried_for_as_long_as_was_asked() -> None:
+    sender = Sender(ARM_HAND, releases_stops=False, retry_ns=500 * MS)
+    for _ in range(2500):
+        sender.run_ms(1)
+        sender.answer(BOTH[1], "refused", latch="run-1", estop_age_s=60.0, latched=True)
+    # it was asked at 2 s, answers from now on for another reason, and counts that time from then
+    while not sender.run_ms(1):
+        sender.answer(BOTH[1], "refused")
+    assert sender.times_ms == [1, 1002, 2002, 3002, 3302]
+    assert sender.client.failure == "haptic_node@master refused arm: haptic_node@master says refused"
+
+
+# --- the client of an instrument that is to be placed ---
+
+TIP = BOTH[0]
+PLACE_TIP = Command("arm", "afm_node", (TIP,), placed=True)
+
+
+def placing(answered: bool = True) -> Sender:
+    """Return a client that has armed a tip half a second after its clock's first, and waits until it is placed."""
+    sender = Sender(PLACE_TIP)
+    sender.run_ms(500)
+    if answered:
+        sender.answer(TIP)
+    return sender
+
+
+def test_a_tip_that_has_answered_is_waited_for_until_it_says_that_it_is_placed() -> None:
+    sender = placing()
+    assert not sender.run_ms(4000)
+    for data in ({"mode": "follow", "placed": False}, {"mode": "follow"}, {}):
+        sender.answer(TIP, "mode", **data)
+        assert not sender.run_ms(100)
+    # what another node says of itself is nothing to this one
+    sender.answer(BOTH[1], "mode", mode="follow", placed=True)
+    assert not sender.run_ms(100)
+    sender.answer(TIP, "mode", mode="follow", placed=True)
+    assert sender.run_ms(1)
+    assert (sender.client.failure, sender.client.void) == ("", False)
+
+
+@pytest.mark.parametrize("placing_s", [0.0, 1.5, 4])
+def test_a_tip_has_twice_the_time_that_it_says_it_needs_and_the_time_for_an_answer(placing_s: float) -> None:
+    sender = placing()
+    sender.pass_ms(1000)
+    sender.answer(TIP, "mode", mode="follow", placing_s=placing_s)
+    assert not sender.run_ms(5000 + round(2000 * placing_s))
+    assert sender.run_ms(1)
+    waited_s = 0.5 + 1.0 + 5.0 + 2.0 * placing_s
+    assert sender.client.failure == f"{TIP} was not placed within {waited_s:.3g} s of arming: {TIP} says mode"
+    assert not sender.client.void
+
+
+def test_a_tip_that_is_stopped_on_its_way_ends_the_command_as_an_emergency_stop_does() -> None:
+    sender = placing()
+    sender.answer(TIP, "mode", mode="estop")
+    assert sender.client.advance()
+    assert (sender.client.failure, sender.client.void) == (f"{TIP} was stopped by an emergency stop", True)
+
+
+def test_a_tip_that_goes_back_on_its_way_fails_at_once_and_is_no_stop() -> None:
+    sender = placing()
+    sender.answer(TIP, "mode", mode="retracting")
+    assert sender.client.advance()
+    assert sender.client.failure == f"{TIP} was not placed within 0.5 s of arming: {TIP} says mode"
+    assert not sender.client.void
+
+
+@pytest.mark.parametrize("mode", ["estop", "retracting"])
+def test_what_a_tip_did_before_it_was_armed_does_not_end_the_command(mode: str) -> None:
+    sender = placing(answered=False)
+    sender.answer(TIP, "mode", mode=mode)
+    assert not sender.run_ms(100)
+    sender.answer(TIP)
+    sender.answer(TIP, "mode", mode="follow", placed=True)
+    assert sender.run_ms(1)
+    assert sender.client.failure == ""
+
+
+@pytest.mark.parametrize(("node", "mode"), [(TIP, "hold"), (BOTH[1], "estop"), (BOTH[1], "retracting")])
+def test_a_tip_that_is_held_or_another_device_that_stops_does_not_end_the_command(node: str, mode: str) -> None:
+    sender = placing()
+    sender.answer(node, "mode", mode=mode)
+    assert not sender.run_ms(1000)
+    assert sender.client.failure == ""
+
+
 # --- the handler ---
 
 
@@ -308,6 +417,7 @@ class Receiver:
         self.answers: list[tuple[str, str, str]] = []
         self.data: list[dict[str, Any]] = []
         self.header: dict[str, Any] = {}
+        self.refuses_arms = False
         self.handler = CommandHandler(node, ("set", "estop"), self.carry_out, self.event)
 
     def carry_out(self, control: SessionControl) -> str:
@@ -315,6 +425,8 @@ class Receiver:
             raise RefusedError(f"controller@master does not know {control.command}")
         if control.command == "set" and "gain" not in control.parameters:
             raise RefusedError(f"set needs gain, not {', '.join(control.parameters)}")
+        if control.command == "arm" and self.refuses_arms:
+            raise RefusedError("not armed")
         self.carried_out.append(control.id)
         return f"{control.command} is done"
 
@@ -409,6 +521,54 @@ def test_a_node_that_was_never_held_up_believes_fresh_commands_from_its_first_mo
     assert node.carried_out == ["a"]
 
 
+# --- emergency stops ---
+
+
+def test_a_switch_of_the_device_itself_ends_what_was_armed_before_and_is_kept(tmp_path: Path) -> None:
+    node = Receiver()
+    node.handler.latch.path = tmp_path / "x.kept"
+    assert node.take("arm", identifier="arm", target="controller")
+    before = node.handler.latch.quotation
+    node.handler.note_own_stop(node.clock.now_ns())
+    assert node.handler.latch.quotation != before
+    kept = decode("session/control", (tmp_path / "x.kept").read_bytes())
+    assert isinstance(kept, SessionControl)
+    assert (kept.command, kept.target, kept.src) == ("estop", "controller@master", "estop@master")
+    # the repetition of the command from before is no longer said to be in force
+    node.clock.advance_ns(2 * SECOND)
+    assert not node.take("arm", identifier="arm", target="controller")
+    assert [kind for _, kind, _ in node.answers] == ["ack", "refused"]
+    assert "the newest emergency stop, which came 2.0 s ago" in node.answers[-1][2]
+    assert node.carried_out == ["arm"]
+
+
+def test_a_stop_is_kept_until_the_node_is_armed_and_by_nothing_else_let_go(tmp_path: Path) -> None:
+    node = Receiver()
+    path = node.handler.latch.path = tmp_path / "x.kept"
+    assert node.take("estop", identifier="e")
+    assert path.exists()
+    for command in ("set", "stop"):
+        assert node.take(command, identifier=command, target="controller", gain=1.0)
+        assert path.exists()
+    # an arm that names no stop is refused, and arms nothing
+    assert not node.take("arm", identifier="unquoted", target="controller")
+    assert path.exists()
+    node.header = {"node_latch": {"controller@master": node.handler.latch.quotation}}
+    assert node.take("arm", identifier="quoted", target="controller")
+    assert not path.exists()
+
+
+def test_an_arm_that_the_device_refuses_lets_no_stop_go(tmp_path: Path) -> None:
+    node = Receiver()
+    path = node.handler.latch.path = tmp_path / "x.kept"
+    node.take("estop", identifier="e")
+    node.refuses_arms = True
+    node.header = {"node_latch": {"controller@master": node.handler.latch.quotation}}
+    assert node.take("arm", identifier="a", target="controller")
+    assert node.answers[-1] == ("a", "refused", "not armed")
+    assert path.exists()
+
+
 # --- expiry ---
 
 
@@ -430,6 +590,8 @@ def sent(node: Receiver, age_s: float, **keys: Any) -> None:
         (100.0, {"validity_s": 3600.0}, False),
         # a clock that is ahead by as little as two that agree may be, and by more
         (-0.09, {}, True),
+        (-0.1, {}, True),
+        (-0.100000001, {}, False),
         (-0.2, {}, False),
         (-3600.0, {}, False),
     ],

@@ -55,6 +55,47 @@ def test_nothing_has_to_be_quoted_until_there_was_a_stop_and_then_the_newest() -
     assert other.reason_against(first, 0) == "it refers to an earlier run of this device"
 
 
+def test_each_stop_is_counted_and_its_copies_as_well() -> None:
+    latch = EstopLatch()
+    counts = []
+    for identifier in ("a", "a", "b"):
+        latch.record(identifier, b"", SECOND)
+        counts.append(latch.count)
+    assert counts == [1, 2, 3]
+
+
+def test_a_count_of_this_run_that_was_never_reached_begins_no_motion() -> None:
+    latch = EstopLatch()
+    run = latch.quotation.rpartition("-")[0]
+    assert latch.reason_against(f"{run}-1", SECOND).startswith("it does not refer to the newest emergency stop")
+    latch.record("a", b"", SECOND)
+    assert latch.reason_against(f"{run}-2", SECOND) != ""
+    assert latch.reason_against(f"{run}-1", SECOND) == ""
+
+
+def test_the_newest_stop_is_kept_as_it_came_first_until_the_node_is_armed(tmp_path: Path) -> None:
+    latch = EstopLatch(tmp_path / "x.kept")
+    assert latch.kept() is None
+    assert latch.record("a", b"one", SECOND) == ""
+    # a copy of it is not written once more, and another stop is
+    latch.record("a", b"copy", 2 * SECOND)
+    assert (latch.kept(), latch.newest_id) == (b"one", "a")
+    latch.record("b", b"two", 3 * SECOND)
+    assert (latch.kept(), latch.newest_id) == (b"two", "b")
+    latch.release()
+    assert (latch.kept(), latch.newest_id, list(tmp_path.iterdir())) == (None, "", [])
+    # a copy that comes after the arming stops the node as any stop does
+    latch.record("b", b"two", 4 * SECOND)
+    assert latch.kept() == b"two"
+
+
+def test_a_latch_without_a_file_keeps_nothing() -> None:
+    latch = EstopLatch()
+    assert latch.record("a", b"one", SECOND) == ""
+    latch.release()
+    assert (latch.kept(), latch.count) == (None, 1)
+
+
 def test_a_stop_is_kept_whole_for_its_user_alone_until_it_is_forgotten(tmp_path: Path) -> None:
     path = tmp_path / "x.kept"
     assert kept(path) is None

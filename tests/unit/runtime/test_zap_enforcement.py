@@ -88,6 +88,13 @@ def endpoint_of(machine: Machine, node: str, port: int) -> tuple[BoundEndpoint, 
     return bound, socket
 
 
+def test_the_end_of_a_process_waits_for_no_answer_that_a_client_has_not_read(machines: tuple[Machine, Machine]) -> None:
+    for machine in machines:
+        socket = machine.network._authenticator.socket
+        assert socket is not None
+        assert socket.get(zmq.LINGER) == 0
+
+
 def test_a_revocation_closes_its_endpoint_once_and_no_other(machines: tuple[Machine, Machine]) -> None:
     master, slave = machines
     authenticator = slave.network._authenticator

@@ -114,6 +114,11 @@ def test_what_older_samples_had_is_forgotten_and_no_more() -> None:
     history = DelayHistory()
     for n in (10, 20, 30):
         history.record(n, n)
+    history.forget_before(9)
+    assert history.from_ns == [0, 10, 20, 30]
+    # the delay before the first change is the only one that no later sample has
+    history.forget_before(10)
+    assert (history.from_ns, history.delay_ns) == ([10, 20, 30], [10, 20, 30])
     history.forget_before(25)
     assert (history.from_ns, history.delay_ns) == ([20, 30], [20, 30])
     history.forget_before(20)

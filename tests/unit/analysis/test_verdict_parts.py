@@ -1,0 +1,164 @@
+"""The parts of a verdict: how far a force goes in eight windows, which lines rise, and what is not known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from telenano.analysis.modes import Fit, Mode
+from telenano.analysis.verdict import (
+    Verdict,
+    _approaching,
+    _by_windows,
+    _even,
+    _gone,
+    _rises,
+    _sizes,
+    _undecided,
+    _until,
+    _words,
+    judge,
+)
+
+PERIOD_S = 1e-3
+SMALL_N = 0.05
+# each of the eight windows is a tenth of a second
+WINDOW = 100
+
+
+def windows(*sizes_n: float) -> np.ndarray:
+    """Return a force that goes as far as is given in each window, from sample to sample."""
+    return np.concatenate([0.5 * size * (-1.0) ** np.arange(WINDOW) for size in sizes_n])
+
+
+def by_windows(*sizes_n: float) -> Verdict:
+    return _by_windows(windows(*sizes_n), PERIOD_S, 0.0, SMALL_N, 7.0)
+
+
+def line(**changes: object) -> Mode:
+    return Mode(5.0, 0.4, 0.01, 0.1, 0.3, (0.1, 0.2, 0.3))._replace(**changes)
+
+
+def fit(left_n: float = 0.0, noise_n: float = 0.0) -> Fit:
+    left = left_n * (-1.0) ** np.arange(300)
+    return Fit([], 1.0, left, left, noise_n, True)
+
+
+def test_how_far_a_force_goes_is_taken_in_eight_windows() -> None:
+    assert _sizes(windows(*range(1, 9)), 0.0) == pytest.approx(range(1, 9), rel=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1.5, 1.1])
+def test_an_irregular_motion_that_grows_from_window_to_window_has_diverged_at_its_rate(factor: float) -> None:
+    found = by_windows(*(0.1 * factor**k for k in range(8)))
+    assert (found.kind, found.rest_from_s) == ("diverged", None)
+    assert found.growth_per_s == pytest.approx(math.log(factor) / 0.1, rel=1e-9)
+    assert found.peak_to_peak_n == pytest.approx(0.1 * factor**7, rel=1e-9)
+
+
+def test_an_irregular_motion_that_grows_to_less_than_is_small_is_at_rest() -> None:
+    assert by_windows(*(1e-4 * 1.1**k for k in range(8))).kind == "stable"
+
+
+@pytest.mark.parametrize("factor", [1.01, 1.0, 0.99])
+def test_an_irregular_motion_that_changes_by_less_than_a_seventh_over_all_goes_on(factor: float) -> None:
+    found = by_windows(*(factor**k for k in range(8)))
+    assert found.kind == "limit_cycle"
+    assert found.peak_to_peak_n == pytest.approx(max(factor**4, factor**7), rel=1e-9)
+
+
+def test_an_irregular_motion_that_falls_from_window_to_window_dies_out_at_its_rate() -> None:
+    found = by_windows(*(10.0 * 0.7**k for k in range(8)))
+    assert found.kind == "stable"
+    assert found.growth_per_s == pytest.approx(math.log(0.7) / 0.1, rel=1e-9)
+    assert "dies out by 3.57/s" in found.reason
+
+
+def test_an_irregular_motion_that_falls_and_rises_again_goes_on_or_cannot_be_told() -> None:
+    # never below half of the largest of the last four
+    assert by_windows(10.0, 10.0, 10.0, 10.0, 8.0, 6.0, 4.1, 5.0).kind == "limit_cycle"
+    found = by_windows(10.0, 10.0, 10.0, 10.0, 8.0, 6.0, 3.9, 5.0)
+    assert (found.kind, found.peak_to_peak_n) == ("cannot_say", pytest.approx(8.0))
+    assert found.reason.endswith("a longer hold would decide")
+
+
+def test_an_irregular_motion_is_at_rest_from_the_window_on_in_which_it_is_small() -> None:
+    found = by_windows(3.0, 2.0, 1.0, 0.5, 0.2, 0.04, 0.04, 0.03)
+    # the episode ends at 7 s, and its last three tenths of a second are at rest
+    assert (found.kind, found.rest_from_s) == ("stable", pytest.approx(6.7))
+    assert by_windows(3.0, 2.0, 1.0, 0.5, 0.4, 0.3, 0.06, 0.04).kind == "stable"
+    # a window of noise that stands still at first is not a growth without end
+    still = by_windows(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert (still.kind, still.growth_per_s) == ("stable", 0.0)
+
+
+def test_a_line_rises_where_each_third_is_larger_than_the_one_before() -> None:
+    # by half of what a growth by a factor of e in all says: a twelfth root and more from third to third
+    least = math.exp(1.0 / 6.0)
+    assert _rises(fit(), line(thirds_n=(1.0, 1.01 * least, 1.03 * least**2)), 1.0)
+    assert not _rises(fit(), line(thirds_n=(1.0, 0.99 * least, 2.0)), 1.0)
+    assert not _rises(fit(), line(thirds_n=(1.0, 2.0, 1.99)), 1.0)
+    # a third that does not stand out of what the fit leaves says nothing
+    assert _rises(fit(left_n=3.0), line(thirds_n=(1.0, 0.5, 2.0)), 1.0)
+
+
+def test_a_mode_is_small_from_when_it_has_died_out_to_that() -> None:
+    assert _until(line(growth_per_s=-2.0, begin_n=1.0), SMALL_N) == pytest.approx(math.log(20.0) / 2.0, rel=1e-12)
+    assert _until(line(growth_per_s=-2.0, begin_n=0.04), SMALL_N) == 0.0
+    assert _until(line(growth_per_s=2.0, begin_n=1.0), SMALL_N) == 0.0
+    assert _until(line(growth_per_s=0.0, begin_n=1.0), SMALL_N) == 0.0
+
+
+def test_what_makes_half_a_swing_or_more_has_a_frequency_in_words() -> None:
+    assert _words(line(frequency_hz=0.5), 1.0) == "0.3 N from peak to peak at 0.5 Hz"
+    assert _words(line(frequency_hz=0.49), 1.0) == "0.3 N to one side"
+
+
+@pytest.mark.parametrize(("frequency_hz", "need"), [(0.25, "8"), (0.125, "16"), (0.12, "8"), (0.0, "8")])
+def test_a_force_on_its_way_needs_two_turns_or_four_such_holds(frequency_hz: float, need: str) -> None:
+    words = _undecided(line(frequency_hz=frequency_hz), 2.0, fit())
+    assert words == f"the force was on its way, 0.3 N: a hold of {need} s or more would decide"
+
+
+def test_a_swing_that_is_not_told_needs_twice_the_hold_or_half_the_noise() -> None:
+    assert _undecided(line(), 2.0, fit()).endswith("by 0.4 ± 0.01/s: a hold of 4 s or more would decide")
+    assert _undecided(line(), 2.0, fit(noise_n=0.1)).endswith(
+        "a hold of 4 s or more or noise of less than 0.05 N would decide"
+    )
+
+
+@pytest.mark.parametrize(
+    ("end_n", "kind"), [(1.1, "stable"), (1.6, "stable"), (1.9, "cannot_say"), (2.5, "cannot_say")]
+)
+def test_a_force_on_its_way_is_stable_where_that_is_to_the_rest_of_the_law(end_n: float, kind: str) -> None:
+    found = Verdict("cannot_say", -0.1, 1.0, 0.0, "the force was on its way, 1 N")
+    after = _approaching(found, np.linspace(2.0, end_n, 1000), 1.0)
+    assert after.kind == kind
+    assert (after == found) is (kind == "cannot_say")
+    assert kind == "cannot_say" or f"{end_n - 1.0:.1f}" in after.reason
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_how_far_a_force_goes_that_does_not_slow_down(sign: float) -> None:
+    # from the mean of the first eighth, 1/192, to that of the last, 169/192
+    assert _gone(sign * np.linspace(0.0, 1.0, 801) ** 2) == pytest.approx(0.875, rel=0.01)
+    assert _gone(sign * (1.0 - np.exp(-np.linspace(0.0, 5.0, 801)))) == 0.0
+    # fewer samples than eighths
+    assert _gone(sign * np.linspace(0.0, 1.0, 5) ** 2) == pytest.approx(1.0)
+
+
+def test_the_period_of_an_even_grid_is_the_time_over_the_steps_between_the_samples() -> None:
+    for times_s in ([0.0, 1.0, 2.0], [0.0, 0.9, 2.0]):
+        values, period_s = _even(np.array(times_s), np.array([0.0, 1.0, 2.0]))
+        assert period_s == 1.0
+        assert len(values) == 3
+    # at 1 s, a tenth of a second of 1.1 s after the second sample
+    assert values[1] == pytest.approx(1.0 + 0.1 / 1.1)
+
+
+def test_a_cycle_that_noise_hides_in_each_turn_has_the_size_of_its_line() -> None:
+    time_s = 1e-3 * np.arange(8000)
+    hidden = 0.03 * np.random.default_rng(2).standard_normal(8000)
+    found = judge(time_s, 1.0 + 0.035 * np.sin(10.0 * np.pi * time_s) + hidden, 1.0)
+    assert found.kind == "limit_cycle"
+    assert found.peak_to_peak_n == pytest.approx(0.07, rel=0.1)

@@ -1,0 +1,182 @@
+"""Which way an emergency stop takes to each device, what it says, and what each inlet gets of it; without sockets."""
+
+from typing import Any, NamedTuple
+
+import msgpack
+import pytest
+
+from telenano.console import emergency_stop
+from telenano.console.emergency_stop import Answer, LocalRig, Reach, _answer, _Inlet, _Sender
+from telenano.wire import decode
+from telenano.wire.messages import SessionControl
+
+HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
+SUBSCRIBED, LEFT = b"\x01session/control", b"\x00session/control"
+
+
+class Here(NamedTuple):
+    """A rig as it is found: which nodes have an inlet for stops, which others only an endpoint, which a network."""
+
+    inlets: tuple[str, ...] = ()
+    older: tuple[str, ...] = ()
+    networked: tuple[str, ...] = ()
+
+
+def reach(monkeypatch: pytest.MonkeyPatch, here: Here, site: str, target: str = "*") -> Reach:
+    endpoints = {node: f"ipc:///r/{node}" for node in (HAND, TIP, LINK)}
+    bound = {endpoints[node] for node in (*here.inlets, *here.older)}
+    bound |= {f"{endpoints[node]}.estop" for node in here.inlets}
+    monkeypatch.setattr(emergency_stop, "is_bound", lambda endpoint: endpoint in bound)
+    networks = {node: {"network": "tcp://10.0.0.2:5712"} for node in here.networked}
+    rig = LocalRig({node: {"local": text, **networks.get(node, {})} for node, text in endpoints.items()})
+    return rig.reach(target, site)
+
+
+@pytest.mark.parametrize(
+    ("here", "site", "way"),
+    [
+        # both devices take stops here
+        (Here((HAND, TIP)), "", Reach((HAND, TIP), (), (), ())),
+        (Here((HAND, TIP)), "slave", Reach((TIP,), (), (), ())),
+        # from the hand's site the tip is reached through the link, and without one by a console
+        (Here((HAND, TIP, LINK)), "master", Reach((HAND,), (TIP,), (), ())),
+        (Here((HAND, TIP)), "master", Reach((HAND,), (), (TIP,), ())),
+        # from the tip's site nothing goes through the link, which is at the other one
+        (Here((HAND, LINK)), "slave", Reach((), (), (), (TIP,))),
+        (Here((HAND, LINK), networked=(TIP,)), "slave", Reach((), (), (TIP,), ())),
+        # a tip that can run on this machine alone and does not is absent, whether or not there is a link
+        (Here((HAND,)), "", Reach((HAND,), (), (), (TIP,))),
+        (Here((HAND, LINK)), "", Reach((HAND,), (), (), (TIP,))),
+        # from the hand's site it is reached through the link all the same
+        (Here((HAND, LINK)), "master", Reach((HAND,), (TIP,), (), ())),
+        # one that may run on another machine is reached through the link, and without one by a console
+        (Here((HAND, LINK), networked=(TIP,)), "", Reach((HAND,), (TIP,), (), ())),
+        (Here((HAND,), networked=(TIP,)), "", Reach((HAND,), (), (TIP,), ())),
+        # one of an older version runs and has no inlet
+        (Here((HAND,), older=(TIP,)), "", Reach((HAND,), (), (TIP,), ())),
+        (Here((HAND, LINK), older=(TIP,)), "", Reach((HAND,), (), (TIP,), ())),
+        # the hand is never behind the link
+        (Here((TIP, LINK)), "", Reach((TIP,), (), (), (HAND,))),
+        (Here((TIP, LINK), networked=(HAND,)), "", Reach((TIP,), (), (HAND,), ())),
+        (Here((TIP, LINK), networked=(HAND,)), "master", Reach((), (TIP,), (HAND,), ())),
+        (Here(), "", Reach((), (), (), (HAND, TIP))),
+        (Here(), "slave", Reach((), (), (), (TIP,))),
+        (Here(), "master", Reach((), (), (TIP,), (HAND,))),
+    ],
+)
+def test_each_device_is_reached_the_shortest_way(
+    monkeypatch: pytest.MonkeyPatch, here: Here, site: str, way: Reach
+) -> None:
+    found = reach(monkeypatch, here, site)
+    assert Reach(*(tuple(sorted(nodes, reverse=True)) for nodes in found)) == way
+
+
+@pytest.mark.parametrize(
+    ("target", "direct"), [("afm_node", (TIP,)), ("haptic_node@master", (HAND,)), ("*@slave", (TIP,)), ("recorder", ())]
+)
+def test_only_the_devices_that_a_target_means_are_reached(
+    monkeypatch: pytest.MonkeyPatch, target: str, direct: tuple[str, ...]
+) -> None:
+    assert reach(monkeypatch, Here((HAND, TIP, LINK)), "", target) == Reach(direct, (), (), ())
+
+
+def test_a_tip_of_the_files_for_two_machines_is_never_called_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(emergency_stop, "is_bound", lambda _: False)
+    assert LocalRig.packaged(two_machines=False).reach("*", "").absent == (HAND, TIP)
+    assert LocalRig.packaged(two_machines=True).reach("*", "") == Reach((), (), (TIP,), (HAND,))
+
+
+@pytest.mark.parametrize(("by", "version"), [("", 1), ("Ada", 4)])
+def test_a_stop_says_who_gave_it_in_the_first_version_that_has_a_place_for_it(by: str, version: int) -> None:
+    stop = decode("session/control", _Sender("slave", "abc", "afm_node", (), by).message())
+    assert isinstance(stop, SessionControl)
+    assert (stop.command, stop.target, stop.src, stop.id) == ("estop", "afm_node", "estop@slave", "abc")
+    assert (stop.v, stop.by or "", stop.parameters) == (version, by, {})
+
+
+class Socket:
+    """What a node says to an inlet, and what it gets."""
+
+    def __init__(self) -> None:
+        self.said: list[bytes] = []
+        self.got: list[bytes] = []
+
+    def poll(self, timeout: int) -> int:
+        assert timeout == 0, "a node that says nothing holds no other one up"
+        return len(self.said)
+
+    def recv(self) -> bytes:
+        return self.said.pop(0)
+
+    def send_multipart(self, frames: list[bytes]) -> None:
+        topic, payload = frames
+        assert topic == b"session/control"
+        self.got.append(payload)
+
+
+def inlet(*, whole: bool = False) -> tuple[_Inlet, Any]:
+    """Return an inlet without a connection, and the node at its other end."""
+    made = _Inlet.__new__(_Inlet)
+    made.ready, made._whole, made._taken = False, whole, 0
+    socket: Any = Socket()
+    made.socket = socket
+    return made, socket
+
+
+def test_a_device_gets_the_stops_from_when_it_is_ready_on_and_a_recorder_those_before_as_well() -> None:
+    (first, hand), (late, tip), (whole, recorder) = inlet(), inlet(), inlet(whole=True)
+    sender = _Sender("slave", "abc", "*", (first, late, whole))
+    # nothing is sent while no device is ready, however often it is due
+    sender.send(again=True)
+    recorder.said.append(SUBSCRIBED)
+    sender.send(again=True)
+    assert (hand.got, tip.got, recorder.got, sender._messages) == ([], [], [], [])
+    # a device that is ready is sent the stop at once
+    hand.said += [LEFT, SUBSCRIBED, LEFT]
+    sender.send(again=False)
+    assert (len(hand.got), len(recorder.got)) == (1, 1)
+    # and not again until that is due
+    sender.send(again=False)
+    assert len(hand.got) == 1
+    sender.send(again=True)
+    tip.said.append(SUBSCRIBED)
+    sender.send(again=False)
+    assert [len(node.got) for node in (hand, tip, recorder)] == [3, 1, 3]
+    assert tip.got == hand.got[2:] == sender._messages[2:]
+    assert recorder.got == hand.got == sender._messages
+    assert [decode("session/control", payload).seq for payload in hand.got] == [0, 1, 2]
+
+
+def test_a_recorder_that_comes_late_gets_every_stop_so_far_and_makes_no_new_one() -> None:
+    (ready, tip), (whole, recorder) = inlet(), inlet(whole=True)
+    sender = _Sender("slave", "abc", "*", (ready, whole))
+    tip.said.append(SUBSCRIBED)
+    sender.send(again=False)
+    sender.send(again=True)
+    recorder.said.append(SUBSCRIBED)
+    sender.send(again=False)
+    assert recorder.got == tip.got == sender._messages
+    assert len(tip.got) == 2
+
+
+def test_who_subscribes_to_something_else_is_not_ready() -> None:
+    made, node = inlet()
+    for said in (LEFT, b"\x01session/event", b"\x01", b""):
+        node.said.append(said)
+        assert not made.read_subscription(0)
+        assert not made.ready
+    node.said.append(SUBSCRIBED)
+    assert made.read_subscription(0)
+    # once, and it stays ready
+    node.said += [SUBSCRIBED, LEFT]
+    assert not made.read_subscription(0)
+    assert made.ready
+
+
+def test_an_answer_has_the_identifier_of_the_stop() -> None:
+    fields = {"src": TIP, "kind": "ack", "text": "stopped", "id": "a"}
+    assert _answer([b"session/event", msgpack.packb(fields)], "a") == Answer(TIP, "ack", "stopped")
+    assert _answer([b"session/event", msgpack.packb({**fields, "kind": "refused"})], "a") == Answer(
+        TIP, "refused", "stopped"
+    )
+    assert _answer([b"session/event", msgpack.packb(fields)], "b") is None
