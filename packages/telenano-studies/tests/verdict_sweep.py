@@ -121,10 +121,12 @@ def hold_on_bus(loop: Loop, outage_s: float, at_s: float, folder: Path) -> tuple
     for _ in range(TRIES):
         done = run_session([*command, "--overwrite", "--headless", "--json"], document["duration_s"] + OVERHEAD_S)
         if done.returncode in (0, EXIT_INCOMPLETE):
-            (hold,) = json.loads(done.stdout)["holds"]
-            found, stalled_s = hold, longest_stall_s(folder / "session.mcap")
+            holds, stalled_s = json.loads(done.stdout)["holds"], longest_stall_s(folder / "session.mcap")
             if stalled_s == 0.0:
+                (found,) = holds
                 break
+            # Where the machine held a process up, the hold may be in parts, or there may be none.
+            found = holds[0] if holds else found
     if found is None:
         raise RuntimeError(f"{folder}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
     return found, stalled_s
