@@ -1,0 +1,96 @@
+"""States of the page of a running rig at four sizes of window: what has to be seen is seen, and nothing sticks out.
+
+With TELENANO_PICTURES it keeps a picture of each, which docs/view.md shows.
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_page import BESIDE_A_BROWSER, FILLED, Page, View, needs_browser, open_page, until
+from page_walks import look, theme
+from stack_rig import Rig
+
+pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
+
+STIFFNESS = "afm_node.cantilever.stiffness_n_per_m=4"
+
+
+def test_the_states_of_a_running_rig(chromium: Any, tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    try:
+        rig.start("--duration", "300", "--no-view", "--set", STIFFNESS, *BESIDE_A_BROWSER, scenario="image")
+        rig.wait_until(rig.running, "a running session")
+        view = View(rig.environment)
+        try:
+            states(rig, chromium, view)
+        finally:
+            view.close()
+    finally:
+        rig.close()
+
+
+def states(rig: Rig, chromium: Any, view: View) -> None:
+    page = open_page(chromium, view.operator)
+    page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
+    page.until("document.querySelectorAll('#law-name option').length > 1", "the forms of the law")
+    theme(page, "light")
+    for key, value in {"pixels": "48", "lines": "48", "dwell_s": "12"}.items():
+        page.fill(f"#program-scan-{key}", value)
+    assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
+    page.until(f"{FILLED} > 24", "a part of the image")
+    look(page, "imaging")
+    page.until("telenano.store.fact('afm/state/slave', 'mode') === 'retracted'", "a tip that is away")
+    page.follow()
+    page.fill("#tip-x", "0")
+    page.fill("#tip-y", "0")
+    assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
+    page.click("#hand-keep")
+    page.press(14.0)
+    page.page.mouse.up()
+    until(lambda: page.last("command", "tip_force") > 0.5, "the sample felt")
+    page.page.wait_for_timeout(4000.0)
+    look(page, "live")
+    observer = open_page(chromium, view.observer)
+    observer.until("telenano.store.rings.get('tip')?.length > 3000", "curves on the observer's page")
+    theme(observer, "light")
+    look(observer, "observer")
+    assert observer.page.is_enabled("#estop")
+    observer.page.context.close()
+    page.fill("#delay", "60")
+    assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))
+    until(lambda: "DELAYED" in page.banners(), "the banner of the delay")
+    look(page, "delayed")
+    swing(page)
+    theme(page, "dark")
+    look(page, "oscillating")
+    assert "acknowledged" in page.answered(lambda: page.page.keyboard.press("Escape"))
+    until(lambda: "EMERGENCY STOP" in page.banners(), "the banner of the stop")
+    look(page, "stopped")
+    view.kill()
+    until(lambda: "DISCONNECTED" in page.banners(), "the banner of a lost server")
+    theme(page, "light")
+    stop = page.page.inner_text("#estop")
+    assert "NOT CONNECTED" in stop
+    assert "telenano estop" in stop
+    # a dead stop looks dead under the pointer too
+    page.page.hover("#estop")
+    page.page.wait_for_timeout(300.0)
+    assert page.value("getComputedStyle(document.querySelector('#estop')).backgroundImage") != "none"
+    assert page.value("getComputedStyle(document.querySelector('#estop')).color") != "rgb(255, 255, 255)"
+    answer = page.answered(lambda: page.page.keyboard.press("Escape"))
+    assert "telenano estop" in answer
+    look(page, "disconnected")
+
+
+def swing(page: Page) -> None:
+    """Raise the delay and push until the loop swings."""
+    page.fill("#delay", "200")
+    assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))
+    end = time.monotonic() + 60.0
+    while "OSCILLATES" not in page.banners():
+        assert time.monotonic() < end, f"no oscillation was seen: {page.banners()}"
+        page.press(6.0)
+        page.page.mouse.up()
+        page.page.wait_for_timeout(6000.0)
