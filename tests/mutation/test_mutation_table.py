@@ -7,8 +7,8 @@ from mutate import ROOT, SAMPLE, SEED, mutants, sampled
 from mutated_modules import EQUIVALENT, MODULES
 
 
-def test_there_are_sixteen_modules_with_tests_and_equivalents_with_a_reason() -> None:
-    assert len(MODULES) == 16
+def test_there_are_twenty_modules_with_tests_and_equivalents_with_a_reason() -> None:
+    assert len(MODULES) == 20
     assert all((ROOT / path).is_file() for module, tests in MODULES.items() for path in (module, *tests))
     assert set(EQUIVALENT) <= set(MODULES)
     assert all(reason for entries in EQUIVALENT.values() for reason in entries.values())
@@ -18,8 +18,8 @@ def test_there_are_sixteen_modules_with_tests_and_equivalents_with_a_reason() ->
 def test_every_mutant_of_a_module_is_python_and_has_a_name_of_its_own(module: str) -> None:
     source = (ROOT / module).read_text()
     every = mutants(source)
-    # the smallest module has fewer than are sampled
-    assert len({mutant.name for mutant in every}) == len(every) >= 30
+    # the smallest modules have fewer than are sampled
+    assert len({mutant.name for mutant in every}) == len(every) >= 20
     assert all(mutant.source != source for mutant in every)
     for mutant in every[:: len(every) // 6]:
         ast.parse(mutant.source)
