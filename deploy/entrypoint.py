@@ -8,11 +8,11 @@ from pathlib import Path
 
 import yaml
 
-from telenano import settings as presets
 from telenano.launcher.plan import anchored
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.runtime.wiring.main import EXIT_BAD_START
+from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY
 from telenano.settings.config import ENVIRONMENT_PREFIX, layered
 from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
@@ -49,8 +49,8 @@ def node_command(node: str) -> list[str]:
     name, _, site = node.partition("@")
     if not site:
         raise ConfigError(f"{NODE} is {node!r}: give a command, or the node to run as node@site")
-    site_file = os.environ.get(SITE_FILE) or str(presets.DEFAULT_SITE_FILE)
-    scenario = Path(os.environ.get(SCENARIO) or presets.SCENARIO_DIRECTORY / "fig12.yaml")
+    site_file = os.environ.get(SITE_FILE) or str(DEFAULT_SITE_FILE)
+    scenario = Path(os.environ.get(SCENARIO) or SCENARIO_DIRECTORY / "fig12.yaml")
     write_in_force(scenario)
     files = ["--site-file", site_file, "--scenario", str(IN_FORCE)]
     return [sys.executable, "-m", module_of(name), *files, "--site", site]

@@ -10,7 +10,7 @@ from telenano.serving.connections import Connections, Listener, most_connections
 from telenano.serving.serve import Tls, make_server, page_folder
 from telenano.wire.errors import RigError
 
-# a browser opens six connections at once
+# A browser opens six connections at once.
 _LEAST_STRANGERS = 8
 
 
@@ -19,10 +19,10 @@ class PageServer:
 
     def __init__(self, hub: Hub, access: Access, bound: Listener, tls: Tls | None, wake_descriptor: int) -> None:
         """Prepare to serve at a bound address; `run` returns as soon as `wake_descriptor` is readable."""
-        # the web server closes what it is given, and may be started again
+        # The web server closes the listener that it is given, and the page may be served again.
         listener = bound.again(Connections(most_connections(MOST_PAGES + _LEAST_STRANGERS)))
         self._server = make_server(make_app(hub, access, page_folder(), listener.connections), tls)
-        # signals are for who waits
+        # The process that waits handles the signals.
         self._server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]
         self._hub = hub
         hub.on_end = lambda: setattr(self._server, "should_exit", True)
@@ -46,7 +46,7 @@ class PageServer:
         """End the server and the connections of its pages."""
         self._server.should_exit = True
         self._loop.run_until_complete(asyncio.wait({self._serving}))
-        # what pages had asked for has nobody to be told to any more
+        # No page is left for the answers to what pages had asked for.
         left = asyncio.all_tasks(self._loop)
         for task in left:
             task.cancel()

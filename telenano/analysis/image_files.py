@@ -17,6 +17,8 @@ from telenano.wire.messages import AfmScanline
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Heights = npt.NDArray[np.float64]
+
 
 class Image(NamedTuple):
     """One channel: title, unit of its values, values of shape (rows, columns) with y rising, sides [m].
@@ -53,13 +55,13 @@ class LiveImage:
     Of the trace in tapping mode amplitude [m], phase [rad], and energy that the sample takes in a period [J].
     """
 
-    trace_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
-    retrace_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
-    trace_n: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
-    retrace_n: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
-    amplitude_m: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
-    phase_rad: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
-    dissipated_j: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0)))
+    trace_m: Heights = field(default_factory=lambda: np.empty((0, 0)))
+    retrace_m: Heights = field(default_factory=lambda: np.empty((0, 0)))
+    trace_n: Heights = field(default_factory=lambda: np.empty((0, 0)))
+    retrace_n: Heights = field(default_factory=lambda: np.empty((0, 0)))
+    amplitude_m: Heights = field(default_factory=lambda: np.empty((0, 0)))
+    phase_rad: Heights = field(default_factory=lambda: np.empty((0, 0)))
+    dissipated_j: Heights = field(default_factory=lambda: np.empty((0, 0)))
     width_m: float = 0.0
     depth_m: float = 0.0
     first_y_m: float = 0.0

@@ -26,7 +26,7 @@ def example(topic: str, **fields: Any) -> Message:
 
 @cache
 def _examples() -> dict[str, str]:
-    # the least golden vector of each topic: an installation does not have the folder of the contract
+    # These are the golden vectors of the case `minimal`; an installation does not have the others.
     return dict(json.loads((Path(__file__).parents[1] / "wire" / "examples.json").read_text(encoding="utf-8")))
 
 

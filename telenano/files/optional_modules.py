@@ -4,7 +4,7 @@ import importlib
 from typing import Any
 
 from telenano.wire.errors import ConfigError
-from telenano.wire.extras import missing
+from telenano.wire.extras import how_to_install
 
 
 def optional_module(name: str) -> Any:
@@ -15,9 +15,9 @@ def optional_module(name: str) -> Any:
         return None
 
 
-def required_module(name: str, what: str) -> Any:
-    """Return a module that `what` needs; ConfigError says how to install its package."""
+def required_module(name: str, absent: str, extra: str) -> Any:
+    """Return a module of an extra; ConfigError says `absent` and how the extra is installed where it is not there."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ConfigError(f"{what}: {missing(name.partition('.')[0])}") from error
+        raise ConfigError(f"{absent}: {how_to_install(extra)}") from error

@@ -39,7 +39,7 @@ class ColumnTable(Mapping[str, Column]):
 
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
-        pandas = required_module("pandas", "a table as data of pandas")
+        pandas = required_module("pandas", "a table as data of pandas: pandas is not installed", "export")
         frame = pandas.DataFrame({name: list(values) if values.ndim > 1 else values for name, values in self.items()})
         frame.attrs.update(units=self.units)
         return frame
@@ -50,7 +50,7 @@ class ColumnTable(Mapping[str, Column]):
         Raises:
             ConfigError: xarray is not installed; the message says what adds it.
         """
-        xarray = required_module("xarray", "a table as data of xarray")
+        xarray = required_module("xarray", "a table as data of xarray: xarray is not installed", "export")
         facts = {name: {"units": self.units[name], "long_name": self.descriptions[name]} for name in self}
         variables = {
             name: (("time_s", *(f"{name}_{axis}" for axis in range(1, values.ndim))), values, facts[name])

@@ -78,14 +78,15 @@ def _export(recording: Recording, target: Path, kind: str, selection: Selection)
     if kind not in FORMATS:
         return _written_by_package(_of_package(kind), recording, target, kind, selection)
     if kind == "hdf5":
-        h5py = required_module("h5py", "hdf5")
+        h5py = required_module("h5py", "hdf5 needs the package h5py", "export")
         with whole_file(target, replace=False) as file:
             _, total, damage = write_tables(recording, selection, partial(_hdf5_tables, h5py, recording, file))
     else:
         with whole_folder(target) as folder:
             begin: Callable[[Path], AbstractContextManager[OpenTable]] = _csv_tables
             if kind == "parquet":
-                arrow, parquet = required_module("pyarrow", "parquet"), required_module("pyarrow.parquet", "parquet")
+                absent = "parquet needs the package pyarrow"
+                arrow, parquet = (required_module(name, absent, "export") for name in ("pyarrow", "pyarrow.parquet"))
                 begin = parquet_tables(arrow, parquet, recording)
             columns, total, damage = write_tables(recording, selection, partial(begin, folder))
             if kind == "csv":

@@ -65,9 +65,8 @@ def write_provenance(
 def _shown(path: Path) -> str:
     """Return a path as it is found again: what comes with the project by its place in it."""
     absolute = path.absolute()
-    return (
-        str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "telenano" / "settings") else str(absolute)
-    )
+    is_ours = absolute.is_relative_to(_ROOT / "telenano" / "settings")
+    return str(absolute.relative_to(_ROOT) if is_ours else absolute)
 
 
 @cache

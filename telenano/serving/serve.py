@@ -1,12 +1,12 @@
 """Binding and running the web server of the page, and telling its address to whom it is for."""
 
 import contextlib
-import importlib.util
 import os
 import re
 import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import resources, util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
@@ -45,14 +45,13 @@ class Tls(NamedTuple):
 
 def page_folder() -> Path | None:
     """Return the folder of the built page, None where it has not been built."""
-    process = importlib.util.find_spec(module_of(name_of(PAGE)))
-    folder = Path(process.origin).parent / "web" / "dist" if process is not None and process.origin else None
-    return folder if folder is not None and (folder / "index.html").is_file() else None
+    folder = Path(str(resources.files(module_of(name_of(PAGE))))) / "web" / "dist"
+    return folder if (folder / "index.html").is_file() else None
 
 
 def missing_for_view() -> str:
     """Return in words what this installation lacks to serve the page; empty when it lacks nothing."""
-    if absent := [name for name in _PACKAGES if importlib.util.find_spec(name) is None]:
+    if absent := [name for name in _PACKAGES if util.find_spec(name) is None]:
         return f"{', '.join(absent)} {'are' if len(absent) > 1 else 'is'} not installed: {how_to_install('view')}"
     if page_folder() is None:
         return "its page has not been built: `make page` in the repository builds it"

@@ -10,7 +10,7 @@ import pytest
 from telenano.settings import DEMO_RECORDING
 
 ROOT = Path(__file__).resolve().parents[2]
-# the table of nodes, by which the table of commands finds its modules as well
+# The table of nodes; the table of commands finds its modules by it.
 TABLES = {"telenano/wire/nodes.py"}
 
 WITHOUT_LINUX = """
@@ -27,7 +27,7 @@ for module, names in (
         if hasattr(module, name):
             delattr(module, name)
 """
-# what a notebook does: simulate, read, report, plot
+# A notebook simulates, reads, reports and plots.
 LIBRARY = """
 import pathlib, sys, telenano
 from telenano.cli.root import app
@@ -49,12 +49,9 @@ print("imported:", sorted(name for name in sys.modules if name.partition(".")[0]
 
 
 def texts_of_processes(path: Path) -> list[str]:
-    """Return the texts of a module, but for its docstrings, that begin as the name of a module of a process does."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    parts = (value for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for value in node.values[:1])
-    whole = (node for node in ast.walk(tree) if isinstance(node, ast.Constant))
-    found = [node.value for node in (*parts, *whole) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
-    return [text for text in found if text.startswith("services.")]
+    """Return the texts of a module, parts of f-strings among them, that begin as the name of a process does."""
+    values = [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+    return [value for value in values if isinstance(value, str) and value.startswith("services.")]
 
 
 def test_only_the_table_of_nodes_names_a_process() -> None:
@@ -82,7 +79,7 @@ def test_the_library_works_alone(place: str, tmp_path: Path) -> None:
         (folder / "firmware.py").write_text("raise SystemExit('a file of the folder was run')\n")
     code = (WITHOUT_LINUX if "Linux" in place else "") + LIBRARY
     done = subprocess.run(
-        # without -P, so that the folder comes first, as it does for a notebook
+        # There is no -P, so that the folder comes first on the path, as it does for a notebook.
         [sys.executable, "-c", code, str(DEMO_RECORDING), str(tmp_path)],
         cwd=folder, capture_output=True, text=True, check=False, timeout=250,
     )  # fmt: skip

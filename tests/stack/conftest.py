@@ -13,6 +13,7 @@ import machine
 import pytest
 from browser_page import browser
 from commands import COMMANDS
+from installations import built
 from stack_rig import CONSTANT_PUSH, FIGURE_AND_PUSH, FIGURE_S, Rig
 from two_sites import TwoSites
 
@@ -52,6 +53,11 @@ def chromium() -> Iterator[Any]:
     """Run one browser for all tests of a module."""
     with browser() as found:
         yield found
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built(tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture

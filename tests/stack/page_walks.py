@@ -98,7 +98,7 @@ _SIZES = (
     Size("tablet", 1024, 768, True),
     Size("phone", 390, 844, True),
 )
-# what the documents show besides the laptop
+# The documents show these windows besides the laptop.
 _SHOWN = ("live-desktop", "recording-desktop")
 # boxes of the parts of a page that must be seen without scrolling, wherever they are
 _BOXES = """(names) => names.map((name) => {

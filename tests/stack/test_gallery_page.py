@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import AXE, Page, View, keep, needs_browser, open_page
+from browser_page import Page, View, keep, needs_browser, open_page
 from made_sessions import Made, hand_force_n
+from page_walks import check_rules
 from telenano_studies.pages.gallery import FOLDER, page_of
 
 pytestmark = [pytest.mark.browser, needs_browser]
@@ -48,12 +49,10 @@ def test_the_static_page_shows_when_a_root_crosses_and_fits_every_window(
     assert move(page, "passivity", 200.0).startswith("stable")
     assert "not linear" in page.value("document.querySelector('.gallery').textContent")
     move(page, "virtual_impedance", 60.0)
-    page.value(f"{AXE.read_text()}; 0")
     for name, width, height in SIZES:
         page.page.set_viewport_size({"width": width, "height": height})
         assert page.value("document.documentElement.scrollWidth - innerWidth") <= 0, name
-        found = page.value("axe.run({ runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa'] })")
-        assert [fault["id"] for fault in found["violations"]] == [], name
+        check_rules(page, name)
         if (folder := os.environ.get("TELENANO_PICTURES")) and (name, scheme) == ("laptop", "light"):
             keep(page.page.screenshot(), Path(folder) / "gallery.png")
     assert page.faults == []

@@ -13,11 +13,6 @@ from installations import ROOT, SETTINGS, Installation, built, closure, wheel_of
 pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(1800)]
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("wheel"))
-
-
 @pytest.fixture(
     scope="module",
     params=[(), ("haptic",), ("launcher",), ("launcher", "export"), ("studies", "instrument")],

@@ -4,11 +4,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from installations import ROOT, Installation, built, wheel_of
+from installations import ROOT, Installation, wheel_of
 
 pytestmark = pytest.mark.check("builds and installs wheels")
 
-# a distribution with the import name of proto-plus, which comes with every client of Google
+# The distribution has the import name of proto-plus, which comes with every client of Google.
 STRANGER = """
 [build-system]
 requires = ["hatchling"]
@@ -29,11 +29,6 @@ assert proto.NAME == "the stranger's" and len(TOPICS) > 20
 assert example("afm/state", seq=7).seq == 7
 print(telenano.simulate("fig12", duration_s=1.0).verdict is not None)
 """
-
-
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.timeout(600)
 PAGES, WATCHED_S, ROUNDS = MOST_PAGES + 4, 30.0, 3
-# of one round after the first, in which caches and the allocator find their size
+# A round after the first one may grow the memory by this; in the first, caches and the allocator find their size.
 MOST_GROWTH_BYTES = 10_000_000
 
 
@@ -103,7 +103,7 @@ def test_pages_hold_up_no_loop_and_leave_no_memory_behind(rig: Rig) -> None:
     for span in spans:
         ages = loop_ages_s(recording, *span)
         assert np.median(ages) < 1.5 * np.median(undisturbed)
-        # as many answers a second as without them
+        # The loop gives as many answers a second as without the pages.
         rate = ages.size / (span[1] - span[0]) / (undisturbed.size / (alone[1] - alone[0]))
         assert rate > 0.98, rate
 

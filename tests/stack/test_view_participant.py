@@ -402,8 +402,8 @@ def done(page: Page, action: Callable[[], object]) -> None:
 
 
 # A particle that is pushed through its middle turns aside by itself: who pushes has to follow the force that is felt,
-# by the law of telenano/afm/particles/steering.py. The hand does so in the page, at what the page shows:
-# from outside a move of the pointer takes seconds on a busy machine, and a particle is lost in as many.
+# by the law of telenano/afm/particles/steering.py. The hand does so in the page, at what the page shows, because a move
+# of the pointer from outside takes seconds on a busy machine, in which a particle is lost.
 HAND = """([share, deep]) => {
   const pad = document.querySelector('#steer-pad'), box = pad.getBoundingClientRect();
   const half = Math.min(box.width, box.height) / 2, steepest = Math.sqrt(3);

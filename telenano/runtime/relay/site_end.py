@@ -293,7 +293,7 @@ def at_relay(book: AddressBook) -> Iterator[None]:
         yield
     finally:
         loop, task = running.result()
-        # A loop that has ended by itself can be told nothing.
+        # A loop that has ended by itself takes no calls.
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(lambda: task is not None and task.cancel())
         thread.join()

@@ -8,10 +8,10 @@ from typing import Any
 
 import yaml
 
-from telenano import settings as presets
+from telenano.settings import SCHEMA_DIRECTORY
 from telenano.signals import children
 
-SCHEMA = json.loads((Path(presets.__file__).parent / "schemas" / "scenario.json").read_text())
+SCHEMA = json.loads((SCHEMA_DIRECTORY / "scenario.json").read_text())
 # What a key needs beside it, so that it is looked at.
 BESIDE_TEXTS = {
     "haptic_node.serial.port": ("calibration",),
