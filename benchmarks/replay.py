@@ -29,6 +29,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import yaml
 import zmq
@@ -51,7 +52,7 @@ from telenano.settings.scenario import RealtimeConfig
 from telenano.signals import children
 from telenano.timing.clock import SystemClock
 from telenano.wire import encode
-from telenano.wire.messages import Message
+from telenano.wire.messages import LinkClock, Message
 from telenano.wire.nodes import PLAYER
 
 PERIOD_NS = 1_000_000
@@ -80,12 +81,12 @@ def ordinary(topic: str) -> Message:
     if topic != "link/status":
         return example
     clock = {"valid": False, "offset_s": 0.0, "uncertainty_s": 0.0, "round_trip_s": 0.0, "exchanges": 0}
-    return type(example).model_validate(example.model_dump() | {"clock": clock})
+    return msgspec.structs.replace(example, clock=LinkClock(**clock))
 
 
 def typical(topic: str, src: str, seq: int, t_ns: int) -> Message:
     """Give a message of usual size that was sent at a time [ns]."""
-    return ordinary(topic).model_copy(update={"seq": seq, "t_ns": t_ns, "src": src})
+    return msgspec.structs.replace(ordinary(topic), seq=seq, t_ns=t_ns, src=src)
 
 
 def make_recording(folder: Path, seconds: float) -> Path:

@@ -22,6 +22,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from telenano.recording.column_table import Column, ColumnTable
@@ -160,7 +161,7 @@ class LiveRig:
             if name == _LOOP and session_s >= 0.0:
                 start_ns = message.t_ns - round(session_s * 1e9)
             if name == channel and src in (None, message.src):
-                rows.append((message.t_ns, flat(message.__dict__)))
+                rows.append((message.t_ns, flat(msgspec.structs.asdict(message))))
         return _table(topic_of(channel), rows, start_ns)
 
 

@@ -4,6 +4,8 @@ import contextlib
 import math
 from typing import Any, ClassVar, NamedTuple
 
+import msgspec
+
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.driver import AfmDriver
@@ -39,7 +41,7 @@ _PROGRAM_PERIOD_NS = 100_000_000
 _NO_COMMAND = AfmCommand(
     seq=0, t_ns=0, src="controller@slave", v=1, hand_seq=0, hand_t_ns=0, mode="hold", base_position_m=(0.0, 0.0, 0.0)
 )
-_WITHDRAWAL = _NO_COMMAND.model_copy(update={"mode": "retract"})
+_WITHDRAWAL = msgspec.structs.replace(_NO_COMMAND, mode="retract")
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ARMED = {

@@ -17,10 +17,9 @@ from telenano.runtime.loop.node import Node, NodeBus, NodeContext
 from telenano.timing.clock_offset import Exchange, Offset, OffsetFilter, OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import ClockPong, LinkClock, LinkDirection, Message, SessionControl
+from telenano.wire.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
 from telenano.wire.node_state import FindInput
 from telenano.wire.nodes import LINK
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
@@ -288,48 +287,46 @@ class DelayNode(Node):
 def _clock(offset: Offset | None) -> LinkClock:
     if offset is None:
         return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-    found = {
-        "valid": True,
-        "offset_s": offset.offset_s,
-        "uncertainty_s": offset.uncertainty_s,
-        "round_trip_s": offset.round_trip_s,
-        "exchanges": offset.exchanges,
-    }
-    return limited(LinkClock, found)
+    return LinkClock(
+        valid=True,
+        offset_s=offset.offset_s,
+        uncertainty_s=offset.uncertainty_s,
+        round_trip_s=offset.round_trip_s,
+        exchanges=offset.exchanges,
+    )
 
 
-def _link_fate(fate: Fate) -> dict[str, str | int | bool]:
-    """Return a row of link/fates; `publish` checks it, at a fiftieth of what a model of each row would take."""
-    return {
-        "topic": fate.topic,
-        "seq": fate.seq,
-        "is_duplicate": fate.copy > 0,
-        "arrived_ns": fate.arrived_ns,
-        "delay_ns": fate.delay_ns,
-        "queue_ns": fate.queue_ns,
-        "held_ns": fate.held_ns,
-        "dropped": fate.dropped,
-        "duplicated": fate.duplicated,
-        "reordered": fate.reordered,
-        "corrupted": fate.corrupted,
-    }
+def _link_fate(fate: Fate) -> LinkFate:
+    """Return a row of link/fates."""
+    return LinkFate(
+        topic=fate.topic,
+        seq=fate.seq,
+        is_duplicate=fate.copy > 0,
+        arrived_ns=fate.arrived_ns,
+        delay_ns=fate.delay_ns,
+        queue_ns=fate.queue_ns,
+        held_ns=fate.held_ns,
+        dropped=fate.dropped,
+        duplicated=fate.duplicated,
+        reordered=fate.reordered,
+        corrupted=fate.corrupted,
+    )
 
 
 def _direction(way: DirectionPath, settings: dict[str, Setting], network: str) -> LinkDirection:
     stats, prefix = way.engine.stats(), way.name + "."
-    figures = {
-        "profile": network,
-        "settings": {key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},
-        "messages_in": stats.messages_in,
-        "messages_out": stats.messages_out,
-        "dropped": {cause: count for cause, count in stats.dropped.items() if count},
-        "duplicated": stats.duplicated,
-        "reordered": stats.reordered,
-        "corrupted": stats.corrupted,
-        "queue_depth": stats.in_flight,
-        "delay_valid": stats.delay_count > 0,
-        "delay_mean_s": stats.delay_mean_s or 0.0,
-        "delay_min_s": stats.delay_min_s or 0.0,
-        "delay_max_s": stats.delay_max_s or 0.0,
-    }
-    return limited(LinkDirection, figures)
+    return LinkDirection(
+        profile=network,
+        settings={key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},
+        messages_in=stats.messages_in,
+        messages_out=stats.messages_out,
+        dropped={cause: count for cause, count in stats.dropped.items() if count},
+        duplicated=stats.duplicated,
+        reordered=stats.reordered,
+        corrupted=stats.corrupted,
+        queue_depth=stats.in_flight,
+        delay_valid=stats.delay_count > 0,
+        delay_mean_s=stats.delay_mean_s or 0.0,
+        delay_min_s=stats.delay_min_s or 0.0,
+        delay_max_s=stats.delay_max_s or 0.0,
+    )

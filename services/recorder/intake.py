@@ -133,7 +133,7 @@ class Intake:
             if topic in _DECODED:
                 # What is not valid is recorded as it came, and means nothing.
                 message = decode(topic, payload)
-                self._interpret(listener, stream, fields_of(topic, message), received_ns)
+                self._interpret(listener, stream, fields_of(message), received_ns)
                 if topic == "session/control" and (stream.direct or self.obeys_link):
                     return Received(topic, message, payload, received_ns, arrival)
         except WireError as error:

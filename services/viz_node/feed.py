@@ -48,7 +48,7 @@ class Seen(NamedTuple):
 
 def seen(topic: str, src: str, t_ns: int, message: Message) -> Seen:
     """Return a valid message for a feed."""
-    return Seen(topic, src, t_ns, fields_of(topic, message))
+    return Seen(topic, src, t_ns, fields_of(message))
 
 
 class Feed:

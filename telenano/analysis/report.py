@@ -571,7 +571,7 @@ def _blocked_s(reports: list[Mapping[str, Any]], begin_ns: int) -> list[list[flo
 def _line_figures(way: str, reports: list[Mapping[str, Any]], of_sender: list[Mapping[str, Any]]) -> dict[str, Any]:
     first, last = reports[0], reports[-1]
     queues_ms = [1e3 * (report.get("queue_s") or 0.0) for report in reports]
-    settled, lost = last.get("settled", 0) - first.get("settled", 0), max(0, last["lost"] - first["lost"])
+    settled, lost = (last.get("settled") or 0) - (first.get("settled") or 0), max(0, last["lost"] - first["lost"])
     capacity = last.get("capacity_bit_per_s")
     return {
         "direction": way,

@@ -23,6 +23,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyResult as CopyResult
 from telenano.recording.tables import plain as plain
 from telenano.recording.writer import RecordingWriter
+from telenano.wire.schema import json_schema as json_schema
 
 
 def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:

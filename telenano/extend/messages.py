@@ -5,6 +5,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from telenano.recording.messages import RecordedChannel as RecordedChannel
 from telenano.recording.messages import RecordedMessage as RecordedMessage
 from telenano.recording.quantities import quantity as quantity
@@ -15,13 +17,20 @@ from telenano.wire import Message as Message
 from telenano.wire import decode as decode
 from telenano.wire import encode as encode
 from telenano.wire.errors import RecordingError as RecordingError
+from telenano.wire.faults import Fault as Fault
+from telenano.wire.faults import faults_of as faults_of
 from telenano.wire.nodes import site_of
 
 
 def example(topic: str, **fields: Any) -> Message:
     """Return a message of a topic as the contract of the wire has it, with some fields changed; KeyError if unknown."""
     base = decode(topic, bytes.fromhex(_examples()[topic]))
-    return type(base)(**(base.__dict__ | fields))
+    return type(base)(**(msgspec.structs.asdict(base) | fields))
+
+
+def required_keys(topic: str) -> set[str]:
+    """Return the keys that every message of a topic has; KeyError if the topic is unknown."""
+    return {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
 
 
 @cache

@@ -15,6 +15,7 @@ from pydantic import Field as Field
 
 from telenano.recording.column_table import ColumnTable
 from telenano.wire.experiment_messages import Question
+from telenano.wire.faults import made
 
 Series = npt.NDArray[np.float64]
 Judged = dict[str, float | bool | None]
@@ -174,12 +175,14 @@ def scale(
         most: The highest value.
         step: The distance of the values.
     """
-    return Question(name=name, text=text, low=low, high=high, least=least, most=most, step=step, options=())
+    bounds = {"least": least, "most": most, "step": step}
+    return made(Question, {"name": name, "text": text, "low": low, "high": high, **bounds, "options": ()})
 
 
 def choice(name: str, text: str, options: Sequence[str]) -> Question:
     """Return a question with some options, of which one is chosen; the answer is the option in words."""
-    return Question(name=name, text=text, low="", high="", least=0.0, most=0.0, step=0.0, options=tuple(options))
+    scale_of_none = {"low": "", "high": "", "least": 0.0, "most": 0.0, "step": 0.0}
+    return made(Question, {"name": name, "text": text, **scale_of_none, "options": tuple(options)})
 
 
 def tip_of(data: TrialData) -> Tip:

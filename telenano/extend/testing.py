@@ -1,6 +1,6 @@
 """What the tests of a package put around their code: messages of a rig, and nodes in virtual time."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
@@ -14,11 +14,10 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings.config import merge as merge
 from telenano.settings.config import validate as validate
-from telenano.wire import TOPICS, encode
+from telenano.wire import TOPICS, compose, encode
 from telenano.wire.errors import RefusedError as RefusedError
 from telenano.wire.messages import Message
 from telenano.wire.nodes import TIP, module_of, name_of
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -84,7 +83,7 @@ class NodeBench:
         self.context = NodeContext(key, self.clock, self, StructuredLog(key))
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        message = self._made(limited, topic, self.context.key, fields)
+        message = self.make(topic, self.context.key, **fields)
         self.sent.append((topic, message))
         return message
 
@@ -101,14 +100,11 @@ class NodeBench:
 
     def make(self, topic: str, src: str, **fields: Any) -> Message:
         """Build a message with the next number of its source."""
-        return self._made(lambda model, whole: model.model_validate(whole), topic, src, fields)
-
-    def _made(self, build: Callable[..., Message], topic: str, src: str, fields: dict[str, Any]) -> Message:
         seq = self._sequence.get((topic, src), 0)
         self._sequence[topic, src] = seq + 1
         model = TOPICS[topic].model
         header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version_of(fields)}
-        return build(model, {**header, **fields})
+        return compose(topic, {**header, **fields}, lambda text: None)[0]
 
     def received(self, topic: str, src: str, **fields: Any) -> Received:
         """Return a message of another node as the node would receive it now."""

@@ -20,7 +20,7 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.relay.site_end import at_relay
 from telenano.runtime.wiring.participant import Participant, open_participant
-from telenano.wire import encode
+from telenano.wire import compose
 from telenano.wire.errors import EndpointError, RecordingError, RigError
 from telenano.wire.messages import Scalar, SessionControl, SessionEvent
 from telenano.wire.network_messages import RecordingPiece
@@ -232,9 +232,10 @@ class _LinkEnd:
     def publish(self, topic: str, **fields: Any) -> None:
         """Send a message of the console."""
         now_ns, version = self._participant.clock.now_ns(), SessionControl.version_of(fields.keys())
-        message = SessionControl(seq=self._seq, t_ns=now_ns, src="console@master", v=version, **fields)
+        header = {"seq": self._seq, "t_ns": now_ns, "src": "console@master", "v": version}
+        _, payload = compose(topic, {**header, **fields}, lambda text: None)
         self._seq += 1
-        self._publisher.send(topic, encode(message))
+        self._publisher.send(topic, payload)
 
 
 def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progress) -> None:

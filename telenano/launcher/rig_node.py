@@ -12,6 +12,7 @@ from telenano.launcher.recorder_wait import has_last
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
+from telenano.wire import fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
@@ -118,7 +119,7 @@ class RigNode(Node):
             self.events.append(message)
             if message.kind == "recording" and name_of(message.src) == name_of(RECORDER):
                 self._note_recording(message)
-            if read_end(message.model_dump()) is not None:
+            if read_end(fields_of(message)) is not None:
                 self.ended[message.src] = message.t_ns
             self.on_event(message)
 

@@ -3,6 +3,8 @@
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeVar
 
+import msgspec
+
 from telenano.launcher.readiness import oldest_input_s, unmet
 from telenano.runtime.wiring.observer import RIG_HINT, Observer
 from telenano.timing.loop_age import STAGES, LoopAge
@@ -75,7 +77,7 @@ def listen(observer: Observer, duration_s: float) -> RigStatus:
     for observed in observer.listen(duration_s):
         message = observed.received.message
         status.record(message)
-        status.age.take(observed.received.topic, message.src, message.t_ns, vars(message))
+        status.age.take(observed.received.topic, message.src, message.t_ns, msgspec.structs.asdict(message))
     status.notices = [notice.text for notice in observer.notices]
     if not status.first:
         raise RigError(f"no node reports: {RIG_HINT}")

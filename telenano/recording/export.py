@@ -31,6 +31,7 @@ from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import Record
+from telenano.wire.schema import json_schema
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
 FORMATS = ("parquet", "csv", "hdf5", "mcap-json")
@@ -334,7 +335,7 @@ def viewer_schema(model: type[Record]) -> dict[str, Any]:
 
     A viewer in JavaScript keeps numbers as doubles, which round the time of today to 256 ns.
     """
-    schema = plain_schema(model.model_json_schema())
+    schema = plain_schema(json_schema(model))
     times = [
         name for name, part in schema["properties"].items() if name.endswith("_ns") and part.get("type") == "integer"
     ]

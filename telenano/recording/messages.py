@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgpack
 from mcap.records import Channel, Schema
-from pydantic import ValidationError
 
 # The codec is imported when a message is decoded: a summary by the index has none.
 from telenano import wire
@@ -112,10 +111,11 @@ class RecordedMessage(NamedTuple):
         try:
             if self.topic in RECORD_TOPICS:
                 from telenano.recording.records import RECORDS
+                from telenano.wire.faults import made
 
-                return RECORDS[self.topic].model_validate(self.fields())
+                return made(RECORDS[self.topic], self.fields())
             return wire.decode(self.topic, self.payload)
-        except (wire.WireError, ValidationError) as error:
+        except ValueError as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error
 
     def fields(self) -> dict[str, Any]:
@@ -134,8 +134,7 @@ class RecordedMessage(NamedTuple):
 
     def checked_fields(self) -> Mapping[str, Any]:
         """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""
-        message = self.decode()
-        return wire.fields_of(self.topic, message) if isinstance(message, wire.Message) else message.model_dump()
+        return wire.fields_of(self.decode())
 
 
 ChannelFilter = Callable[[RecordedChannel], bool]

@@ -5,6 +5,7 @@ from typing import Any
 
 from telenano.recording.messages import LeftOut
 from telenano.recording.multi_file import RecordingSource
+from telenano.wire import fields_of
 
 TOPICS = ("session/control", "session/event")
 
@@ -19,11 +20,11 @@ def people_in(recording: RecordingSource) -> dict[str, dict[str, int]]:
     left_out = LeftOut()
 
     def take(message: Any) -> None:
-        fields = message.decode()
-        given = vars(fields) if message.channel.topic == "session/control" else fields.data
+        said = message.decode()
+        given = fields_of(said) if message.channel.topic == "session/control" else said.data
         by, command = given.get("by"), given.get("command")
         if by and command:
-            commands[fields.id] = by, command
+            commands[said.id] = by, command
         elif by:
             hands[by, "hand"] += 1
 

@@ -3,12 +3,14 @@
 import re
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple
 
-from pydantic import BaseModel
+import msgspec
 
 from telenano.recording.records import RECORDS
 from telenano.wire import TOPICS
+from telenano.wire.messages import Record
+from telenano.wire.schema import records_in
 
 # "Base position [m]; z = -x_s", "Time [s], 0 = none"
 _UNIT = re.compile(r"\[([^\[\]0-9]+)\]")
@@ -42,18 +44,10 @@ def _quantities(topic: str) -> dict[str, Quantity]:
     return found if model is None else found | dict(_of_model(model, ""))
 
 
-def _of_model(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, Quantity]]:
-    for name, field in model.model_fields.items():
-        text = field.description or ""
+def _of_model(model: type[Record], prefix: str) -> Iterator[tuple[str, Quantity]]:
+    for field in msgspec.structs.fields(model):
+        text = next((rule.description for rule in getattr(field.type, "__metadata__", ()) if rule.description), "")
         unit = _UNIT.search(text)
-        yield prefix + name, Quantity(unit[1] if unit else "", text)
-        for part in _models_in(field.annotation):
-            yield from _of_model(part, f"{prefix}{name}.")
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in get_args(annotation):
-        if isinstance(argument, type) and issubclass(argument, BaseModel):
-            yield argument
+        yield prefix + field.name, Quantity(unit[1] if unit else "", text)
+        for part in records_in(field.type):
+            yield from _of_model(part, f"{prefix}{field.name}.")

@@ -8,12 +8,12 @@ from itertools import chain
 from operator import itemgetter
 from typing import Any
 
+import msgspec
 import numpy as np
-from pydantic import BaseModel
 
 from telenano.recording.messages import RecordedMessage
 from telenano.wire.errors import RecordingError
-from telenano.wire.messages import Array
+from telenano.wire.messages import Array, Record
 
 _SCALARS = (bool, int, float, str)
 _SCALAR_TYPES = frozenset(_SCALARS)
@@ -38,10 +38,13 @@ def plain(message: RecordedMessage) -> dict[str, Any]:
         return {key: _plain(value) for key, value in message.fields().items()}
 
 
-def json_fields(model: BaseModel) -> dict[str, Any]:
-    """Return the fields of a model as JSON values: arrays as lists of numbers, bytes as base64."""
+def json_fields(record: Record) -> dict[str, Any]:
+    """Return the fields of a record as JSON values: arrays as lists of numbers, bytes as base64."""
     # Most fields of most messages are scalars, for which a call takes most of the time.
-    return {key: value if type(value) in _SCALAR_OR_NONE else _plain(value) for key, value in model.__dict__.items()}
+    return {
+        key: value if type(value) in _SCALAR_OR_NONE else _plain(value)
+        for key, value in msgspec.structs.asdict(record).items()
+    }
 
 
 def line(message: RecordedMessage) -> dict[str, Any]:
@@ -110,7 +113,7 @@ def _columns_of_field(name: str, values: Sequence[Any]) -> dict[str, TypedColumn
 
 def _fields(message: RecordedMessage) -> Mapping[str, Any]:
     try:
-        return message.decode().__dict__
+        return msgspec.structs.asdict(message.decode())
     except RecordingError:
         return message.fields()
 
@@ -137,8 +140,8 @@ def _flat_columns(name: str, values: Sequence[Any]) -> dict[str, list[Any]]:
 def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
     if isinstance(value, Array):
         found[name] = value.to_numpy().ravel().tolist()
-    elif isinstance(value, BaseModel):
-        for key, inner in value.__dict__.items():
+    elif isinstance(value, Record):
+        for key, inner in msgspec.structs.asdict(value).items():
             _flatten(f"{name}.{key}", inner, found)
     elif isinstance(value, tuple | list) and all(isinstance(item, _SCALARS) for item in value) and value:
         for number, item in enumerate(value):
@@ -167,7 +170,7 @@ def _plain(value: Any) -> Any:
         return value
     if isinstance(value, Array):
         return value.to_numpy().tolist()
-    if isinstance(value, BaseModel):
+    if isinstance(value, Record):
         return json_fields(value)
     if isinstance(value, Mapping):
         return {str(key): _plain(inner) for key, inner in value.items()}

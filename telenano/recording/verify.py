@@ -1,10 +1,12 @@
 """Check of a recording: whether it is complete, and what precisely is missing where it is not."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
+import msgpack
 from pydantic import BaseModel
 
 from telenano.recording.info import notes_of
@@ -16,6 +18,7 @@ from telenano.wire import TOPICS
 from telenano.wire.codec import header_check
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
+from telenano.wire.messages import Message
 
 Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
 Level = Literal["error", "warning", "info"]
@@ -174,10 +177,12 @@ class _Check:
         except RecordingError as error:
             self._report("schema", "error", channel.channel_topic, str(error))
             return None
-        if channel.topic in RECORD_TOPICS:
+        if not isinstance(decoded, Message):
             return decoded
-        header = decoded.__dict__
-        found = header["seq"] & _SEQUENCE_MASK, header["t_ns"], header["src"]
+        if twice := _keys_twice(message.payload):
+            text = f"seq {message.seq}: the key {twice[0]!r} is there twice, of which a reader takes the last"
+            self._report("schema", "error", channel.channel_topic, text)
+        found = decoded.seq & _SEQUENCE_MASK, decoded.t_ns, decoded.src
         stated = message.seq, message.publish_ns, channel.src
         if found != stated:
             pairs = zip(("seq", "t_ns", "src"), found, stated, strict=True)
@@ -293,3 +298,15 @@ def _between(earlier: Recording, later: Recording, before: _Check, after: _Check
             f"between {earlier.path.name} and this file, {pause_s:.6f} s apart"
         )
         yield Finding(check="gap", level="warning", file=str(later.path), channel=channel.channel_topic, text=text)
+
+
+def _keys_twice(payload: bytes) -> list[str]:
+    """Return the keys that are in a map of a valid message more than once."""
+    twice: list[str] = []
+
+    def note(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        twice.extend(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        return dict(pairs)
+
+    msgpack.unpackb(payload, object_pairs_hook=note)
+    return twice

@@ -14,10 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from telenano.recording.info import END_NAME
 from telenano.recording.mcap_messages import Compression, MessageWriter
 from telenano.recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
-from telenano.wire import TOPICS
+from telenano.wire import TOPICS, fields_of
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import Record
 from telenano.wire.nodes import site_of
+from telenano.wire.schema import json_schema
 
 # why a file ended
 FileEnd = Literal["stopped", "split", "quota"]
@@ -122,10 +123,10 @@ class RecordingWriter:
             raise self._failure(error) from error
 
     def write_gap(self, log_ns: int, gap: GapRecord) -> None:
-        self._write_own(GAP_TOPIC, log_ns, gap.model_dump())
+        self._write_own(GAP_TOPIC, log_ns, fields_of(gap))
 
     def write_rejected(self, log_ns: int, rejected: RejectedRecord) -> None:
-        self._write_own(REJECTED_TOPIC, log_ns, rejected.model_dump())
+        self._write_own(REJECTED_TOPIC, log_ns, fields_of(rejected))
 
     def attach(self, name: str, media_type: str, data: bytes, log_ns: int) -> None:
         with self._guarded():
@@ -211,7 +212,7 @@ class RecordingWriter:
 @cache
 def _schema_of(model: type[Record]) -> bytes:
     """Return the JSON Schema of a message, which each file of a recording has and which takes milliseconds to make."""
-    return json.dumps(model.model_json_schema(), sort_keys=True).encode()
+    return json.dumps(json_schema(model), sort_keys=True).encode()
 
 
 def _identity(found: os.stat_result) -> tuple[int, int]:

@@ -8,10 +8,9 @@ from telenano.recording.messages import RecordedMessage
 from telenano.recording.tolerance import Tolerances, first_difference
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
 from telenano.timing.clock import TurnClock
-from telenano.wire import TOPICS, Message, encode
+from telenano.wire import TOPICS, Message, compose, fields_of
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import site_of
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
@@ -56,9 +55,10 @@ class RerunBus:
         self.numbers[name] = seq + 1
         recorded = None if topic in NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version_of(fields), **fields})
+        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version_of(fields)}
+        message, payload = compose(topic, {**header, **fields}, lambda text: None)
         if recorded is not None:
-            self._compare(message, recorded)
+            self._compare(message, payload, recorded)
             self.compared[name] = self.compared.get(name, 0) + 1
             self.first_seq.setdefault(name, seq)
             self._take(topic, message)
@@ -97,10 +97,10 @@ class RerunBus:
                 text = f"the node sends {sent} messages up to here, its journal counts {expected}"
                 raise self._difference(topic, min(sent, expected), start_ns(batch), "", text)
 
-    def _compare(self, message: Message, recorded: RecordedMessage) -> None:
-        if encode(message) == recorded.payload:
+    def _compare(self, message: Message, payload: bytes, recorded: RecordedMessage) -> None:
+        if payload == recorded.payload:
             return
-        topic, said, kept = recorded.topic, message.model_dump(), recorded.decode().model_dump()
+        topic, said, kept = recorded.topic, fields_of(message), fields_of(recorded.decode())
         found = first_difference(said, kept, self._tolerances.on(topic), _said_since(message, kept))
         if found is not None:
             text = f"re-run {found.text} recorded"
@@ -134,5 +134,5 @@ class RerunOutlet:
 
 def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
     """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
-    since = {key for key in message.additions if key not in kept}
+    since = {key for key in message.additions if kept[key] is None}
     return since | {"v"} if message.v > kept["v"] else since

@@ -1,33 +1,41 @@
 """Encoding and decoding of messages.
 
-A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`.
+A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`. One pass
+in C decodes and checks, another one checks and encodes; what they refuse is read part by part (`telenano.wire.faults`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
-import msgpack
 import msgspec
-from pydantic import BaseModel, ValidationError
+from msgspec import Raw
 
-from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
-from telenano.wire.ranges import any_range, is_out_of_range, limited
+from telenano.wire.faults import (
+    REFUSALS,
+    Beyond,
+    FaultError,
+    Reading,
+    S,
+    any_finite,
+    declared_elements,
+    elements_beyond,
+    is_source,
+    read_record,
+    source_fault,
+)
+from telenano.wire.messages import Message, Record, SessionControl
 from telenano.wire.topics import TOPICS, Topic
-from telenano.wire.typed import typed_form, typed_header, typed_rows
 
 MAX_MESSAGE_BYTES = 1 << 20
 # The limit is for a message without maps and arrays of data inside; the longest has 500.
 MAX_PLAIN_BYTES = 4096
 # A command needs room for the node that repeats it in an event.
 MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
-# No message has more than seven; each vector is one.
-MAX_ARRAYS = 64
 _COUNT_LIMIT = 2**63
-_unpackb = msgpack.unpackb
-# This decoder goes through a payload without keeping anything of it.
-_skim = msgspec.msgpack.Decoder(msgspec.Raw).decode
+# Few names of nodes come again and again, and the pattern takes as long as the rest of a message.
+_MOST_SOURCES = 256
+_sources: set[str] = set()
 
 Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "range", "source", "role"]
 
@@ -41,17 +49,14 @@ class WireError(ValueError):
 
 
 def encode(message: Message) -> bytes:
-    """Return the msgpack bytes of a message.
+    """Return the msgpack bytes of a message, of which only the size is checked.
 
     Raises:
         WireError: The message is larger than its topic allows (`oversized`), so that the publisher gets the error and
             not every reader; or a text is not Unicode, or an integer is beyond 64 bits (`malformed`).
     """
-    fields = message.__dict__
-    if message.additions:
-        fields = {key: value for key, value in fields.items() if value is not None or key not in message.additions}
     try:
-        payload: bytes = msgpack.packb(fields, default=_fields_of)
+        payload = _encode(message)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError("malformed", f"{type(message).__name__} cannot be sent: {error}") from error
     if len(payload) > MAX_PLAIN_BYTES and len(payload) > (most := MOST_BYTES[type(message)]):
@@ -63,24 +68,26 @@ def accept(topic: str, payload: bytes) -> Message:
     """Return the message that `payload` holds on `topic`, if a node may act on it.
 
     Raises:
-        WireError: The message is not valid; the error names the topic, the key at fault and what would be right. Its
-            kind is `range` where a quantity is beyond its range (`telenano.wire.ranges`).
+        WireError: The message is not valid; the error names the topic, the key at fault, its value and what would be
+            right. Its kind is `range` where a quantity is beyond its range (`telenano.wire.ranges`).
     """
-    typed = _TYPED.get(topic)
-    if typed is not None and (quick := typed.read(payload)) is not None:
-        return quick
-    form, fields = _read(topic, payload)
-    try:
-        message = form.model.model_validate(fields, extra=form.unknown)
-    except ValidationError as error:
-        raise _first_fault(topic, error) from error
-    if typed is not None:
-        typed.note(message)
-    return message
+    form = _FORMS.get(topic)
+    if form is not None and len(payload) <= form.most_bytes:
+        try:
+            message = form.decode(payload)
+        except REFUSALS:
+            pass
+        else:
+            if message.v <= form.version and (message.src in _sources or _note(message.src)) and form.fits(message):
+                return message
+    return _read(topic, payload)
 
 
 def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]) -> tuple[Message, bytes]:
-    """Return a message and its bytes, with what is beyond its range at the nearer end (`telenano.wire.ranges.limited`).
+    """Return a message and its bytes, with what is beyond its range, or does not fit into a count, at the nearer end.
+
+    What a node says stays in range whatever it computed: to end instead would take the guard of a device with it. A
+    number of numpy is sent as the number that it is.
 
     Args:
         topic: The topic, which names the model.
@@ -88,16 +95,25 @@ def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]
         report: Called with a sentence when a value was limited.
 
     Raises:
-        pydantic.ValidationError: The fields do not make a valid message.
-        WireError: The message is larger than `encode` allows.
+        WireError: The fields do not make a valid message, NaN included, or one that is larger than `encode` allows.
     """
-    typed = _COMPOSED.get(topic)
-    if typed is not None and (quick := typed.compose(fields)) is not None:
-        return quick
-    message = limited(_FORMS[topic].model, fields, report)
-    if typed is not None:
-        typed.note(message)
-    return message, encode(message)
+    form = _FORMS[topic]
+    try:
+        message = msgspec.convert(fields, form.model, builtin_types=(bytes,))
+        payload = _encode(message)
+        # A record that was made before is not looked at when it is taken into a message.
+        message = form.decode(payload) if form.nested else message
+        if (
+            (message.src in _sources or _note(message.src))
+            and form.fits(message)
+            and len(payload) <= form.most_bytes
+            and message.v <= form.version
+        ):
+            return message, payload
+    except REFUSALS:
+        # the other way names the fault, or mends it
+        pass
+    return _compose_limited(topic, form, fields, report)
 
 
 def decode(topic: str, payload: bytes) -> Message:
@@ -113,36 +129,26 @@ def decode(topic: str, payload: bytes) -> Message:
     except WireError as error:
         if error.reason != "range":
             raise
-    form, fields = _read(topic, payload)
-    try:
-        return any_range(form.model, fields, form.unknown)
-    except ValidationError as error:
-        raise _first_fault(topic, error) from error
+    return _read(topic, payload, any_finite)
 
 
 def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dict[str, Any]]:
-    """Return seq, t_ns and src of a message, and all its fields as they came.
+    """Return seq, t_ns and src of a message, and all its fields as they came, arrays as lists.
 
-    For those who keep messages and need not understand them: only the header is checked, without a model, which would
-    take three times as long. The form of `src` is left to the caller, who meets the same few again and again.
+    For those who keep messages and need not understand them: only the header is checked.
 
     Raises:
-        WireError: The header is not valid, as in `decode`.
+        WireError: The header is not valid, as in `read_header`, or another field holds no text in UTF-8.
     """
-    typed = _TYPED.get(topic)
-    if typed is not None and (quick := typed.fields(payload)) is not None:
-        return (quick["seq"], quick["t_ns"], quick["src"]), quick
-    _, fields = _read(topic, payload)
-    seq, t_ns, src, version = fields.get("seq"), fields.get("t_ns"), fields.get("src"), fields.get("v")
-    if not (type(seq) is int and type(t_ns) is int and type(src) is str and type(version) is int):
-        raise WireError("schema", f"{topic}: the header needs seq, t_ns and v as integers and src as text")
-    if not (0 <= seq < _COUNT_LIMIT and 0 <= t_ns < _COUNT_LIMIT and version >= 1):
-        raise WireError("schema", f"{topic}: seq {seq}, t_ns {t_ns} or v {version} is out of range")
-    return (seq, t_ns, src), fields
+    header = read_header(topic, payload)
+    try:
+        return header, msgspec.msgpack.decode(payload)
+    except REFUSALS as error:
+        raise WireError("malformed", f"{topic}: not msgpack: {error}") from error
 
 
 class _Header(msgspec.Struct, gc=False):
-    """What every message begins with; `v` is the version of its schema."""
+    """What every message has; `v` is the version of its schema."""
 
     seq: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
     t_ns: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
@@ -150,210 +156,203 @@ class _Header(msgspec.Struct, gc=False):
     v: Annotated[int, msgspec.Meta(ge=1)]
 
 
-# It does not look at the version, the length and the form of `src`.
 _decode_header_alone = msgspec.msgpack.Decoder(_Header).decode
 
 
 def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
     """Return seq, t_ns and src of a message, of whose other fields the bytes are skipped.
 
-    For a recorder, which keeps messages as they came: it takes a small part of the time of `decode_header`. What is no
-    msgpack map, too long, of a newer version or without a valid header is refused as there. What the other fields are,
-    and a key that is there twice, is left to whoever decodes the message. Raises WireError as `decode` does.
+    For a recorder, which keeps messages as they came. What the other fields are, and the form of `src`, is left to
+    whoever decodes the message.
+
+    Raises:
+        WireError: The payload is no msgpack map, too long, of a newer version or without a valid header.
     """
     try:
         header = _decode_header_alone(payload)
         form = _FORMS[topic]
         if header.v <= form.version and len(payload) <= form.most_bytes:
             return header.seq, header.t_ns, header.src
-    except (msgspec.MsgspecError, KeyError, ValueError, RecursionError):
-        # the error of the other way names what is wrong
+    except (KeyError, *REFUSALS):
+        # the error below names what is wrong
         pass
-    return decode_header(topic, payload)[0]
+    _, parts = _opened(topic, payload)
+    found = _read_record(topic, _Header, parts, Reading("ignore"))
+    return found.seq, found.t_ns, found.src
 
 
-def fields_of(topic: str, message: Message) -> Mapping[str, Any]:
-    """Return the fields of a message as plain data: records as maps. A key that is absent has None, or is not there."""
-    return vars(message) if _FORMS[topic].plain else message.model_dump()
+def fields_of(message: Record) -> dict[str, Any]:
+    """Return the fields of a message as plain data: records as maps. A key that is absent has None."""
+    fields = msgspec.structs.asdict(message)
+    for name, value in fields.items():
+        if isinstance(value, Record) or (type(value) is tuple and value and isinstance(value[0], Record)):
+            fields[name] = msgspec.to_builtins(value, builtin_types=(bytes,))
+    return fields
 
 
-@cache
 def header_check(topic: str) -> Callable[[bytes], tuple[int, int, str] | None]:
-    """Return what finds seq, t_ns and src of a payload without making a message of it.
+    """Return what finds seq, t_ns and src of a payload that is valid, and just as this codec writes it; else None.
 
-    It returns None for a payload that it leaves to `decode`: what is not valid, and some of what is.
+    So no key is there twice, of which a reader takes the last.
     """
-    form = _FORMS.get(topic)
-    return (form and typed_header(form.model, form.most_bytes)) or _leave
 
+    def header(payload: bytes) -> tuple[int, int, str] | None:
+        try:
+            message = accept(topic, payload)
+        except WireError:
+            return None
+        return (message.seq, message.t_ns, message.src) if _encode(message) == payload else None
 
-def _leave(payload: bytes) -> None:
-    return None
+    return header
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
     """What the bytes of a topic's messages look like.
 
-    `version` of the model, its number of `keys`; `head`: how a map of so many begins; `plain`: no map and no array of
-    data stands inside; `most_bytes`, `most_pairs`: the most that a message may have.
+    `most_bytes`: the most that a message may have; `nested`: records stand inside; `elements`: the fields whose arrays
+    have elements with a range, and their kinds.
     """
 
     model: type[Message]
     version: int
-    keys: int
-    head: bytes
-    plain: bool
+    decode: Callable[[bytes], Message]
     most_bytes: int
-    most_pairs: int
+    nested: bool
+    elements: tuple[tuple[str, Any], ...]
     unknown: Literal["ignore", "forbid"]
+
+    def fits(self, message: Message) -> bool:
+        """Return whether the elements of all arrays are within their ranges."""
+        return not any(elements_beyond(kind, getattr(message, name)) for name, kind in self.elements)
 
 
 def _form_of(row: Topic) -> _Form:
-    keys = len(row.model.model_fields)
-    nested = sum(_most_pairs(field.annotation) for field in row.model.model_fields.values())
-    head = bytes(msgpack.Packer().pack_map_header(keys))
-    most_bytes, most_pairs = MAX_MESSAGE_BYTES if nested else MAX_PLAIN_BYTES, 1 + keys + nested
+    fields = {field.name: field.type for field in msgspec.structs.fields(row.model)}
+    parts = {part for kind in fields.values() for part in _parts(kind)}
+    most_bytes = MAX_MESSAGE_BYTES if parts & {dict, Ellipsis, Record} else MAX_PLAIN_BYTES
+    elements = tuple((name, kind) for name, kind in fields.items() if declared_elements(kind))
+    decode_whole = msgspec.msgpack.Decoder(row.model).decode
     if row.model is SessionControl:
         # who commands is told of every word that is not understood, because half a command is another command
-        return _Form(row.model, row.model.version, keys, head, False, MAX_COMMAND_BYTES, most_pairs, "forbid")
-    return _Form(row.model, row.model.version, keys, head, not nested, most_bytes, most_pairs + MAX_KEYS, "ignore")
+        return _Form(row.model, row.model.version, decode_whole, MAX_COMMAND_BYTES, False, elements, "forbid")
+    return _Form(row.model, row.model.version, decode_whole, most_bytes, Record in parts, elements, "ignore")
 
 
-def _most_pairs(annotation: Any) -> int:
-    """Return the most pairs that the maps in a field can hold together, each map counting as one more."""
-    origin, parts = get_origin(annotation), get_args(annotation)
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        fields = annotation.model_fields.values()
-        return 1 + len(fields) + sum(_most_pairs(field.annotation) for field in fields)
-    if origin is dict:
-        return 1 + MAX_KEYS
-    if origin is tuple and parts[-1] is Ellipsis:
-        return MAX_ITEMS * _most_pairs(parts[0])
-    return max(map(_most_pairs, parts), default=0) if origin is not Literal else 0
+def _parts(kind: Any) -> Iterator[Any]:
+    """Yield what a kind consists of: `Record` for any record, `dict` for a map, `...` for a list of any length."""
+    if isinstance(kind, type) and issubclass(kind, Record):
+        yield Record
+    elif get_origin(kind) is not Literal:
+        yield get_origin(kind) or kind
+        for part in get_args(kind):
+            yield from _parts(part)
 
 
 _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
-_TYPED = {
-    name: typed for name, form in _FORMS.items() if form.plain and (typed := typed_form(form.model, form.most_bytes))
-}
-_COMPOSED = _TYPED | {
-    name: rows for name, form in _FORMS.items() if not form.plain and (rows := typed_rows(form.model, form.most_bytes))
-}
 # The most bytes that a message may have, by its model.
 MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 
-def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:
+def _plain(value: Any) -> Any:
+    """Return a number of numpy as the number that it is."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"msgpack has no form for a {type(value).__name__}")
+
+
+def _as_plain(topic: str, key: str, value: Any) -> Any:
+    """Return a value of numpy as numbers, and a record as a map, whose fields are looked at."""
+    try:
+        return msgspec.to_builtins(value, builtin_types=(bytes,), enc_hook=_plain)
+    except REFUSALS as error:
+        raise WireError("schema", f"{topic}: {key}: {error}") from error
+
+
+_encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+
+
+def _note(src: str) -> bool:
+    """Return whether a source is well formed, which is remembered of a few."""
+    if not is_source(src):
+        return False
+    if len(_sources) < _MOST_SOURCES:
+        _sources.add(src)
+    return True
+
+
+def _read(topic: str, payload: bytes, beyond: Callable[[Beyond], float | None] = lambda found: None) -> Message:
+    """Return a message that was refused as a whole, if all its known keys are good; WireError names the first fault."""
+    form, parts = _opened(topic, payload)
+    return _with_source(topic, _read_record(topic, form.model, parts, Reading(form.unknown, beyond)))
+
+
+def _read_record(topic: str, model: type[S], parts: Mapping[str, Any], how: Reading) -> S:
+    try:
+        found = read_record(model, parts, how)
+    except FaultError as error:
+        raise WireError("range" if error.fault.kind == "range" else "schema", f"{topic}: {error}") from error
+    # Every fault was raised.
+    return cast(S, found)
+
+
+def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
     form = _FORMS.get(topic)
     if form is None:
         raise WireError("topic", f"unknown topic {topic[:80]!r}, known topics are {', '.join(TOPICS)}")
     if len(payload) > form.most_bytes:
         raise WireError("oversized", _size_text(topic, len(payload), form.most_bytes))
     try:
-        # msgpack makes room for every array before it has seen an item: a thousand inside each other, of which none is
-        # complete, would be tens of megabytes
-        _skim(payload)
-        if form.plain:
-            fields = _unpackb(payload, use_list=False, max_ext_len=0)
-        elif len(payload) <= MAX_PLAIN_BYTES:
-            fields = _unpackb(payload, use_list=False, max_ext_len=0, object_pairs_hook=_unique)
-        else:
-            fields = _unpack_long(payload, form)
-    except _TooMuchError as error:
-        raise WireError("malformed", f"{topic}: {error}") from error
-    except (ValueError, msgpack.exceptions.UnpackException, msgspec.DecodeError, RecursionError) as error:
-        # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
+        parts = _decode_parts(payload)
+    except msgspec.ValidationError as error:
+        got = str(error).partition(", got ")[2].partition(" - at ")
+        text = "a key that is no text" if got[1] else f"a msgpack {got[0].strip('`')}, must be a map"
+        raise WireError("malformed", f"{topic}: {text}") from error
+    except REFUSALS as error:
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
-    if type(fields) is not dict:
-        raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, must be a map")
-    # If there is no map inside, the count at the beginning of the outer map shows a key that came twice.
-    if form.plain and not (payload.startswith(form.head) and len(fields) == form.keys):
-        _reject_twice(topic, payload, fields)
     # The version comes before the keys, because adding keys raises it.
-    if fields.get("v") != form.version:
-        _reject_newer(topic, fields, form.version)
-    return form, fields
-
-
-def _fields_of(part: object) -> dict[str, Any]:
-    """Return the fields of a record inside a message, for msgpack."""
-    if hasattr(part, "model_fields_set"):
-        return part.__dict__
-    # msgpack calls this for integers that are too large for it as well
-    raise TypeError(f"msgpack has no form for this {type(part).__name__}")
-
-
-class _TooMuchError(ValueError):
-    """The bytes hold what no message of the topic can; the text says what."""
-
-
-_TWICE = "a map has a key twice, each may be there once"
-
-
-def _unique(pairs: Sequence[tuple[Any, Any]]) -> dict[Any, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        raise _TooMuchError(_TWICE)
-    return found
-
-
-class _Budget:
-    """Counts maps and arrays while a long payload is unpacked, so that refusing it costs no more than taking one."""
-
-    def __init__(self, most_pairs: int) -> None:
-        self._pairs = most_pairs
-        self._arrays = MAX_ARRAYS
-
-    def map(self, pairs: Sequence[tuple[Any, Any]]) -> dict[Any, Any]:
-        self._pairs -= 1 + len(pairs)
-        if self._pairs < 0:
-            raise _TooMuchError("more keys than any message of this topic has")
-        return _unique(pairs)
-
-    def array(self, items: Sequence[Any]) -> Sequence[Any]:
-        self._arrays -= 1
-        if self._arrays < 0:
-            raise _TooMuchError(f"more than {MAX_ARRAYS} arrays")
-        return items
-
-
-def _unpack_long(payload: bytes, form: _Form) -> Any:
-    budget = _Budget(form.most_pairs)
-    return _unpackb(
-        payload,
-        use_list=False,
-        max_array_len=MAX_ITEMS,
-        max_map_len=MAX_KEYS,
-        max_ext_len=0,
-        object_pairs_hook=budget.map,
-        list_hook=budget.array,
-    )
-
-
-def _reject_twice(topic: str, payload: bytes, fields: dict[str, Any]) -> None:
-    first = payload[0]
-    pairs = first & 0x0F if first < 0xDE else int.from_bytes(payload[1 : 3 if first == 0xDE else 5])
-    if pairs != len(fields):
-        raise WireError("malformed", f"{topic}: {_TWICE}")
-
-
-def _reject_newer(topic: str, fields: dict[str, Any], known: int) -> None:
-    version = fields.get("v")
-    if isinstance(version, int) and not isinstance(version, bool) and version > known:
-        src = fields.get("src")
+    version, src = (_scalar(parts.get(name)) for name in ("v", "src"))
+    if type(version) is int and version > form.version:
         sender = repr(src[:64]) if isinstance(src, str) else "an unnamed source"
-        text = f"schema version {version} from {sender} is newer than version {known} known here: update this node"
-        raise WireError("newer_version", f"{topic}: {text}")
+        known = f"newer than version {form.version} known here: update this node"
+        raise WireError("newer_version", f"{topic}: schema version {version} from {sender} is {known}")
+    return form, parts
 
 
-def _first_fault(topic: str, error: ValidationError) -> WireError:
-    fault = error.errors(include_url=False, include_input=False)[0]
-    # an unknown key is the sender's text: no more of it than a log line holds
-    key = ".".join(str(part) for part in fault["loc"])[:200] or "message"
-    more = error.error_count() - 1
-    text = f"{key}: {fault['msg']}" + (f" (and {more} more)" if more else "")
-    return WireError("range" if is_out_of_range(fault) else "schema", f"{topic}: {text}")
+_decode_parts = msgspec.msgpack.Decoder(dict[str, Raw]).decode
+
+
+def _scalar(part: Raw | None) -> object:
+    """Return a number or text, None for anything else."""
+    try:
+        return None if part is None else msgspec.msgpack.decode(part, type=int | str)
+    except REFUSALS:
+        return None
+
+
+def _with_source(topic: str, message: Message) -> Message:
+    if not _note(message.src):
+        raise WireError("schema", f"{topic}: {source_fault(message.src).text}")
+    return message
+
+
+def _compose_limited(
+    topic: str, form: _Form, fields: Mapping[str, Any], report: Callable[[str], None]
+) -> tuple[Message, bytes]:
+    limited: list[str] = []
+
+    def nearer_end(found: Beyond) -> float | None:
+        if found.in_array:
+            return None
+        limited.append(f"{found.key} = {found.value!r}")
+        return found.high if found.value > found.high else found.low
+
+    plain = {key: _as_plain(topic, key, value) for key, value in fields.items()}
+    message = _with_source(topic, _read_record(topic, form.model, plain, Reading("forbid", nearer_end)))
+    payload = encode(message)
+    if limited:
+        report(f"{form.model.__name__}: {limited[0]} is out of range and is sent at the end of the range")
+    return message, payload
 
 
 def _size_text(name: str, size: int, most: int) -> str:

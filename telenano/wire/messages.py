@@ -3,49 +3,44 @@
 Frames: one right-handed frame a site, z up, away from the sample. A force is the force on the body named. The
 paper's one-dimensional symbols are x_m = -z of the hand, F_m = -F_z on the device, x_s = -z of the AFM base
 (origin at its rest point), F_s = F_z on the tip.
+
+A message is made by `telenano.wire.compose`, which checks it: the constructor of a class here checks nothing but what
+`__post_init__` says. Order of the fields is order on the wire. A key that may be absent has the default None, which is
+never sent.
 """
 
 import math
+import sys
 from collections.abc import Collection, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, dataclass_transform
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    FailFast,
-    Field,
-    GetCoreSchemaHandler,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
-from pydantic_core import CoreSchema, core_schema
+from msgspec import Meta
 
-from telenano.wire import device as real
 from telenano.wire.ranges import (
     ANGLE,
     ENERGY,
     FORCE,
     POSITION,
+    ChannelValue,
     DurationS,
-    Elements,
     EnergyJ,
     ForceVector,
     Percent,
     PositionM,
     PositionVector,
     PowerW,
+    QuaternionPart,
     RateHz,
     TimeS,
     VelocityVector,
+    VoltageV,
     WaveVector,
     WayVector,
 )
 
-# The limits are far above what any message needs: without them a megabyte of empty maps costs gigabytes and a minute to
-# refuse.
 MAX_ITEMS = 4096
 MAX_KEYS = 1024
 # The rows of a table of records, such as the inputs of a node.
@@ -60,44 +55,57 @@ Vector3 = tuple[float, float, float]
 Scalar = bool | int | float | str
 
 
-class _OneFault:
-    """Report a value that is none of several kinds as one fault, not as one a kind: a thousand of them are dear."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of the kinds with an error of its own."""
-        message = "Input should be a finite number, true or false, or text"
-        return core_schema.custom_error_schema(handler(source), "scalar", custom_error_message=message)
+def about(description: str | None = None, pattern: str | None = None, **rules: Any) -> Meta:
+    """Return the description and the rules of a field; a pattern ends with `$`, and nothing may follow the text."""
+    # In Python a new line may stand after what `$` matches.
+    whole = pattern and pattern.removesuffix("$") + r"\Z"
+    return Meta(description=description, pattern=whole, **rules)
 
 
-Source = Annotated[str, Field(pattern=SOURCE_PATTERN, max_length=64)]
-Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
-Text = Annotated[str, Field(max_length=MAX_TEXT)]
-Facts = Annotated[dict[str, Annotated[Scalar, _OneFault()]], Field(max_length=MAX_KEYS)]
-Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
+Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Stamp = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
+RawCount = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
+Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+Name = Annotated[str, Meta(max_length=64)]
+LawName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+_Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+Facts = Annotated[dict[str, bool | int | _Finite | str], Meta(max_length=MAX_KEYS)]
+Counts = Annotated[dict[str, Count], Meta(max_length=MAX_KEYS)]
 # This is the name that a person was given at the rig.
-PersonName = Annotated[str, Field(min_length=1, max_length=64)]
-Latches = Annotated[dict[str, Annotated[str, Field(max_length=64)]], Field(max_length=MAX_KEYS)]
+PersonName = Annotated[str, Meta(min_length=1, max_length=64)]
+Latches = Annotated[dict[str, Name], Meta(max_length=MAX_KEYS)]
+DeviceStatus = Literal["ok", "stale", "lost"]
 
 _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8"}
 
 
-class Record(BaseModel):
-    """A checked, immutable part of a message: NaN, infinity and, where it is made, unknown keys are refused."""
+class _RecordMeta(msgspec.StructMeta):
+    """Makes the fields of every record keywords: of all options, msgspec does not pass this one on to a class below."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+    def __new__(mcls, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any) -> Any:
+        return super().__new__(mcls, name, bases, namespace, kw_only=True, **options)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class Record(
+    msgspec.Struct, frozen=True, gc=False, omit_defaults=True, forbid_unknown_fields=True, metaclass=_RecordMeta
+):
+    """An immutable part of a message."""
 
 
 class Message(Record):
-    """The header that every message carries."""
+    """What every message is: a record that begins with the header."""
 
     version: ClassVar[int] = 1
     # optional keys, with the version that a message with each has: None stands for a key that is absent on the wire
     additions: ClassVar[Mapping[str, int]] = {}
 
-    seq: Count = Field(description="Number of this message on its topic from this source, counted from 0")
-    t_ns: Count = Field(description="Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")
-    src: Source = Field(description="Publisher, node@site")
-    v: int = Field(ge=1, description="Schema version of this message")
+    if TYPE_CHECKING:
+        seq: Count
+        t_ns: Count
+        src: str
+        v: int
 
     @classmethod
     def version_of(cls, keys: Collection[str]) -> int:
@@ -107,26 +115,42 @@ class Message(Record):
         return max((added for key, added in cls.additions.items() if key in keys), default=1)
 
 
-class _Extended(Message):
-    """A message with keys that may be absent."""
+Number = Annotated[Count, about("Number of this message on its topic from this source, counted from 0")]
+SentNs = Annotated[Count, about("Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")]
+# The pattern takes as long as all the rest of a message, and `accept` looks at a source once.
+Publisher = Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
+Version = Annotated[int, about("Schema version of this message", ge=1)]
 
-    @model_serializer(mode="wrap")
-    def _present(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
-        fields: dict[str, object] = serialize(self)
-        return {key: value for key, value in fields.items() if value is not None or key not in self.additions}
+
+class _Headed(Message):
+    """A message that begins with the header."""
+
+    seq: Number
+    t_ns: SentNs
+    src: Publisher
+    v: Version
+
+
+class _OfHand(Message):
+    """A message that descends from a sample of the hand: what the age of the loop is measured with."""
+
+    hand_seq: Annotated[Count, about("seq of the haptic/state that this message answers or descends from")]
+    hand_t_ns: Annotated[Count, about("t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")]
+    seq: Number
+    t_ns: SentNs
+    src: Publisher
+    v: Version
 
 
 class Array(Record):
     """An array of numbers, little-endian, in C order."""
 
-    dtype: Literal["u1", "i2", "i4", "i8", "f4", "f8"] = Field(
-        description="Element type: kind and bytes, little-endian"
-    )
-    shape: tuple[Annotated[int, Field(ge=0, le=2**24)], ...] = Field(max_length=4, description="Length of each axis")
-    data: bytes = Field(description="Elements in C order")
+    dtype: Annotated[Literal["u1", "i2", "i4", "i8", "f4", "f8"], about("Element type: kind and bytes, little-endian")]
+    shape: Annotated[tuple[Annotated[int, Meta(ge=0, le=2**24)], ...], about("Length of each axis", max_length=4)]
+    data: Annotated[bytes, about("Elements in C order")]
 
-    @model_validator(mode="after")
-    def _data_fills_shape(self) -> "Array":
+    def __post_init__(self) -> None:
+        """Raise ValueError where the data are not as many elements as the shape has, or not finite."""
         expected = math.prod(self.shape) * np.dtype(_DTYPES[self.dtype]).itemsize
         if len(self.data) != expected:
             raise ValueError(
@@ -134,7 +158,6 @@ class Array(Record):
             )
         if self.dtype in ("f4", "f8") and not np.isfinite(self.to_numpy()).all():
             raise ValueError("data holds NaN or infinity")
-        return self
 
     @classmethod
     def from_numpy(cls, array: npt.NDArray[np.generic]) -> "Array":
@@ -143,7 +166,7 @@ class Array(Record):
         if name not in _DTYPES:
             raise ValueError(f"element type {array.dtype} cannot be sent, use one of {', '.join(_DTYPES)}")
         data = np.ascontiguousarray(array, dtype=_DTYPES[name]).tobytes()
-        return cls.model_validate({"dtype": name, "shape": array.shape, "data": data})
+        return msgspec.convert({"dtype": name, "shape": array.shape, "data": data}, cls)
 
     def to_numpy(self) -> npt.NDArray[np.generic]:
         """Return the elements as a read-only numpy array of `shape`."""
@@ -151,397 +174,464 @@ class Array(Record):
         return array
 
 
-Lengths = Annotated[Array, Elements(POSITION)]
-Angles = Annotated[Array, Elements(ANGLE)]
-Forces = Annotated[Array, Elements(FORCE)]
-Energies = Annotated[Array, Elements(ENERGY)]
+Lengths = Annotated[Array, POSITION.of_elements()]
+Angles = Annotated[Array, ANGLE.of_elements()]
+Forces = Annotated[Array, FORCE.of_elements()]
+Energies = Annotated[Array, ENERGY.of_elements()]
+
+# What only a real device has to say: these keys are absent where the device is simulated.
+DeviceState = Annotated[
+    DeviceStatus | None,
+    about("State of a real device: stale repeats its last sample, lost is not driven. Absent if simulated"),
+]
+SampleAgeS = Annotated[
+    DurationS | None, about("Age of the sample of a real device when published [s]; absent if simulated")
+]
+HandArmed = Annotated[
+    bool | None,
+    about("The hand was armed in the sample of hand_seq: a tip follows no other command; absent counts as false"),
+]
 
 
-class _HandSample(Record):
-    """Which sample of the hand a message descends from: what the age of the loop is measured with."""
-
-    hand_seq: Count = Field(description="seq of the haptic/state that this message answers or descends from")
-    hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
-
-
-class HapticState(real.HandCounts, real.CoupledHand, _Extended):
+class HapticState(_Headed):
     """The operator's device: what was measured and what was really applied."""
 
     version: ClassVar[int] = 4
     additions: ClassVar[Mapping[str, int]] = {
-        **dict.fromkeys(("device", "sample_age_s", *real.HAND_COUNTS), 2),
-        **dict.fromkeys(real.COUPLED_HAND, 3),
+        **dict.fromkeys(
+            ("device", "sample_age_s", "position_raw", "velocity_raw", "operator_force_raw", "drive_raw"), 2
+        ),
+        **dict.fromkeys(("buttons", "orientation", "hand_energy_j", "coupling_energy_j"), 3),
         "armed": 4,
     }
 
-    position_m: PositionVector = Field(
-        description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"
-    )
-    velocity_m_per_s: VelocityVector = Field(description="Hand velocity in the master frame [m/s]")
-    operator_force_n: ForceVector = Field(
-        description="Force on the device by the operator [N]; pushing is -z, F_m = -z"
-    )
-    motor_force_n: ForceVector = Field(
-        description="Force of the motor at the arm after every limit, its friction included [N]"
-    )
-    reference_m: PositionVector = Field(
-        description="Position reference after every limit [m]; meaningful in mode position"
-    )
-    mode: Literal["off", "position", "force"] = Field(description="What the motor does; off is zero force")
-    estop: bool = Field(description="Emergency stop is latched")
-    limited: bool = Field(description="A travel, speed or force limit is acting")
-    session_s: TimeS = Field(description="Time of the operator's programme [s]; negative = the session is not running")
-    answered_seq: Count = Field(description="hand_seq of the newest haptic/command; meaningful once answered_t_ns > 0")
-    answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
-    answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
-    step_s: DurationS = Field(description="Time that this step of the device covers [s]")
-    device: real.DeviceStatus | None = real.DEVICE
-    sample_age_s: DurationS | None = real.SAMPLE_AGE_S
-    armed: bool | None = Field(
-        default=None,
-        description="A person has armed the hand since its start and its last emergency stop, and it is there: a tip"
-        " follows no other hand; absent counts as false",
-    )
+    buttons: Annotated[
+        Annotated[int, Meta(ge=0, le=2**16 - 1)] | None,
+        about("Buttons of the handle that are pressed, the first in bit 0; absent if it has none"),
+    ] = None
+    orientation: Annotated[
+        tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart] | None,
+        about("Orientation of the handle in the master frame, w x y z; absent if it is not measured"),
+    ] = None
+    hand_energy_j: Annotated[
+        EnergyJ | None,
+        about("Energy that the hand has put into the forces of its device, less what it got [J]; impedance type"),
+    ] = None
+    coupling_energy_j: Annotated[
+        EnergyJ | None,
+        about("Energy that the virtual coupling has taken in, less what it gave out [J]; below 0 it makes energy"),
+    ] = None
+    # What the handle sent, before any calibration: a better calibration reads it again.
+    position_raw: Annotated[RawCount | None, about("Position as the handle sent it [counts]")] = None
+    velocity_raw: Annotated[RawCount | None, about("Velocity as the handle sent it [counts/s]")] = None
+    operator_force_raw: Annotated[RawCount | None, about("Operator's force as it was sent [counts]")] = None
+    drive_raw: Annotated[RawCount | None, about("Drive after every limit as it was sent [counts]")] = None
+    position_m: Annotated[
+        PositionVector, about("Hand position in the master frame [m]; z = -x_m, 0 where the arm starts")
+    ]
+    velocity_m_per_s: Annotated[VelocityVector, about("Hand velocity in the master frame [m/s]")]
+    operator_force_n: Annotated[ForceVector, about("Force on the device by the operator [N]; pushing is -z, F_m = -z")]
+    motor_force_n: Annotated[
+        ForceVector, about("Force of the motor at the arm after every limit, its friction included [N]")
+    ]
+    reference_m: Annotated[
+        PositionVector, about("Position reference after every limit [m]; meaningful in mode position")
+    ]
+    mode: Annotated[Literal["off", "position", "force"], about("What the motor does; off is zero force")]
+    estop: Annotated[bool, about("Emergency stop is latched")]
+    limited: Annotated[bool, about("A travel, speed or force limit is acting")]
+    session_s: Annotated[TimeS, about("Time of the operator's programme [s]; negative = the session is not running")]
+    answered_seq: Annotated[Count, about("hand_seq of the newest haptic/command; meaningful once answered_t_ns > 0")]
+    answered_t_ns: Annotated[Count, about("hand_t_ns of the newest haptic/command [ns]; 0 = none yet")]
+    answered_at_ns: Annotated[Count, about("When that command reached this device, on this clock [ns]")]
+    step_s: Annotated[DurationS, about("Time that this step of the device covers [s]")]
+    device: DeviceState = None
+    sample_age_s: SampleAgeS = None
+    armed: Annotated[
+        bool | None,
+        about(
+            "A person has armed the hand since its start and its last emergency stop, and it is there: a tip "
+            "follows no other hand; absent counts as false"
+        ),
+    ] = None
 
 
-class OperatorForce(_Extended):
+class OperatorForce(_Headed):
     """The force of an operator who has no device, for a simulated one: from the page of the view."""
 
     version: ClassVar[int] = 2
     additions: ClassVar[Mapping[str, int]] = {"by": 2}
 
-    force_n: ForceVector = Field(
-        description="Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z"
-    )
-    by: PersonName | None = Field(default=None, description="Name of who has the hand, where they were given one")
+    force_n: Annotated[
+        ForceVector, about("Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z")
+    ]
+    by: Annotated[PersonName | None, about("Name of who has the hand, where they were given one")] = None
 
 
-class HapticCommand(Message, _HandSample):
+class HapticCommand(_OfHand):
     """What the master half of the law asks of the device."""
 
-    mode: Literal["off", "position", "force"] = Field(description="off, track position_m, or render force_n")
-    position_m: PositionVector = Field(description="Position reference in the master frame [m]; z = -x_mr")
-    velocity_m_per_s: VelocityVector = Field(description="Velocity of that reference [m/s]")
-    force_n: ForceVector = Field(description="Force of the environment at the hand's scale [N]; z = alpha_f F_s")
+    mode: Annotated[Literal["off", "position", "force"], about("off, track position_m, or render force_n")]
+    position_m: Annotated[PositionVector, about("Position reference in the master frame [m]; z = -x_mr")]
+    velocity_m_per_s: Annotated[VelocityVector, about("Velocity of that reference [m/s]")]
+    force_n: Annotated[ForceVector, about("Force of the environment at the hand's scale [N]; z = alpha_f F_s")]
 
 
-class _Teleop(Message, _HandSample):
+class _Teleop(_OfHand):
     """What the two halves of a law send to each other; a law that has no use for an optional part sends nil."""
 
-    law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law that this message belongs to")
-    active: bool = Field(description="The device of the sending site follows the law")
-    position_m: WayVector = Field(description="Position at the slave's scale, AFM frame [m]; forward: reference")
-    velocity_m_per_s: VelocityVector = Field(description="Velocity at the slave's scale, AFM frame [m/s]")
-    force_n: ForceVector = Field(description="Force at the slave's scale, AFM frame [N]; backward: on the tip")
-    wave_sqrt_w: WaveVector | None = Field(description="Wave variable [sqrt(W)]; nil where the law has none")
-    energy_j: EnergyJ | None = Field(description="Energy that entered at this side [J]; nil where the law has none")
+    law: Annotated[str, about("Law that this message belongs to", pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+    active: Annotated[bool, about("The device of the sending site follows the law")]
+    position_m: Annotated[WayVector, about("Position at the slave's scale, AFM frame [m]; forward: reference")]
+    velocity_m_per_s: Annotated[VelocityVector, about("Velocity at the slave's scale, AFM frame [m/s]")]
+    force_n: Annotated[ForceVector, about("Force at the slave's scale, AFM frame [N]; backward: on the tip")]
+    wave_sqrt_w: Annotated[WaveVector | None, about("Wave variable [sqrt(W)]; nil where the law has none")]
+    energy_j: Annotated[EnergyJ | None, about("Energy that entered at this side [J]; nil where the law has none")]
 
 
-_HAND_ARMED = Field(
-    default=None,
-    description="The hand was armed in the sample of hand_seq: a tip follows no other command; absent counts as false",
-)
-
-
-class TeleopForward(_Teleop, _Extended):
+class TeleopForward(_Teleop):
     """From the master half of a law to the slave half."""
 
     version: ClassVar[int] = 2
     additions: ClassVar[Mapping[str, int]] = {"hand_armed": 2}
 
-    hand_armed: bool | None = _HAND_ARMED
+    hand_armed: HandArmed = None
 
 
 class TeleopBackward(_Teleop):
     """From the slave half of a law to the master half."""
 
-    separation_m: PositionM = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
-    separation_valid: bool = Field(description="The instrument knows the tip-sample distance")
-    in_contact: bool = Field(description="The tip touches the sample")
+    separation_m: Annotated[PositionM, about("Tip-sample distance h [m]; 0 when separation_valid is false")]
+    separation_valid: Annotated[bool, about("The instrument knows the tip-sample distance")]
+    in_contact: Annotated[bool, about("The tip touches the sample")]
 
 
-class AfmCommand(_Extended, _HandSample):
+class AfmCommand(_OfHand):
     """What the slave half of the law asks of the AFM."""
 
     version: ClassVar[int] = 3
     additions: ClassVar[Mapping[str, int]] = {"lateral_m": 2, "hand_armed": 3}
 
-    mode: Literal["position", "hold", "retract"] = Field(description="Follow base_position_m, stay, or withdraw")
-    base_position_m: PositionVector = Field(
-        description="Base reference in the AFM frame [m]; z = -x_s, 0 is the rest point"
-    )
-    lateral_m: tuple[PositionM, PositionM] | None = Field(
-        default=None,
-        description="Where a hand that moves the tip across the sample wants the stage, x and y in the AFM frame [m]; "
-        "absent while it does not",
-    )
-    hand_armed: bool | None = _HAND_ARMED
+    mode: Annotated[Literal["position", "hold", "retract"], about("Follow base_position_m, stay, or withdraw")]
+    base_position_m: Annotated[
+        PositionVector, about("Base reference in the AFM frame [m]; z = -x_s, 0 is the rest point")
+    ]
+    lateral_m: Annotated[
+        tuple[PositionM, PositionM] | None,
+        about(
+            "Where a hand that moves the tip across the sample wants the stage, x and y in the AFM frame [m]; "
+            "absent while it does not"
+        ),
+    ] = None
+    hand_armed: HandArmed = None
 
 
-class AfmState(real.FeltChannel, real.StageVolts, _Extended, _HandSample):
+class AfmState(_OfHand):
     """The AFM: what was measured and what was really applied."""
 
     version: ClassVar[int] = 4
     additions: ClassVar[Mapping[str, int]] = {
-        **dict.fromkeys(("device", "sample_age_s", *real.STAGE_VOLTS), 2),
-        **dict.fromkeys(real.FELT_CHANNEL, 3),
+        **dict.fromkeys(("device", "sample_age_s", "output_v", "input_v"), 2),
+        **dict.fromkeys(("felt_channel", "felt_value", "felt_clamp"), 3),
         **dict.fromkeys(("armed", "placed"), 4),
     }
 
-    command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
-    base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
-    deflection_m: PositionM = Field(description="Deflection zeta of the cantilever [m], positive away from the sample")
-    tip_force_n: ForceVector = Field(description="Force on the tip by the sample [N]; repulsive is +z")
-    separation_m: PositionM = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
-    separation_valid: bool = Field(description="The instrument knows the tip-sample distance")
-    in_contact: bool = Field(description="The tip touches the sample")
-    meniscus: bool = Field(description="A liquid bridge joins tip and sample")
-    mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
-    limited: bool = Field(description="A travel or speed limit is acting")
-    step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
-    device: real.DeviceStatus | None = real.DEVICE
-    sample_age_s: DurationS | None = real.SAMPLE_AGE_S
-    armed: bool | None = Field(
-        default=None,
-        description="The tip was armed and may move; in mode retracted it waits for a command of an armed hand",
+    # What the converters of a real instrument had, before any calibration.
+    output_v: Annotated[VoltageV | None, about("Output to the stage, read back [V]")] = None
+    input_v: Annotated[VoltageV | None, about("Input of the deflection [V]")] = None
+    # What the hand feels where that is no force on the tip: a measured channel, by a table of the instrument.
+    felt_channel: Annotated[
+        Literal["frequency_shift", "current", "amplitude", "phase"] | None,
+        about("Channel that tip_force_n along z is made of, which is no force then; absent otherwise"),
+    ] = None
+    felt_value: Annotated[ChannelValue | None, about("Its value [Hz, A, m or rad]; absent where it is no number")] = (
+        None
     )
-    placed: bool | None = Field(
-        default=None,
-        description="The commanded base has reached its reference after every limit, or the program that was begun with"
-        " arming is under way",
-    )
+    felt_clamp: Annotated[
+        Literal["", "saturated", "bounds", "rate", "left"] | None,
+        about("What limits the force made of it; left: the value has left the branch of the table"),
+    ] = None
+    command_seq: Annotated[Count, about("seq of the afm/command in force; meaningful once hand_t_ns > 0")]
+    base_position_m: Annotated[PositionVector, about("Base position applied after every limit [m]; z = -x_s")]
+    deflection_m: Annotated[PositionM, about("Deflection zeta of the cantilever [m], positive away from the sample")]
+    tip_force_n: Annotated[ForceVector, about("Force on the tip by the sample [N]; repulsive is +z")]
+    separation_m: Annotated[PositionM, about("Tip-sample distance h [m]; 0 when separation_valid is false")]
+    separation_valid: Annotated[bool, about("The instrument knows the tip-sample distance")]
+    in_contact: Annotated[bool, about("The tip touches the sample")]
+    meniscus: Annotated[bool, about("A liquid bridge joins tip and sample")]
+    mode: Annotated[Literal["retracted", "follow", "hold", "retracting", "estop"], about("What the AFM does")]
+    limited: Annotated[bool, about("A travel or speed limit is acting")]
+    step_s: Annotated[DurationS, about("Time that this step of the instrument covers [s]")]
+    device: DeviceState = None
+    sample_age_s: SampleAgeS = None
+    armed: Annotated[
+        bool | None, about("The tip was armed and may move; in mode retracted it waits for a command of an armed hand")
+    ] = None
+    placed: Annotated[
+        bool | None,
+        about(
+            "The commanded base has reached its reference after every limit, or the program that was begun with "
+            "arming is under way"
+        ),
+    ] = None
 
 
-class AfmScanline(_Extended):
+class AfmScanline(_Headed):
     """A finished line of an image."""
 
     version: ClassVar[int] = 3
     additions: ClassVar[Mapping[str, int]] = {"lateral_force_n": 2, "torsion_rad": 2, "dissipated_j": 3}
-    line: Count = Field(description="Number of the line, from 0")
-    lines: Annotated[int, Field(ge=1, le=2**20)] = Field(description="Lines in the image")
-    direction: Literal["trace", "retrace"] = Field(description="Sense of the fast axis")
-    start_m: PositionVector = Field(description="First point of the line in the AFM frame [m]")
-    end_m: PositionVector = Field(description="Last point of the line in the AFM frame [m]")
-    height_m: Lengths = Field(description="Height at equal steps along the line [m]")
-    amplitude_m: Lengths | None = Field(description="Amplitude of vibration [m]; nil in contact mode")
-    phase_rad: Angles | None = Field(description="Phase of vibration [rad]; nil in contact mode")
-    lateral_force_n: Forces | None = real.LATERAL_FORCE_N
-    torsion_rad: Angles | None = real.TORSION_RAD
-    dissipated_j: Energies | None = real.DISSIPATED_J
+    line: Annotated[Count, about("Number of the line, from 0")]
+    lines: Annotated[int, about("Lines in the image", ge=1, le=2**20)]
+    direction: Annotated[Literal["trace", "retrace"], about("Sense of the fast axis")]
+    start_m: Annotated[PositionVector, about("First point of the line in the AFM frame [m]")]
+    end_m: Annotated[PositionVector, about("Last point of the line in the AFM frame [m]")]
+    height_m: Annotated[Lengths, about("Height at equal steps along the line [m]")]
+    amplitude_m: Annotated[Lengths | None, about("Amplitude of vibration [m]; nil in contact mode")]
+    phase_rad: Annotated[Angles | None, about("Phase of vibration [rad]; nil in contact mode")]
+    lateral_force_n: Annotated[
+        Forces | None, about("Force on the tip by the sample along x [N]; absent where it is not measured")
+    ] = None
+    torsion_rad: Annotated[
+        Angles | None,
+        about("Torsion of the cantilever that this force makes: over lateral stiffness and height of the tip [rad]"),
+    ] = None
+    dissipated_j: Annotated[
+        Energies | None,
+        about("Energy that the sample takes from the tip in a period of its vibration [J]; absent in contact mode"),
+    ] = None
 
 
-class LawStatus(Message):
+class LawStatus(_Headed):
     """State of one half of the law: energy, passivity, and what it receives; energies at the hand's scale."""
 
-    law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law in force at this half")
-    switching: bool = Field(description="The half waits for the other one to take up this law; its device stands still")
-    port_energy_j: EnergyJ = Field(description="Energy that has entered the law at this port since it is in force [J]")
-    port_power_w: PowerW = Field(description="Power entering at this port, mean since the last report [W]")
-    net_valid: bool = Field(description="The energy of the other port is known too")
-    net_energy_j: EnergyJ = Field(
-        description="Energy that has entered at both ports less what left [J]; stored or lost"
-    )
-    left_j: EnergyJ = Field(description="Energy reported by the other half and not yet given out [J]; 0 if not counted")
-    dissipated_j: EnergyJ = Field(
-        description="Energy that the controller has taken out on purpose [J]; 0 if not counted"
-    )
-    passive: bool = Field(description="Neither the net energy nor the energy left has shown that energy was made")
-    saved_percent: Percent = Field(
-        description="Signals to the other half that the dead band kept back, since this law is in force [%]"
-    )
-    heard: bool = Field(description="A signal of the other half in this law has been received")
-    silence_s: DurationS = Field(description="Time since the last one [s]; 0 if never received")
-    round_trip_valid: bool = Field(description="The round trip was measured; at the master only")
-    round_trip_s: DurationS = Field(description="Age of the hand's sample that the newest answer descends from [s]")
+    law: Annotated[str, about("Law in force at this half", pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+    switching: Annotated[bool, about("The half waits for the other one to take up this law; its device stands still")]
+    port_energy_j: Annotated[EnergyJ, about("Energy that has entered the law at this port since it is in force [J]")]
+    port_power_w: Annotated[PowerW, about("Power entering at this port, mean since the last report [W]")]
+    net_valid: Annotated[bool, about("The energy of the other port is known too")]
+    net_energy_j: Annotated[EnergyJ, about("Energy that has entered at both ports less what left [J]; stored or lost")]
+    left_j: Annotated[EnergyJ, about("Energy reported by the other half and not yet given out [J]; 0 if not counted")]
+    dissipated_j: Annotated[EnergyJ, about("Energy that the controller has taken out on purpose [J]; 0 if not counted")]
+    passive: Annotated[bool, about("Neither the net energy nor the energy left has shown that energy was made")]
+    saved_percent: Annotated[
+        Percent, about("Signals to the other half that the dead band kept back, since this law is in force [%]")
+    ]
+    heard: Annotated[bool, about("A signal of the other half in this law has been received")]
+    silence_s: Annotated[DurationS, about("Time since the last one [s]; 0 if never received")]
+    round_trip_valid: Annotated[bool, about("The round trip was measured; at the master only")]
+    round_trip_s: Annotated[DurationS, about("Age of the hand's sample that the newest answer descends from [s]")]
 
 
 class LinkDirection(Record):
     """One direction of the link: the settings in force and what it did since the last report."""
 
-    profile: Text = Field(
-        description="Name of the network in force: profile, constant delay, custom, or as in `lte, changed`"
-    )
-    settings: Facts = Field(description="Settings in force, by dotted key; SI units in the names")
-    messages_in: Count = Field(description="Messages taken in since the start")
-    messages_out: Count = Field(description="Messages delivered since the start, duplicates included")
-    dropped: Counts = Field(description="Messages dropped since the start, by cause")
-    duplicated: Count = Field(description="Messages duplicated since the start")
-    reordered: Count = Field(description="Messages that overtook an earlier one since the start")
-    corrupted: Count = Field(description="Messages corrupted since the start")
-    queue_depth: Count = Field(description="Messages in flight now")
-    delay_valid: bool = Field(description="At least one message was delivered since the last report")
-    delay_mean_s: DurationS = Field(description="Mean delay applied since the last report [s]")
-    delay_min_s: DurationS = Field(description="Least delay applied since the last report [s]")
-    delay_max_s: DurationS = Field(description="Greatest delay applied since the last report [s]")
+    profile: Annotated[
+        Text, about("Name of the network in force: profile, constant delay, custom, or as in `lte, changed`")
+    ]
+    settings: Annotated[Facts, about("Settings in force, by dotted key; SI units in the names")]
+    messages_in: Annotated[Count, about("Messages taken in since the start")]
+    messages_out: Annotated[Count, about("Messages delivered since the start, duplicates included")]
+    dropped: Annotated[Counts, about("Messages dropped since the start, by cause")]
+    duplicated: Annotated[Count, about("Messages duplicated since the start")]
+    reordered: Annotated[Count, about("Messages that overtook an earlier one since the start")]
+    corrupted: Annotated[Count, about("Messages corrupted since the start")]
+    queue_depth: Annotated[Count, about("Messages in flight now")]
+    delay_valid: Annotated[bool, about("At least one message was delivered since the last report")]
+    delay_mean_s: Annotated[DurationS, about("Mean delay applied since the last report [s]")]
+    delay_min_s: Annotated[DurationS, about("Least delay applied since the last report [s]")]
+    delay_max_s: Annotated[DurationS, about("Greatest delay applied since the last report [s]")]
 
 
 class LinkClock(Record):
     """Offset between the clocks of the sites, from four time stamps; figures are 0 when valid is false."""
 
-    valid: bool = Field(description="An exchange with the slave's site was completed")
-    offset_s: TimeS = Field(description="What the slave's clock is ahead of the master's [s]")
-    uncertainty_s: DurationS = Field(description="Bound of the error of offset_s [s]: half the round trip")
-    round_trip_s: DurationS = Field(description="Shortest round trip among the exchanges in view [s]")
-    exchanges: Count = Field(description="Number of exchanges in view of the minimum filter")
+    valid: Annotated[bool, about("An exchange with the slave's site was completed")]
+    offset_s: Annotated[TimeS, about("What the slave's clock is ahead of the master's [s]")]
+    uncertainty_s: Annotated[DurationS, about("Bound of the error of offset_s [s]: half the round trip")]
+    round_trip_s: Annotated[DurationS, about("Shortest round trip among the exchanges in view [s]")]
+    exchanges: Annotated[Count, about("Number of exchanges in view of the minimum filter")]
 
 
-class LinkStatus(_Extended):
+class LinkStatus(_Headed):
     """The link, both directions."""
 
     version: ClassVar[int] = 2
     additions: ClassVar[Mapping[str, int]] = {"answer_sent_ns": 2, "answer_received_ns": 2}
 
-    forward: LinkDirection = Field(description="From the master to the slave")
-    backward: LinkDirection = Field(description="From the slave to the master")
-    clock: LinkClock = Field(description="Offset between the clocks of the sites, past the impairments")
-    answer_sent_ns: Count | None = Field(
-        default=None, description="t_ns of the newest clock/pong, on the answering clock [ns]; absent before the first"
-    )
-    answer_received_ns: Count | None = Field(
-        default=None, description="When that clock/pong arrived at the link, on the asking clock [ns]"
-    )
+    forward: Annotated[LinkDirection, about("From the master to the slave")]
+    backward: Annotated[LinkDirection, about("From the slave to the master")]
+    clock: Annotated[LinkClock, about("Offset between the clocks of the sites, past the impairments")]
+    answer_sent_ns: Annotated[
+        Count | None, about("t_ns of the newest clock/pong, on the answering clock [ns]; absent before the first")
+    ] = None
+    answer_received_ns: Annotated[
+        Count | None, about("When that clock/pong arrived at the link, on the asking clock [ns]")
+    ] = None
 
 
-class LinkDelay(Message):
+class LinkDelay(_Headed):
     """What the way between the sites adds to the age of the hand's samples, from one sample on.
 
     It is sent before the first message that descends from that sample, whenever the delay changes by a step, and
     with every link/status. With it a reader knows what part of an age is the experiment, and what is a fault.
     """
 
-    direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
-    hand_t_ns: Count = Field(description="t_ns of the first haptic/state that it applies to, on its own clock [ns]")
-    delay_ns: Count = Field(description="Delay applied on purpose, rounded down to whole milliseconds [ns]")
-    transit_ns: Count = Field(
-        description="Least time that a message was measured to take between two machines besides [ns]; 0 on one"
-    )
-    clock_ahead_ns: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)] = Field(
-        description="What the slave's clock is ahead of the master's [ns]; 0 where they cannot be told apart"
-    )
+    direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
+    hand_t_ns: Annotated[Count, about("t_ns of the first haptic/state that it applies to, on its own clock [ns]")]
+    delay_ns: Annotated[Count, about("Delay applied on purpose, rounded down to whole milliseconds [ns]")]
+    transit_ns: Annotated[
+        Count, about("Least time that a message was measured to take between two machines besides [ns]; 0 on one")
+    ]
+    clock_ahead_ns: Annotated[
+        Stamp, about("What the slave's clock is ahead of the master's [ns]; 0 where they cannot be told apart")
+    ]
 
 
 class LinkFate(Record):
     """Ground truth of one message that reached the link, or of the duplicate that was made of it."""
 
-    topic: Annotated[str, Field(max_length=64)] = Field(description="Topic of the message")
-    seq: Count = Field(description="seq of the message")
-    is_duplicate: bool = Field(description="This is the duplicate, not the message itself")
-    arrived_ns: Count = Field(description="When it reached the link, on the link's clock [ns]")
-    delay_ns: Count = Field(description="Delay applied, everything included [ns]; 0 when dropped")
-    queue_ns: Count = Field(description="Part of it spent in the queue of a rate limit or delivery trace [ns]")
-    held_ns: Count = Field(description="Part of it spent waiting for the end of an outage [ns]")
-    dropped: Annotated[str, Field(max_length=64)] = Field(
-        description="What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue; else empty"
-    )
-    duplicated: bool = Field(description="A duplicate was made of it")
-    reordered: bool = Field(description="It was released before a message of its topic that had arrived earlier")
-    corrupted: bool = Field(description="Bits of it were flipped")
+    topic: Annotated[Name, about("Topic of the message")]
+    seq: Annotated[Count, about("seq of the message")]
+    is_duplicate: Annotated[bool, about("This is the duplicate, not the message itself")]
+    arrived_ns: Annotated[Count, about("When it reached the link, on the link's clock [ns]")]
+    delay_ns: Annotated[Count, about("Delay applied, everything included [ns]; 0 when dropped")]
+    queue_ns: Annotated[Count, about("Part of it spent in the queue of a rate limit or delivery trace [ns]")]
+    held_ns: Annotated[Count, about("Part of it spent waiting for the end of an outage [ns]")]
+    dropped: Annotated[
+        Name, about("What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue; else empty")
+    ]
+    duplicated: Annotated[bool, about("A duplicate was made of it")]
+    reordered: Annotated[bool, about("It was released before a message of its topic that had arrived earlier")]
+    corrupted: Annotated[bool, about("Bits of it were flipped")]
 
 
-class LinkFates(Message):
+class LinkFates(_Headed):
     """What the link did to each message of one direction since the last such report."""
 
-    direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
-    fates: Annotated[tuple[LinkFate, ...], FailFast(), Field(max_length=MAX_ROWS)] = Field(
-        description="In the order in which they were decided"
-    )
+    direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
+    fates: Annotated[tuple[LinkFate, ...], about("In the order in which they were decided", max_length=MAX_ROWS)]
 
 
-class ClockPing(Message):
+class ClockPing(_Headed):
     """Question of the link to the other site for its time."""
 
 
-class ClockPong(Message):
+class ClockPong(_Headed):
     """Answer to a clock/ping; its own t_ns is the time of sending on the answering clock."""
 
-    ping_t_ns: Count = Field(description="t_ns of the question, on the asking clock [ns]")
-    received_ns: Count = Field(description="When the question arrived, on the answering clock [ns]")
+    ping_t_ns: Annotated[Count, about("t_ns of the question, on the asking clock [ns]")]
+    received_ns: Annotated[Count, about("When the question arrived, on the answering clock [ns]")]
 
 
-class SessionControl(_Extended):
+class SessionControl(_Headed):
     """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
 
     version: ClassVar[int] = 4
     additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2, "node_latch": 3, "by": 4}
 
-    id: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Identifier that the answers repeat")
-    command: Literal["start", "stop", "arm", "estop", "set", "mark"] = Field(
-        description="start or stop the operator's programme; arm the devices; stop at once and latch; "
-        "set parameters; mark this moment in the recording"
-    )
-    target: str = Field(max_length=64, description="Nodes concerned: node@site, node, or *; wildcards as in file names")
-    parameters: Facts = Field(description="What the command needs, by dotted key; units in the names")
-    validity_s: DurationS | None = Field(
-        default=None, description="Time after t_ns for which it may be carried out [s]; 1 s if absent"
-    )
-    node_t_ns: Counts | None = Field(
-        default=None,
-        description="By node@site: t_ns of the newest message received from it, on the clock of that node [ns]",
-    )
-    node_latch: Latches | None = Field(
-        default=None,
-        description="By node@site: latch in the data of the refusal that this answers, which names the node's run and "
-        "counts its emergency stops",
-    )
-    by: PersonName | None = Field(
-        default=None, description="Name of who gave it, where they were given one; the answers repeat it in their data"
-    )
+    id: Annotated[str, about("Identifier that the answers repeat", pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    command: Annotated[
+        Literal["start", "stop", "arm", "estop", "set", "mark"],
+        about(
+            "start or stop the operator's programme; arm the devices; stop at once and latch; set parameters; "
+            "mark this moment in the recording"
+        ),
+    ]
+    target: Annotated[str, about("Nodes concerned: node@site, node, or *; wildcards as in file names", max_length=64)]
+    parameters: Annotated[Facts, about("What the command needs, by dotted key; units in the names")]
+    validity_s: Annotated[
+        DurationS | None, about("Time after t_ns for which it may be carried out [s]; 1 s if absent")
+    ] = None
+    node_t_ns: Annotated[
+        Counts | None,
+        about("By node@site: t_ns of the newest message received from it, on the clock of that node [ns]"),
+    ] = None
+    node_latch: Annotated[
+        Latches | None,
+        about(
+            "By node@site: latch in the data of the refusal that this answers, which names the node's run and "
+            "counts its emergency stops"
+        ),
+    ] = None
+    by: Annotated[
+        PersonName | None, about("Name of who gave it, where they were given one; the answers repeat it in their data")
+    ] = None
 
 
-class SessionEvent(Message):
+class SessionEvent(_Headed):
     """What happened at a node."""
 
-    id: str = Field(pattern=r"^[A-Za-z0-9_-]{0,64}$", description="Id of the command answered; empty = unasked")
-    kind: Literal["ack", "refused", "mode", "link", "network", "node", "recording", "mark", "fault"] = Field(
-        description="ack and refused answer a command; mode: a device changed mode; link, network, node, recording: "
-        "what became of them; mark: a mark of the operator; fault: something went wrong and was dealt with"
-    )
-    level: Literal["info", "warning", "error"] = Field(description="How much it matters")
-    text: Text = Field(description="One sentence for a person")
-    data: Facts = Field(description="The same for a program; units in the names")
+    id: Annotated[str, about("Id of the command answered; empty = unasked", pattern=r"^[A-Za-z0-9_-]{0,64}$")]
+    kind: Annotated[
+        Literal["ack", "refused", "mode", "link", "network", "node", "recording", "mark", "fault"],
+        about(
+            "ack and refused answer a command; mode: a device changed mode; link, network, node, recording: what "
+            "became of them; mark: a mark of the operator; fault: something went wrong and was dealt with"
+        ),
+    ]
+    level: Annotated[Literal["info", "warning", "error"], about("How much it matters")]
+    text: Annotated[Text, about("One sentence for a person")]
+    data: Annotated[Facts, about("The same for a program; units in the names")]
 
 
 class InputHealth(Record):
     """What a node knows of one topic from one source."""
 
-    topic: Text = Field(description="Topic")
-    src: Text = Field(description="Publisher, node@site; empty when nothing was ever received")
-    received: Count = Field(description="Messages accepted since the start")
-    lost: Count = Field(description="Messages missing by sequence gaps since the start")
-    gaps: Count = Field(description="Sequence gaps since the start")
-    repeated: Count = Field(description="Messages that came twice or out of order since the start")
-    restarts: Count = Field(description="Restarts of the publisher seen since the start")
-    age_valid: bool = Field(description="At least one message was received")
-    age_s: TimeS = Field(description="Time since the publisher sent the newest message [s], across two clocks")
+    topic: Annotated[Text, about("Topic")]
+    src: Annotated[Text, about("Publisher, node@site; empty when nothing was ever received")]
+    received: Annotated[Count, about("Messages accepted since the start")]
+    lost: Annotated[Count, about("Messages missing by sequence gaps since the start")]
+    gaps: Annotated[Count, about("Sequence gaps since the start")]
+    repeated: Annotated[Count, about("Messages that came twice or out of order since the start")]
+    restarts: Annotated[Count, about("Restarts of the publisher seen since the start")]
+    age_valid: Annotated[bool, about("At least one message was received")]
+    age_s: Annotated[TimeS, about("Time since the publisher sent the newest message [s], across two clocks")]
 
 
-class NodeHealth(_Extended):
+class NodeHealth(_Headed):
     """How a process is doing."""
 
     version: ClassVar[int] = 2
     additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2, "calibration": 2}
 
-    pid: Count = Field(description="Process id")
-    state: Literal["starting", "ready", "running", "safe", "stopping"] = Field(description="What the node is at")
-    uptime_s: DurationS = Field(description="Time since the node started [s]")
-    rate_hz: RateHz = Field(description="Steps a second since the last report")
-    period_s: DurationS = Field(description="Nominal period of the loop [s]; 0 = acts on messages only")
-    lateness_p50_s: DurationS = Field(description="Median lateness against the deadline since the last report [s]")
-    lateness_p99_s: DurationS = Field(description="99 % lateness since the last report [s]")
-    lateness_max_s: DurationS = Field(description="Greatest lateness since the last report [s]")
-    overruns: Count = Field(description="Deadlines missed by a period or more since the start")
-    rejected: Counts = Field(
-        description="Frames and connections refused since the start, by reason; superseded: a newer message of a "
-        "latest topic was waiting as well; stale: older than the deadline of its topic"
-    )
-    cpu_percent: Percent = Field(description="Processor time used since the last report [% of one core]")
-    memory_bytes: Count = Field(description="Resident memory [bytes]")
-    realtime: bool = Field(description="SCHED_FIFO is in force")
-    memory_locked: bool = Field(description="Memory is locked")
-    replay: bool = Field(description="The messages of this node come from a recording, not from an instrument")
-    inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
-        max_length=MAX_ROWS, description="Every input of the node; of many sources, those that sent most"
-    )
-    device_latency_s: DurationS | None = real.LATENCY_S
-    device_age_s: DurationS | None = real.MEAN_AGE_S
-    calibration: str | None = real.CALIBRATION
+    pid: Annotated[Count, about("Process id")]
+    state: Annotated[Literal["starting", "ready", "running", "safe", "stopping"], about("What the node is at")]
+    uptime_s: Annotated[DurationS, about("Time since the node started [s]")]
+    rate_hz: Annotated[RateHz, about("Steps a second since the last report")]
+    period_s: Annotated[DurationS, about("Nominal period of the loop [s]; 0 = acts on messages only")]
+    lateness_p50_s: Annotated[DurationS, about("Median lateness against the deadline since the last report [s]")]
+    lateness_p99_s: Annotated[DurationS, about("99 % lateness since the last report [s]")]
+    lateness_max_s: Annotated[DurationS, about("Greatest lateness since the last report [s]")]
+    overruns: Annotated[Count, about("Deadlines missed by a period or more since the start")]
+    rejected: Annotated[
+        Counts,
+        about(
+            "Frames and connections refused since the start, by reason; superseded: a newer message of a latest "
+            "topic was waiting as well; stale: older than the deadline of its topic"
+        ),
+    ]
+    cpu_percent: Annotated[Percent, about("Processor time used since the last report [% of one core]")]
+    memory_bytes: Annotated[Count, about("Resident memory [bytes]")]
+    realtime: Annotated[bool, about("SCHED_FIFO is in force")]
+    memory_locked: Annotated[bool, about("Memory is locked")]
+    replay: Annotated[bool, about("The messages of this node come from a recording, not from an instrument")]
+    inputs: Annotated[
+        tuple[InputHealth, ...],
+        about("Every input of the node; of many sources, those that sent most", max_length=MAX_ROWS),
+    ]
+    device_latency_s: Annotated[
+        DurationS | None,
+        about(
+            "What a real device is declared to add to the round trip [s]: from a command to the sample that answers "
+            "it, in the mean; absent if simulated"
+        ),
+    ] = None
+    device_age_s: Annotated[
+        DurationS | None,
+        about("Mean age of the samples of a real device since the last report [s]; absent if there were none"),
+    ] = None
+    calibration: Annotated[
+        Annotated[str, Meta(max_length=128)] | None,
+        about("Device and date of the calibration that is in use; absent if simulated"),
+    ] = None

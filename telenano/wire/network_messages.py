@@ -1,15 +1,13 @@
 """The messages of the link between two machines: its keys, and what the network did."""
 
 from collections.abc import Mapping
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
-
-from telenano.wire.messages import Array, Count, Counts, LinkClock, Message, _Extended
+from telenano.wire.messages import Array, Count, Counts, LinkClock, _Headed, about
 from telenano.wire.ranges import DurationS
 
 
-class LinkKey(_Extended):
+class LinkKey(_Headed):
     """The public key of one end of the link between two machines, for the keys of its datagrams, and what it received.
 
     It crosses over TCP both ways, so that each end knows what arrives of its datagrams where none comes back.
@@ -20,35 +18,35 @@ class LinkKey(_Extended):
         ("receiving", "sent", "arrived", "lost", "capacity_bit_per_s"), 2
     )
 
-    public_key: str = Field(pattern=r"^[0-9a-f]{64}$", description="Ephemeral X25519 key of this end, in hexadecimal")
-    answers: str = Field(
-        pattern=r"^([0-9a-f]{64})?$", description="Key of the other end that it is the answer to; empty = none"
-    )
-    receiving: Literal["datagram", "stream"] | None = Field(
-        default=None, description="How this end receives the samples of the other one now"
-    )
-    sent: Count | None = Field(default=None, description="Datagrams that this end has sent under its present keys")
-    arrived: Count | None = Field(default=None, description="Datagrams that arrived here under the present keys")
-    lost: Count | None = Field(
-        default=None, description="Datagrams sent to here before the newest of those, which have not arrived"
-    )
-    capacity_bit_per_s: Count | None = Field(
-        default=None, description="What this end has measured of the line to here [bit/s]; 0 = not known"
-    )
+    public_key: Annotated[str, about("Ephemeral X25519 key of this end, in hexadecimal", pattern=r"^[0-9a-f]{64}$")]
+    answers: Annotated[
+        str, about("Key of the other end that it is the answer to; empty = none", pattern=r"^([0-9a-f]{64})?$")
+    ]
+    receiving: Annotated[
+        Literal["datagram", "stream"] | None, about("How this end receives the samples of the other one now")
+    ] = None
+    sent: Annotated[Count | None, about("Datagrams that this end has sent under its present keys")] = None
+    arrived: Annotated[Count | None, about("Datagrams that arrived here under the present keys")] = None
+    lost: Annotated[
+        Count | None, about("Datagrams sent to here before the newest of those, which have not arrived")
+    ] = None
+    capacity_bit_per_s: Annotated[
+        Count | None, about("What this end has measured of the line to here [bit/s]; 0 = not known")
+    ] = None
 
 
-class RecordingPiece(Message):
+class RecordingPiece(_Headed):
     """A piece of a recording of the other site, sent on request (ADR 0075)."""
 
-    file: str = Field(max_length=255, description="Name of the file, without any folder")
-    size_bytes: Count = Field(description="Size of the file when the piece was read [bytes]")
-    head_sha256: str = Field(max_length=64, description="Digest of the first 1024 bytes, which identify the file")
-    offset_bytes: Count = Field(description="Place of the piece in the file [bytes]")
-    sha256: str = Field(max_length=64, description="Digest of the piece")
-    data: Array = Field(description="u1: the piece, empty at the end of the file")
+    file: Annotated[str, about("Name of the file, without any folder", max_length=255)]
+    size_bytes: Annotated[Count, about("Size of the file when the piece was read [bytes]")]
+    head_sha256: Annotated[str, about("Digest of the first 1024 bytes, which identify the file", max_length=64)]
+    offset_bytes: Annotated[Count, about("Place of the piece in the file [bytes]")]
+    sha256: Annotated[str, about("Digest of the piece", max_length=64)]
+    data: Annotated[Array, about("u1: the piece, empty at the end of the file")]
 
 
-class LinkNetwork(_Extended):
+class LinkNetwork(_Headed):
     """What the network between two machines did to the datagrams of one direction, as their receiver saw it.
 
     The arrays have one element a datagram, in the order in which its fate was known: the ground truth of a real
@@ -60,49 +58,57 @@ class LinkNetwork(_Extended):
         ("settled", "queue_s", "capacity_bit_per_s", "line", "limit_bit_per_s", "blocked_since_ns"), 2
     )
 
-    direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
-    receiving: Literal["datagram", "stream"] = Field(description="How this direction is received now")
-    sending: Literal["datagram", "stream"] = Field(description="Whether the other end acknowledges datagrams from here")
-    sent: Count = Field(description="Datagrams sent to this end since its start, as far as those that arrived show")
-    arrived: Count = Field(description="Datagrams that arrived and authenticated")
-    late: Count = Field(description="Of those that arrived, how many a newer one had overtaken")
-    lost: Count = Field(description="Datagrams that a newer one had overtaken for a second, and that never arrived")
-    refused: Counts = Field(description="Datagrams refused since the start, by cause")
-    repeats: Count = Field(description="Older samples that each datagram sent from here repeats now")
-    unsent: Count = Field(description="Samples not sent from here as a datagram because the send budget was used up")
-    sent_bytes: Count = Field(description="Sent from here since the start [bytes], network headers included")
-    delay_valid: bool = Field(description="The clocks were compared and a datagram arrived since the last report")
-    delay_min_s: DurationS = Field(description="Least one-way delay since the last report [s]")
-    delay_mean_s: DurationS = Field(description="Mean one-way delay since the last report [s]")
-    delay_max_s: DurationS = Field(description="Greatest one-way delay since the last report [s]")
-    clock: LinkClock = Field(description="What the other end's clock is ahead of this one's")
-    number: Array = Field(description="i8: number of the datagram, counted from 0 by its sender")
-    arrived_ns: Array = Field(description="i8: when it arrived, on this end's clock [ns]; 0 when lost")
-    delay_ns: Array = Field(description="i8: one-way delay [ns]; 0 when lost")
-    lost_flag: Array = Field(description="u1: 1 lost, 0 arrived")
-    settled: Count | None = Field(
-        default=None, description="Datagrams of which it is known whether they arrived; `lost` is a share of these"
-    )
-    queue_s: DurationS | None = Field(
-        default=None,
-        description="Longest queue that stood before the line of this direction since the last report [s]; absent until"
-        " it is known",
-    )
-    capacity_bit_per_s: Count | None = Field(
-        default=None,
-        description="What the line of this direction carries [bit/s], by a train of datagrams, or by its sender while"
-        " it is full; absent until it is known",
-    )
-    line: Literal["free", "full", "shared"] | None = Field(
-        default=None,
-        description="Line that this end sends over: free; full, it sends no more than is delivered; shared, sending"
-        " less does not lower the delay, which others or jitter keep, and losses limit what is sent",
-    )
-    limit_bit_per_s: Count | None = Field(
-        default=None, description="Most that this end sends now [bit/s], network headers included"
-    )
-    blocked_since_ns: Count | None = Field(
-        default=None,
-        description="Arrival of the newest datagram, on this end's clock, where the other end says that it sends on and"
-        " none arrives [ns]; absent while datagrams arrive, and where the other end sends none",
-    )
+    direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
+    receiving: Annotated[Literal["datagram", "stream"], about("How this direction is received now")]
+    sending: Annotated[Literal["datagram", "stream"], about("Whether the other end acknowledges datagrams from here")]
+    sent: Annotated[Count, about("Datagrams sent to this end since its start, as far as those that arrived show")]
+    arrived: Annotated[Count, about("Datagrams that arrived and authenticated")]
+    late: Annotated[Count, about("Of those that arrived, how many a newer one had overtaken")]
+    lost: Annotated[Count, about("Datagrams that a newer one had overtaken for a second, and that never arrived")]
+    refused: Annotated[Counts, about("Datagrams refused since the start, by cause")]
+    repeats: Annotated[Count, about("Older samples that each datagram sent from here repeats now")]
+    unsent: Annotated[Count, about("Samples not sent from here as a datagram because the send budget was used up")]
+    sent_bytes: Annotated[Count, about("Sent from here since the start [bytes], network headers included")]
+    delay_valid: Annotated[bool, about("The clocks were compared and a datagram arrived since the last report")]
+    delay_min_s: Annotated[DurationS, about("Least one-way delay since the last report [s]")]
+    delay_mean_s: Annotated[DurationS, about("Mean one-way delay since the last report [s]")]
+    delay_max_s: Annotated[DurationS, about("Greatest one-way delay since the last report [s]")]
+    clock: Annotated[LinkClock, about("What the other end's clock is ahead of this one's")]
+    number: Annotated[Array, about("i8: number of the datagram, counted from 0 by its sender")]
+    arrived_ns: Annotated[Array, about("i8: when it arrived, on this end's clock [ns]; 0 when lost")]
+    delay_ns: Annotated[Array, about("i8: one-way delay [ns]; 0 when lost")]
+    lost_flag: Annotated[Array, about("u1: 1 lost, 0 arrived")]
+    settled: Annotated[
+        Count | None, about("Datagrams of which it is known whether they arrived; `lost` is a share of these")
+    ] = None
+    queue_s: Annotated[
+        DurationS | None,
+        about(
+            "Longest queue that stood before the line of this direction since the last report [s]; absent until "
+            "it is known"
+        ),
+    ] = None
+    capacity_bit_per_s: Annotated[
+        Count | None,
+        about(
+            "What the line of this direction carries [bit/s], by a train of datagrams, or by its sender while it "
+            "is full; absent until it is known"
+        ),
+    ] = None
+    line: Annotated[
+        Literal["free", "full", "shared"] | None,
+        about(
+            "Line that this end sends over: free; full, it sends no more than is delivered; shared, sending less "
+            "does not lower the delay, which others or jitter keep, and losses limit what is sent"
+        ),
+    ] = None
+    limit_bit_per_s: Annotated[
+        Count | None, about("Most that this end sends now [bit/s], network headers included")
+    ] = None
+    blocked_since_ns: Annotated[
+        Count | None,
+        about(
+            "Arrival of the newest datagram, on this end's clock, where the other end says that it sends on and "
+            "none arrives [ns]; absent while datagrams arrive, and where the other end sends none"
+        ),
+    ] = None

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.messages import Record
 
 T = TypeVar("T")
 # payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]
@@ -133,7 +134,8 @@ def _names(state: Any) -> tuple[str, ...]:
 def _hints(kind: Any) -> dict[str, Any]:
     # other tuples, plain values and arrays have no fields
     has_fields = isinstance(kind, type) and (hasattr(kind, "_fields") or issubclass(kind, msgspec.Struct))
-    return get_type_hints(kind) if has_fields and kind is not Part else {}
+    # A message is kept as it is on the wire.
+    return get_type_hints(kind) if has_fields and kind is not Part and not issubclass(kind, Record) else {}
 
 
 @cache

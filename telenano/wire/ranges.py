@@ -4,22 +4,10 @@ A range bounds what a reader may act on, so that the arithmetic behind it stays 
 can be measured and is no limit of an instrument: those stand in the guard of each device.
 """
 
-import math
-import sys
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated
 
-from annotated_types import Ge
-from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError, create_model
-from pydantic_core import CoreSchema, InitErrorDetails, core_schema
-
-M = TypeVar("M", bound=BaseModel)
-
-# a number that is beyond its range may be infinite, and then its bound is told at the second attempt only
-_ATTEMPTS = 8
+from msgspec import Meta
 
 
 @dataclass(frozen=True)
@@ -32,9 +20,16 @@ class Range:
     unit: str
     reason: str
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of a number within the bounds."""
-        return core_schema.float_schema(ge=self.low, le=self.high)
+    def of_value(self) -> Meta:
+        """Return the rule of a number within the bounds, which refuses NaN."""
+        return Meta(ge=self.low, le=self.high, extra={"range": self})
+
+    def of_elements(self) -> Meta:
+        """Return the rule of an array whose elements are all within the bounds, for `telenano.wire.codec`."""
+        return Meta(extra={"elements": self})
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
 POSITION = Range(
@@ -89,161 +84,24 @@ RANGES = (
     SCALE,
 )
 
-PositionM = Annotated[float, POSITION]
-WayM = Annotated[float, WAY]
-VelocityMPerS = Annotated[float, VELOCITY]
-ForceN = Annotated[float, FORCE]
-WaveSqrtW = Annotated[float, WAVE]
-EnergyJ = Annotated[float, ENERGY]
-PowerW = Annotated[float, POWER]
-DurationS = Annotated[float, DURATION]
-TimeS = Annotated[float, TIME]
-RateHz = Annotated[float, RATE]
-Percent = Annotated[float, PERCENTAGE]
-VoltageV = Annotated[float, VOLTAGE]
-QuaternionPart = Annotated[float, QUATERNION]
-ChannelValue = Annotated[float, CHANNEL]
-ScaleValue = Annotated[float, SCALE]
+PositionM = Annotated[float, POSITION.of_value()]
+WayM = Annotated[float, WAY.of_value()]
+VelocityMPerS = Annotated[float, VELOCITY.of_value()]
+ForceN = Annotated[float, FORCE.of_value()]
+WaveSqrtW = Annotated[float, WAVE.of_value()]
+EnergyJ = Annotated[float, ENERGY.of_value()]
+PowerW = Annotated[float, POWER.of_value()]
+DurationS = Annotated[float, DURATION.of_value()]
+TimeS = Annotated[float, TIME.of_value()]
+RateHz = Annotated[float, RATE.of_value()]
+Percent = Annotated[float, PERCENTAGE.of_value()]
+VoltageV = Annotated[float, VOLTAGE.of_value()]
+QuaternionPart = Annotated[float, QUATERNION.of_value()]
+ChannelValue = Annotated[float, CHANNEL.of_value()]
+ScaleValue = Annotated[float, SCALE.of_value()]
 
 PositionVector = tuple[PositionM, PositionM, PositionM]
 WayVector = tuple[WayM, WayM, WayM]
 VelocityVector = tuple[VelocityMPerS, VelocityMPerS, VelocityMPerS]
 ForceVector = tuple[ForceN, ForceN, ForceN]
 WaveVector = tuple[WaveSqrtW, WaveSqrtW, WaveSqrtW]
-
-
-@dataclass(frozen=True)
-class Elements:
-    """The range of every element of an array of data."""
-
-    range: Range
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of the array, followed by the check of its elements."""
-        return core_schema.no_info_after_validator_function(self._checked, handler(source))
-
-    def _checked(self, array: Any) -> Any:
-        elements = array.to_numpy()
-        for value in (float(elements.min()), float(elements.max())) if elements.size else ():
-            if not self.range.low <= value <= self.range.high:
-                bound = {"le": self.range.high} if value > 0.0 else {"ge": self.range.low}
-                kind = "less_than_equal" if value > 0.0 else "greater_than_equal"
-                fault = InitErrorDetails(type=kind, loc=("data",), input=value, ctx=bound)
-                raise ValidationError.from_exception_data(type(array).__name__, [fault])
-        return array
-
-
-def is_out_of_range(fault: Mapping[str, Any]) -> bool:
-    """Return whether a fault of pydantic's is that a quantity is beyond its range.
-
-    Bounds of quantities are floating point, those of counts are integers: a negative count is another fault.
-    """
-    if fault["type"] not in ("less_than_equal", "greater_than_equal"):
-        return False
-    bound = fault["ctx"].get("le", fault["ctx"].get("ge"))
-    return isinstance(bound, float)
-
-
-def any_range(model: type[M], fields: Mapping[str, Any], unknown: Literal["ignore", "forbid"] = "forbid") -> M:
-    """Return a message of any finite quantities: for recordings and examples, not for who acts on them.
-
-    Raises:
-        pydantic.ValidationError: The fields violate anything but a range, or have others where those are forbidden.
-    """
-    return _construct(model, _unlimited(model).model_validate(fields, extra=unknown))
-
-
-def limited(model: type[M], fields: Mapping[str, Any], report: Callable[[str], None] = lambda text: None) -> M:
-    """Return a message in which what is beyond its range, or does not fit into a count, is at the nearer end.
-
-    What a node says stays in range whatever it computed: to end instead would take the guard of a device with it.
-
-    Args:
-        model: The class of the message.
-        fields: The fields of the message by key.
-        report: Called with a sentence when a value was limited.
-
-    Raises:
-        pydantic.ValidationError: The fields have any other fault, NaN included.
-    """
-    try:
-        return model(**fields)
-    except ValidationError as error:
-        faults, values, first = error, dict(fields), ""
-    for _ in range(_ATTEMPTS):
-        for fault in faults.errors(include_url=False):
-            bound = _nearest(fault)
-            name, *places = fault["loc"]
-            if bound is None or isinstance(values[str(name)], BaseModel):
-                raise faults
-            first = first or f"{'.'.join(map(str, fault['loc']))} = {fault['input']!r}"
-            values[str(name)] = _replaced(values[str(name)], places, bound)
-        try:
-            message = model(**values)
-        except ValidationError as error:
-            faults = error
-        else:
-            report(f"{model.__name__}: {first} is out of range and is sent at the end of the range")
-            return message
-    raise faults
-
-
-def _nearest(fault: Mapping[str, Any]) -> float | int | None:
-    """Return the value to send in the place of one that is refused, None where there is none."""
-    context, value = fault.get("ctx", {}), fault["input"]
-    if fault["type"] == "finite_number" and isinstance(value, float) and math.isinf(value):
-        return math.copysign(sys.float_info.max, value)
-    for kind, key, step in (("less_than_equal", "le", 0), ("greater_than_equal", "ge", 0), ("less_than", "lt", 1)):
-        if fault["type"] == kind:
-            bound: float | int = context[key] - step
-            return bound
-    return None
-
-
-def _replaced(value: Any, places: list[int | str], replacement: float) -> Any:
-    if not places:
-        return replacement
-    place, *below = places
-    if isinstance(value, Mapping):
-        return {**value, place: _replaced(value[place], below, replacement)}
-    return tuple(_replaced(part, below, replacement) if at == place else part for at, part in enumerate(value))
-
-
-@cache
-def _unlimited(model: type[BaseModel]) -> type[BaseModel]:
-    """Return a model with the same fields, names and rules, but for the ranges."""
-    fields: dict[str, Any] = {}
-    for name, field in model.model_fields.items():
-        default = ... if field.is_required() else field.default
-        fields[name] = (_without_range(field.annotation, field.metadata), default)
-    return create_model(model.__name__, __base__=model, **fields)
-
-
-def _without_range(annotation: Any, metadata: Any = ()) -> Any:
-    rules: list[Any] = []
-    for rule in metadata:
-        if isinstance(rule, Range):
-            # A quantity that cannot be negative was never allowed to be negative.
-            rules += [Ge(0.0)] if rule.low == 0.0 else []
-        elif not isinstance(rule, Elements):
-            rules.append(rule)
-    origin, parts = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        return _without_range(parts[0], (*annotation.__metadata__, *metadata))
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        annotation = _unlimited(annotation)
-    elif origin in (Union, UnionType):
-        annotation = Union[tuple(_without_range(part) for part in parts)]  # noqa: UP007
-    elif origin is tuple:
-        annotation = tuple[tuple(part if part is Ellipsis else _without_range(part) for part in parts)]  # type: ignore[misc]
-    return Annotated[(annotation, *rules)] if rules else annotation
-
-
-def _construct(model: type[M], found: BaseModel) -> M:
-    return model.model_construct(**{name: _converted(value) for name, value in found.__dict__.items()})
-
-
-def _converted(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        return _construct(type(value).__mro__[1], value)
-    return tuple(map(_converted, value)) if isinstance(value, tuple) else value

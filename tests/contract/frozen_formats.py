@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 from mcap.reader import make_reader
 from wire_contract import examples, schema_of
 
@@ -23,6 +24,7 @@ from telenano.recording.writer import RecordingWriter
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.messages import Record
+from telenano.wire.schema import json_schema
 
 FILE = Path(__file__).with_suffix(".json")
 SCENARIO = Path(__file__).parents[2] / "telenano" / "settings" / "scenarios" / "fig12.yaml"
@@ -115,7 +117,7 @@ def recording() -> dict[str, Any]:
         "channel metadata": sorted({key for _, channel in rows.values() for key in channel.metadata}),
         "attachments": attachments,
         "metadata": metadata,
-        "records": {topic: fields_of(model, model.model_json_schema()) for topic, model in RECORDS.items()},
+        "records": {topic: fields_of(model, json_schema(model)) for topic, model in RECORDS.items()},
     }
 
 
@@ -130,7 +132,7 @@ def write_sample(folder: Path, **changes: dict[str, Any]) -> Path:
     writer = RecordingWriter.create("recorder@master", config)
     write_provenance(writer, config, DEFAULT_SITE_FILE, SCENARIO, _NS)
     for topic, row in TOPICS.items():
-        message = examples(row)["ordinary"].model_copy(update={"seq": 0, "t_ns": _NS})
+        message = msgspec.structs.replace(examples(row)["ordinary"], seq=0, t_ns=_NS)
         payload = msgpack.packb(msgpack.unpackb(encode(message)) | changes.get(topic, {}))
         writer.write(writer.channel(topic, message.src, message.src.partition("@")[2]), _NS, _NS, 0, payload)
         if topic == "teleop/forward":

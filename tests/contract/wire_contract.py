@@ -15,12 +15,13 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
-from pydantic.json_schema import GenerateJsonSchema
 
-from telenano.wire.codec import MOST_BYTES, encode
+from telenano.wire.codec import MOST_BYTES, decode, encode, fields_of
 from telenano.wire.messages import Array, Message, SessionControl
-from telenano.wire.ranges import RANGES, any_range
+from telenano.wire.ranges import RANGES
+from telenano.wire.schema import json_schema
 from telenano.wire.topics import TOPICS, Topic
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,13 +36,6 @@ _PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance", "public_key": "07" * 
 _ELEMENT_TYPES = ("f8", "u1", "i2", "i4", "f4")
 # This is the least integer that a reader loses if it keeps integers as doubles.
 _BEYOND_DOUBLE = 2**53 + 1
-
-
-class _PlainSchema(GenerateJsonSchema):
-    """JSON Schema without a title for every field, which would only repeat the field's name."""
-
-    def field_title_should_be_set(self, schema: object) -> bool:
-        return False
 
 
 @dataclass(frozen=True)
@@ -81,7 +75,7 @@ def schema_of(topic: Topic) -> dict[str, Any]:
 
     `x-added` has the version of a message with each of the keys that may be absent.
     """
-    schema = topic.model.model_json_schema(schema_generator=_PlainSchema)
+    schema = json_schema(topic.model)
     schema["properties"]["v"]["maximum"] = topic.model.version
     if topic.model is not SessionControl:
         # A reader ignores the keys that it does not know; a command with one is refused.
@@ -103,7 +97,7 @@ def examples(topic: Topic) -> Mapping[str, Message]:
     Where keys are optional each case is there without them, as before they were added, and then once more for each
     version that added some, with all until then.
     """
-    schema = topic.model.model_json_schema()
+    schema = json_schema(topic.model)
     added = topic.model.additions
     sets = {"": schema["required"]}
     for number, version in enumerate(sorted(set(added.values()))):
@@ -113,7 +107,7 @@ def examples(topic: Topic) -> Mapping[str, Message]:
     for suffix, keys in sets.items():
         for case in CASES:
             fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema, keys)
-            made[case.name + suffix] = any_range(topic.model, fields)
+            made[case.name + suffix] = decode(topic.name, msgpack.packb(fields))
     return made
 
 
@@ -124,12 +118,18 @@ def vectors() -> list[dict[str, Any]]:
             "message": topic.model.__name__,
             "topic": topic.name,
             "case": case,
-            "fields": message.model_dump(),
+            "fields": present_fields(message),
             "hex": encode(message).hex(),
         }
         for topic in TOPICS.values()
         for case, message in examples(topic).items()
     ]
+
+
+def present_fields(message: Message) -> dict[str, Any]:
+    """Return the fields of a message without those that are absent."""
+    fields: dict[str, Any] = msgpack.unpackb(encode(message), use_list=False)
+    return fields
 
 
 def topic_table() -> str:
@@ -254,7 +254,7 @@ class _Filler:
         steps = np.arange(6 if self._case.filled else 0) - (0 if kind == "u1" else 3)
         elements = (steps * (0.5e-9 if kind[0] == "f" else 1)).astype(kind)
         shaped = elements.reshape((2, -1) if elements.size else (0,))
-        return Array.from_numpy(shaped).model_dump()
+        return fields_of(Array.from_numpy(shaped))
 
     def _object(self, schema: dict[str, Any]) -> dict[str, Any]:
         # The map may hold several kinds of values, and each needs an entry.

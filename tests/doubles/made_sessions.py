@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import numpy as np
 from wire_contract import examples
 
@@ -109,9 +110,9 @@ class Made:
             if self.without(topic, time_s) or (self.end_s is not None and time_s > self.end_s):
                 return
             model = TOPICS[topic].model
-            made = example(topic).model_copy(update={"seq": seq, "t_ns": t_ns, "src": src, **fields})
+            made = msgspec.structs.replace(example(topic), seq=seq, t_ns=t_ns, src=src, **fields)
             if "v" not in fields:
-                made = made.model_copy(update={"v": model.version})
+                made = msgspec.structs.replace(made, v=model.version)
             if site == "master":
                 log_ns = BEGAN_NS + round((time_s + (self.back_s if of_slave else 0.0)) * NS)
             else:
@@ -206,7 +207,7 @@ class Made:
             estimate = found.estimate()
             assert estimate is not None and math.isfinite(estimate.offset_s)
             told = {**estimate._asdict(), "offset_s": estimate.offset_s + self.told_s, "valid": True}
-            clock = example("link/status").clock.model_copy(update=told)
+            clock = msgspec.structs.replace(example("link/status").clock, **told)
             answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns, "v": 2}
             # an earlier version tells no answers
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from free_ports import free_ports
 from wire_contract import examples
 
@@ -46,7 +47,7 @@ def port_of(book: AddressBook, node: str) -> int:
 
 def payload(topic: str, src: str, seq: int) -> bytes:
     """Return a message of a topic as it is on the wire."""
-    return encode(_example(topic).model_copy(update={"src": src, "seq": seq}))
+    return encode(msgspec.structs.replace(_example(topic), src=src, seq=seq))
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from telenano import wire
 from telenano.extend.messages import example
 from telenano.wire import Message
 
@@ -17,7 +18,7 @@ def sample(topic: str, seq: int, **changes: Any) -> Message:
 
 def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
     """Return the fields of a valid message without its header; those that no test asks for as in `sample`."""
-    fields = example(topic).model_dump() | changes
+    fields = wire.fields_of(example(topic)) | changes
     return {name: value for name, value in fields.items() if name not in ("seq", "t_ns", "src", "v")}
 
 

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
+
 from services.afm_node.node import AfmNode
 from services.haptic_node.node import HapticNode
 from telenano.afm import safety
@@ -57,7 +59,7 @@ class _Bus:
             self._world.answers.append(
                 (
                     self._world.clock.monotonic_ns() + self._world.way_ns,
-                    SessionEvent.model_validate({**header, **fields}),
+                    msgspec.convert({**header, **fields}, SessionEvent),
                 )
             )
 
@@ -186,7 +188,7 @@ class World:
         now_ns = self.clock.now_ns()
         model = TOPICS[topic].model
         header = {"seq": 0, "t_ns": now_ns, "src": src, "v": model.version_of(fields)}
-        made: Message = model.model_validate({**header, **fields})
+        made: Message = msgspec.convert({**header, **fields}, model)
         return Received(topic, made, b"", now_ns, Arrival.NEXT)
 
     def send(self, src: str) -> Callable[..., None]:

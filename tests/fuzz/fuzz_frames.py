@@ -16,7 +16,7 @@ from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings, flattened
 from telenano.settings.config import flatten
-from telenano.wire import TOPICS, Topic, encode
+from telenano.wire import TOPICS, Topic, encode, fields_of
 from telenano.wire.messages import Array
 from telenano.wire.nodes import LINK, NODES, name_of
 
@@ -177,7 +177,7 @@ class Frames:
             elements = (
                 np.zeros(rng.choice((0, 1, 7, 100))) if kind[0] != "f" else np.full(rng.choice((0, 1, 100)), 10.0)
             )
-            return Array.from_numpy(elements.astype(kind)).model_dump()
+            return fields_of(Array.from_numpy(elements.astype(kind)))
         if "prefixItems" in schema:
             return [self._value(item, root) for item in schema["prefixItems"]]
         count = rng.choice((0, 1, 2, 30)) if rng.random() < 0.998 else 1024

@@ -48,10 +48,9 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
-from telenano.wire import TOPICS, Message, encode
+from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -82,8 +81,7 @@ class FuzzedBus:
         self._numbers[topic] = seq + 1
         model = TOPICS[topic].model
         header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": self._key, "v": model.version}
-        message = limited(model, {**header, **fields})
-        encode(message)
+        message, _ = compose(topic, {**header, **fields}, lambda text: None)
         self.published += 1
         return message
 

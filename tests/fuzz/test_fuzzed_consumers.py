@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 import zmq
@@ -148,7 +149,7 @@ def test_pages_of_all_roles_and_the_metrics_outlive_them(reader: Subscriber, mes
     assert set(reader.rejected) <= {"schema", "range", "malformed", "oversized", "source", "newer_version"}
     assert sum(hub.left_out.rejected.values()) < 0.05 * len(shown)
     trial = examples(TOPICS["experiment/trial"])["ordinary"]
-    source.waiting.append(("experiment/trial", encode(trial.model_copy(update={"picture_delay_s": 1e9}))))
+    source.waiting.append(("experiment/trial", encode(msgspec.structs.replace(trial, picture_delay_s=1e9))))
     hub.tick()
     assert hub._picture.delay_s < 10.0
 

@@ -111,8 +111,8 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         },
         "CommandClient.__init__: self._sender = os.urandom(8).hex() [8 => 9]": "another number of random bytes tells"
         " senders apart as well",
-        'stop_of: header = {"seq": 0, "t_ns": now_ns, "src": f"estop@{site_of(node)}", "v": 1,'
-        ' "id": os.urandom(12).hex()} [12 => 13]': "another number of random bytes tells stops apart as well",
+        'stop_of: src, number = f"estop@{site_of(node)}", os.urandom(12).hex() [12 => 13]': "another number of random"
+        " bytes tells stops apart as well",
         "CommandClient._issue: self._issued += 1 [1 => 2]": "only that the ids of commands differ counts",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },

@@ -42,7 +42,6 @@ from telenano.rerun.rerun_bus import RerunBus
 from telenano.wire import TOPICS, Message
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmState
-from telenano.wire.typed import typed_form
 
 # shows all that the instrument does
 SHORT_S = 1.3
@@ -251,7 +250,6 @@ def say_more(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         form = telenano.wire.codec._form_of(row)
         monkeypatch.setitem(TOPICS, "afm/state", row)
         monkeypatch.setitem(telenano.wire.codec._FORMS, "afm/state", form)
-        monkeypatch.setitem(telenano.wire.codec._TYPED, "afm/state", typed_form(WarmerState, form.most_bytes))
         monkeypatch.setitem(telenano.wire.codec.MOST_BYTES, WarmerState, form.most_bytes)
         publish_as = RerunBus.publish_as
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import pytest
 from in_memory import InMemory
 from references import REFERENCES
@@ -22,6 +23,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.rerun import rerun as rerun_module
 from telenano.rerun.rerun import RerunResult, rerun
 from telenano.runtime.loop.journal import DEFERRED
+from telenano.wire import fields_of
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import Array, LinkFates
 from telenano.wire.nodes import LINK, name_of, site_of
@@ -206,13 +208,13 @@ def swapped(message: RawMessage, topics: tuple[str, str]) -> bytes:
     fields = msgpack.unpackb(message.payload)
     places = {source["topic"]: place for place, source in enumerate(fields["inputs"])} | {"": -1}
     kinds = tuple(places[topic] for topic in topics)
-    arrays = {name: Array.model_validate(fields[name] | {"shape": tuple(fields[name]["shape"])}) for name in FIELDS}
+    arrays = {name: msgspec.convert(fields[name] | {"shape": tuple(fields[name]["shape"])}, Array) for name in FIELDS}
     columns = {name: found.to_numpy().copy() for name, found in arrays.items()}
     inputs = columns["input"].tolist()
     for place in (n for n, pair in enumerate(pairwise(inputs)) if pair == kinds):
         for name in ("kind", "input", "number"):
             columns[name][[place, place + 1]] = columns[name][[place + 1, place]]
-    return bytes(msgpack.packb(fields | {name: Array.from_numpy(columns[name]).model_dump() for name in FIELDS}))
+    return bytes(msgpack.packb(fields | {name: fields_of(Array.from_numpy(columns[name])) for name in FIELDS}))
 
 
 FIELDS = ("kind", "time_ns", "input", "number")

@@ -40,10 +40,9 @@ from telenano.settings import SITE_DIRECTORY
 from telenano.settings.config import flag_overrides, merge
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.timing.freshness import DELAY_STEP_NS
-from telenano.wire import TOPICS, Message, WireError, decode, decode_header, encode
+from telenano.wire import TOPICS, Message, WireError, compose, decode, decode_header, encode
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -150,7 +149,7 @@ class VirtualBus:
             # what differs between machines and runs, also in its length, which the rate of a link counts
             fields |= {"pid": 1, "cpu_percent": 0.0, "memory_bytes": 1}
         values = {"seq": seq, "t_ns": t_ns, "src": self.key, "v": model.version_of(fields), **fields}
-        message = limited(model, values)
+        message, _ = compose(topic, values, lambda text: None)
         self._rig.carry(topic, message)
         return message
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import msgspec
 import pytest
 from browser_page import PAGE_FOLDER, needs_browser, open_page, until
 from free_ports import free_ports
@@ -30,7 +31,7 @@ def rig_that_follows() -> list[Any]:
         ("afm/state", "afm_node@slave", {"mode": "follow"}),
     ):
         now_ns = time.time_ns()
-        message = examples(TOPICS[topic])["ordinary"].model_copy(update={"t_ns": now_ns, "src": src, **changes})
+        message = msgspec.structs.replace(examples(TOPICS[topic])["ordinary"], t_ns=now_ns, src=src, **changes)
         said.append(seen(topic, src, now_ns, message))
     return said
 

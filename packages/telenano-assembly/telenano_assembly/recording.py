@@ -8,7 +8,7 @@ from telenano_microscopy.virtual_instrument import VirtualInstrument
 from telenano.afm.programs.runner import Report
 from telenano.devices.afm.guarded import Step, line_fields, particle_fields
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.wire import TOPICS, encode
+from telenano.wire import TOPICS, compose
 from telenano.wire.instrument import MOST_TEXT
 
 NAME = "assembly.mcap"
@@ -81,5 +81,6 @@ class AssemblyRecorder:
         self._channels[topic] = channel, seq + 1
         t_ns, model = _BEGAN_NS + round(1e9 * self._instrument.time_s), TOPICS[topic].model
         version = model.version_of([key for key, value in fields.items() if value is not None])
-        message = model(v=version, src=src, seq=seq, t_ns=t_ns, **fields)
-        self._writer.write(channel, t_ns, t_ns, seq, encode(message))
+        header = {"v": version, "src": src, "seq": seq, "t_ns": t_ns}
+        _, payload = compose(topic, {**header, **fields}, lambda text: None)
+        self._writer.write(channel, t_ns, t_ns, seq, payload)

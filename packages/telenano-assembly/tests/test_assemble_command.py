@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from telenano_assembly.find import sphere_m
@@ -65,7 +66,7 @@ def judge_recording(path: Path) -> None:
     assert any(one["values"]["in_contact"] for one in programs if one["program"] == "push")
     told = [message.fields()["text"] for message in recording.messages(("session/event",))]
     assert told[0] == "1 particles were found" and "particle 0: the particle is at its goal" in told
-    places = [AfmParticles.model_validate(row.fields()).places_m for row in recording.messages(("afm/particles",))]
+    places = [msgspec.convert(row.fields(), AfmParticles).places_m for row in recording.messages(("afm/particles",))]
     assert math.dist(places[-1].to_numpy()[0], (3e-7, 0.0)) < 20e-9
 
 

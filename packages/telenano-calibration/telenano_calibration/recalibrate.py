@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from telenano.devices.afm.converter_calibration import InstrumentCalibration
 from telenano.devices.hand.calibration import HandleCalibration
 from telenano.numerics.frames import to_site_frame
@@ -53,7 +55,7 @@ def recalibrate(
                     wanted = identities.get(health.src.partition("@")[0])
                     if wanted:
                         _require_same_device(source, health.calibration, wanted)
-                        message = message._replace(payload=encode(health.model_copy(update={"calibration": wanted})))
+                        message = message._replace(payload=encode(msgspec.structs.replace(health, calibration=wanted)))
             writer.add(message)
         for topic, count in again.items():
             if not count:
@@ -80,18 +82,17 @@ def _hand(message: Message, calibration: HandleCalibration) -> Message | None:
         update["operator_force_n"] = to_site_frame(calibration.operator_force_n(message.operator_force_raw))
     if message.drive_raw is not None:
         update["motor_force_n"] = to_site_frame(calibration.drive_force_n(message.drive_raw))
-    return message.model_copy(update=update)
+    return msgspec.structs.replace(message, **update)
 
 
 def _tip(message: Message, calibration: InstrumentCalibration) -> Message | None:
     if not isinstance(message, AfmState) or message.output_v is None or message.input_v is None:
         return None
     sample = calibration.readings(message.output_v, message.input_v).sample
-    return message.model_copy(
-        update={
-            "base_position_m": to_site_frame(sample.base_m),
-            "deflection_m": sample.deflection_m,
-            "tip_force_n": (0.0, 0.0, sample.force_n),
-            "in_contact": sample.in_contact,
-        }
+    return msgspec.structs.replace(
+        message,
+        base_position_m=to_site_frame(sample.base_m),
+        deflection_m=sample.deflection_m,
+        tip_force_n=(0.0, 0.0, sample.force_n),
+        in_contact=sample.in_contact,
     )

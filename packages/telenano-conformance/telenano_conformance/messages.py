@@ -5,9 +5,8 @@ from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import msgpack
-from pydantic import ValidationError
 
-from telenano.extend.messages import TOPICS, decode
+from telenano.extend.messages import TOPICS, Fault, decode, faults_of, required_keys
 from telenano_conformance.rules import Account
 
 _S = 1_000_000_000
@@ -23,7 +22,16 @@ NO_NODES = ("session/control", "operator/force", "experiment/answer")
 # A client has some tens of streams; one that makes up names of sources fills no memory.
 _MOST_STREAMS = 1000
 _LONGEST_SOURCE = 100
-_CONTENT = ("required keys", "further keys", "types", "words", "ranges")
+_RULE_OF_FAULT = {
+    "missing": "required keys",
+    "unknown": "further keys",
+    "type": "types",
+    "record": "types",
+    "word": "words",
+    "bounds": "ranges",
+    "range": "ranges",
+}
+_CONTENT = tuple(dict.fromkeys(_RULE_OF_FAULT.values()))
 
 
 class Sent(NamedTuple):
@@ -125,40 +133,36 @@ class MessageExaminer:
             if (rule := _REASONS.get(getattr(error, "reason", ""))) is not None:
                 account.fail(rule, str(error))
                 return None
-        account.hold("size", "msgpack")
-        fields: dict[str, Any] = msgpack.unpackb(payload, use_list=False)
-        try:
-            TOPICS[topic].model.model_validate(fields)
-        except ValidationError as error:
-            if not self._faults(topic, fields, error):
-                return None
-        else:
-            account.hold(*_CONTENT)
-        return fields
+        account.hold("size")
+        pairs: list[int] = []
 
-    def _faults(self, topic: str, fields: dict[str, Any], error: ValidationError) -> bool:
-        """Tell what is wrong with the fields; return whether they are meant for this topic."""
-        faults = error.errors(include_url=False)
-        missing = [fault for fault in faults if fault["type"] == "missing" and len(fault["loc"]) == 1]
-        other = next((name for name in TOPICS if _has_the_keys(name, fields)), "") if missing else ""
+        def note(found: list[tuple[str, Any]]) -> dict[str, Any]:
+            pairs.append(len(found) - len(dict(found)))
+            return dict(found)
+
+        try:
+            fields: dict[str, Any] = msgpack.unpackb(payload, use_list=False, object_pairs_hook=note)
+        except ValueError as error:
+            account.fail("msgpack", f"{topic}: {error}")
+            return None
+        if any(pairs):
+            account.fail("msgpack", f"{topic}: a map has a key twice, of which a reader takes the last")
+        else:
+            account.hold("msgpack")
+        faults = faults_of(TOPICS[topic].model, fields)
+        if not faults:
+            account.hold(*_CONTENT)
+        return fields if self._is_meant(topic, fields, faults) else None
+
+    def _is_meant(self, topic: str, fields: dict[str, Any], faults: Sequence[Fault]) -> bool:
+        """Report what is wrong with the fields; return whether they are meant for this topic."""
+        is_short = any(fault.kind == "missing" and fault.key in required_keys(topic) for fault in faults)
+        other = next((name for name in TOPICS if _has_the_keys(name, fields)), "") if is_short else ""
         if other:
             self._account.fail("topic", f"on {topic} comes a message with the keys of {other}")
             return False
         for fault in faults:
-            kind, key = fault["type"], ".".join(map(str, fault["loc"]))
-            text = f"{topic}: {key}: {fault['msg']}"
-            if kind == "missing" and isinstance(fault["loc"][-1], str):
-                self._account.fail("required keys", f"{topic}: {key} is missing")
-            elif kind == "extra_forbidden":
-                self._account.fail("further keys", f"{topic}: {key} is not in the schema")
-            elif kind in ("literal_error", "string_pattern_mismatch", "string_too_long", "string_too_short"):
-                self._account.fail("words", f"{text}, and not {fault['input']!r}"[:200])
-            elif kind in ("less_than_equal", "greater_than_equal", "less_than", "greater_than", "finite_number"):
-                self._account.fail("ranges", f"{text}, and not {fault['input']!r}"[:200])
-            elif kind == "missing":
-                self._account.fail("types", f"{topic}: {key} is not there: the array is too short")
-            else:
-                self._account.fail("types", f"{text}, and not {type(fault['input']).__name__}")
+            self._account.fail(_RULE_OF_FAULT[fault.kind], f"{topic}: {fault.text}"[:200])
         return True
 
     def _header_is_whole(self, topic: str, fields: dict[str, Any]) -> list[bool]:
@@ -264,5 +268,4 @@ class MessageExaminer:
 
 def _has_the_keys(topic: str, fields: dict[str, Any]) -> bool:
     """Return whether a message has the keys of a topic."""
-    known = TOPICS[topic].model.model_fields
-    return {key for key, field in known.items() if field.is_required()} <= fields.keys() <= known.keys()
+    return required_keys(topic) <= fields.keys() <= set(TOPICS[topic].model.__struct_fields__)

@@ -1,5 +1,9 @@
 """What participants are asked: consent, NASA-TLX without weights, rating scales and choices, as data of the bus."""
 
+from typing import Any
+
+import msgspec
+
 from telenano.extend.tasks import choice, scale
 from telenano.wire.experiment_messages import Question
 
@@ -14,8 +18,8 @@ CONSENT = choice("consent", "Do you agree to take part?", ("yes", "no"))
 
 def worded(question: Question, text: str, low: str = "", high: str = "", options: tuple[str, ...] = ()) -> Question:
     """Return a question in other words; what is empty stays as it is."""
-    own = {"text": text, "low": low, "high": high, "options": options}
-    return question.model_copy(update={key: value for key, value in own.items() if value})
+    own: dict[str, Any] = {"text": text, "low": low, "high": high, "options": options}
+    return msgspec.structs.replace(question, **{key: value for key, value in own.items() if value})
 
 
 def _load(name: str, text: str, low: str = "Very low", high: str = "Very high") -> Question:

@@ -1,5 +1,6 @@
 """A program of the instrument as a person sees it: its bar, and the options that a running rig decides."""
 
+import msgspec
 import pytest
 from telenano_microscopy.program_view import bar_of, refuse_foreign
 
@@ -15,7 +16,7 @@ def test_a_bar_shows_how_far_it_is_and_the_keys() -> None:
     text = bar_of(report)
     assert (text.count("━"), text.count("╌")) == (15, 15)
     assert "32/64  paused  (space: pause, q: end)" in text
-    assert bar_of(report.model_copy(update={"program": "curve", "lines": 0})).endswith("(q: end)")
+    assert bar_of(msgspec.structs.replace(report, program="curve", lines=0)).endswith("(q: end)")
 
 
 def test_options_that_the_rig_decides_are_refused_by_name() -> None:

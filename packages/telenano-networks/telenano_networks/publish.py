@@ -3,17 +3,18 @@
 import time
 from typing import Any
 
+import msgspec
+
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.participant import open_participant
 from telenano.settings.config import flag_overrides
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError
-from telenano.wire.messages import Message
 from telenano.wire.nodes import name_of
 
 # Readers of the endpoint take about so long to notice that it is there.
 _CONNECT_S = 0.5
-_OWN = set(Message.model_fields)
+_OWN = {"seq", "t_ns", "src", "v"}
 
 
 def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, count: int | None) -> int:
@@ -38,19 +39,19 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
     given: Any = flag_overrides([f"fields={text}"])["fields"]
     if not isinstance(given, dict):
         raise ConfigError(f"{topic}: the fields must be a mapping, such as {{force_n: [0, 0, -0.5]}}")
-    unknown = sorted(set(given) - set(row.model.model_fields))
-    missing = sorted(set(row.model.model_fields) - set(given) - set(row.model.additions) - _OWN)
+    declared = msgspec.structs.fields(row.model)
+    unknown = sorted(set(given) - {field.name for field in declared})
+    missing = sorted({field.name for field in declared if field.required} - set(given) - _OWN)
     if unknown or missing:
         words = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
         raise ConfigError(f"{topic}: {'; '.join(words)}; `telenano topic info {topic}` lists the fields")
-    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
     sent = 0
     with open_participant(src, book) as participant:
         publisher = participant.bind(src)
         time.sleep(_CONNECT_S)
         try:
             while count is None or sent < count:
-                publisher.publish(topic, **fields)
+                publisher.publish(topic, **given)
                 sent += 1
                 if count is None or sent < count:
                     time.sleep(1.0 / rate_hz)

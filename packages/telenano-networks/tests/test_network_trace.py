@@ -3,6 +3,7 @@
 import random
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
@@ -82,7 +83,7 @@ def test_what_says_nothing_of_a_network_is_refused_or_left_out() -> None:
     none = np.zeros(0, dtype="i8")
     fields = {name: Array.from_numpy(none) for name in ("number", "arrived_ns", "delay_ns")}
     fields["lost_flag"] = Array.from_numpy(none.astype("u1"))
-    silent = [report.model_copy(update=fields) for report in reports("backward", count=60)]
+    silent = [msgspec.structs.replace(report, **fields) for report in reports("backward", count=60)]
     with pytest.raises(TelenanoError, match="backward: 0 datagrams arrived, too few"):
         traces_of(silent)
     forward = traces_of(reports("forward"))["forward"]
@@ -106,7 +107,7 @@ def test_what_was_lost_in_the_last_second_counts_before_it_is_reported() -> None
         # a second of a thousand a second
         told = (columns["lost_flag"] == 0) | (columns["number"] < 3000)
         kept = {name: Array.from_numpy(np.ascontiguousarray(values[told])) for name, values in columns.items()}
-        cut.append(report.model_copy(update=kept))
+        cut.append(msgspec.structs.replace(report, **kept))
     expected, found = (traces_of(given)["forward"] for given in (whole, cut))
     assert expected.lost[-900:].any()
     assert np.array_equal(found.lost, expected.lost)
@@ -118,11 +119,11 @@ def test_what_a_report_left_out_over_a_full_line_is_not_counted_as_lost() -> Non
     whole, arrived = reports("forward"), 0
     for place, report in enumerate(whole):
         arrived += int((report.lost_flag.to_numpy() == 0).sum())
-        whole[place] = report.model_copy(update={"arrived": arrived})
+        whole[place] = msgspec.structs.replace(report, arrived=arrived)
     names = ("number", "arrived_ns", "delay_ns", "lost_flag")
     told = [*whole]
-    told[-2] = whole[-2].model_copy(
-        update={name: Array.from_numpy(getattr(whole[-2], name).to_numpy()[:0]) for name in names}
+    told[-2] = msgspec.structs.replace(
+        whole[-2], **{name: Array.from_numpy(getattr(whole[-2], name).to_numpy()[:0]) for name in names}
     )
     expected, found = (traces_of(given)["forward"] for given in (whole, told))
     assert expected.lost.sum() - 30 <= found.lost.sum() <= expected.lost.sum()
@@ -179,7 +180,7 @@ def measured(jitter: str) -> tuple[list[LinkNetwork], dict[str, np.ndarray]]:
             columns = {"number": number, "arrived_ns": left_ns + transit[rows], "delay_ns": delay_ns}
             arrays = {key: Array.from_numpy(values) for key, values in columns.items()}
             lost = Array.from_numpy(np.zeros(500, dtype="u1"))
-            made.append(template.model_copy(update={"seq": seq, "clock": clock, "lost_flag": lost, **arrays}))
+            made.append(msgspec.structs.replace(template, seq=seq, clock=clock, lost_flag=lost, **arrays))
     return made, delays
 
 

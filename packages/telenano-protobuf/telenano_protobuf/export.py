@@ -2,7 +2,16 @@
 
 from pathlib import Path
 
-from telenano.extend.exports import CopyResult, Payload, Recording, Selection, model_of, plain_schema, write_viewer_mcap
+from telenano.extend.exports import (
+    CopyResult,
+    Payload,
+    Recording,
+    Selection,
+    json_schema,
+    model_of,
+    plain_schema,
+    write_viewer_mcap,
+)
 from telenano_protobuf.message import ProtobufMessage
 
 
@@ -23,5 +32,5 @@ def _payload_of(topic: str) -> Payload:
         unknown = ProtobufMessage("Unknown", {"properties": {"json": {"type": "object"}}})
         described = (unknown.name, "protobuf", unknown.descriptor_set)
         return Payload("protobuf", described, lambda fields: unknown.encode({"json": fields}))
-    message = ProtobufMessage(model.__name__, plain_schema(model.model_json_schema()))
+    message = ProtobufMessage(model.__name__, plain_schema(json_schema(model)))
     return Payload("protobuf", (message.name, "protobuf", message.descriptor_set), message.encode)

@@ -109,7 +109,7 @@ def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
         }
         fields = [
             {"field": field, "unit": quantity(name, field).unit, "about": quantity(name, field).description}
-            for field in row.model.model_fields
+            for field in row.model.__struct_fields__
         ]
     if as_json:
         print_json({**facts, "fields": fields})

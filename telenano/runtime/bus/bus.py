@@ -11,10 +11,9 @@ import zmq
 
 from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from telenano.timing.clock import NEVER_NS, Clock
-from telenano.wire import TOPICS, WireError, accept, decode_header
+from telenano.wire import TOPICS, WireError, accept, read_header
 from telenano.wire.codec import MAX_MESSAGE_BYTES
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival, SequenceTracker
 
@@ -192,7 +191,7 @@ class Subscriber:
             return None
         topic = self._conflated[frames[0]]
         try:
-            (seq, t_ns, src), _ = decode_header(topic, frames[1])
+            seq, t_ns, src = read_header(topic, frames[1])
             if self.permit is not None:
                 self.permit(topic, src)
         except WireError:
@@ -473,15 +472,14 @@ def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
 
 def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:
     received = tracker.received > 0
-    figures = {
-        "topic": topic,
-        "src": src,
-        "received": tracker.received,
-        "lost": tracker.lost,
-        "gaps": tracker.gaps,
-        "repeated": tracker.late + tracker.duplicates,
-        "restarts": tracker.restarts,
-        "age_valid": received,
-        "age_s": (now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
-    }
-    return limited(InputHealth, figures)
+    return InputHealth(
+        topic=topic,
+        src=src,
+        received=tracker.received,
+        lost=tracker.lost,
+        gaps=tracker.gaps,
+        repeated=tracker.late + tracker.duplicates,
+        restarts=tracker.restarts,
+        age_valid=received,
+        age_s=(now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
+    )

@@ -55,11 +55,8 @@ class _NumberingPublisher(ABC):
     def publish(self, topic: str, **fields: Any) -> Message:
         """Send a message on a topic; the header is filled in, and what is beyond its range is sent as the nearer end.
 
-        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
-
         Raises:
-            pydantic.ValidationError: The fields do not make a valid message.
-            WireError: The message is too large.
+            WireError: The fields do not make a valid message, or one that is too large.
         """
         seq = self._sequence.get(topic, 0)
         version = _VERSIONS.get(topic) or TOPICS[topic].model.version_of(fields)

@@ -14,7 +14,7 @@ from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.bus.publisher import SPARSE
 from telenano.runtime.datagram.sparse import WANTED_NS
 from telenano.timing.clock import NEVER_NS
-from telenano.wire import WireError, decode_header
+from telenano.wire import WireError, read_header
 from telenano.wire.topics import LOOP_DEADLINE_S
 
 # After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
@@ -125,7 +125,7 @@ class Reception:
         if self.silence_ns(now_ns) <= WANTED_NS or frames[-1] == self._whole:
             return None
         with contextlib.suppress(WireError):
-            (seq, t_ns, src), _ = decode_header(topic.decode(), frames[-1])
+            seq, t_ns, src = read_header(topic.decode(), frames[-1])
             tracker = self._subscriber.trackers.get((topic.decode(), src))
             if tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns:
                 return None

@@ -9,7 +9,6 @@ from telenano.runtime.datagram.arrivals import ArrivalRecord
 from telenano.runtime.datagram.outgoing import Outgoing
 from telenano.timing.clock_offset import Offset
 from telenano.wire.messages import Array, LinkClock
-from telenano.wire.ranges import limited
 
 
 def network_report(
@@ -68,4 +67,4 @@ def clock_report(offset: Offset | None) -> LinkClock:
     """Return what is known of the other clock."""
     if offset is None:
         return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-    return limited(LinkClock, {"valid": True, **offset._asdict()})
+    return LinkClock(valid=True, **offset._asdict())

@@ -475,5 +475,5 @@ def _giver(control: SessionControl) -> dict[str, Scalar]:
 
 def stop_of(node: str, now_ns: int) -> SessionControl:
     """Return an emergency stop for a node (node@site) that no sender has sent, of `now_ns` [ns]."""
-    header = {"seq": 0, "t_ns": now_ns, "src": f"estop@{site_of(node)}", "v": 1, "id": os.urandom(12).hex()}
-    return SessionControl.model_validate({**header, "command": "estop", "target": node, "parameters": {}})
+    src, number = f"estop@{site_of(node)}", os.urandom(12).hex()
+    return SessionControl(seq=0, t_ns=now_ns, src=src, v=1, id=number, command="estop", target=node, parameters={})

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
@@ -12,6 +11,7 @@ from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.sample.surface import height_at
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.settings.config import validate
+from telenano.wire import WireError
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.node_state import pack, restore
 
@@ -234,7 +234,7 @@ def test_what_cannot_be_imaged_is_refused_and_the_tip_stays_away(afm: Imager, ch
 def test_a_gain_that_is_no_number_comes_neither_by_a_message_nor_in_a_scenario(
     afm: Imager, key: str, value: float
 ) -> None:
-    with pytest.raises(ValidationError, match=f"scan.{key}"):
+    with pytest.raises(WireError, match=f"scan.{key} is {value}, must be a finite number"):
         afm.set(**parameters(**{f"scan__{key}": value}))
     with pytest.raises(ConfigError, match=f"begin.scan.{key}: Input should be a finite number, got {value}"):
         validate(AfmConfig, {"begin": {"program": "scan", "scan": {key: value}}}, "s.yaml", "afm_node")

@@ -1,14 +1,18 @@
 """Truth and estimate are two things: no node and no plan can know where the particles of a simulation are."""
 
 from pathlib import Path
-from typing import Literal
+
+import msgpack
+import pytest
+from wire_contract import examples
 
 from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
-from telenano.wire import TOPICS
+from telenano.wire import TOPICS, WireError, accept, fields_of
 from telenano.wire.instrument import AfmParticles
+from telenano.wire.schema import json_schema
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"
@@ -42,5 +46,7 @@ def test_the_truth_is_recorded_and_goes_to_no_other_machine_and_to_no_node() -> 
 
 
 def test_a_message_of_the_truth_is_marked_as_simulated() -> None:
-    fields = AfmParticles.model_fields
-    assert fields["simulated"].annotation == Literal[True]
+    assert json_schema(AfmParticles)["properties"]["simulated"]["const"] is True
+    truth = fields_of(examples(TOPICS[TRUTH])["ordinary"])
+    with pytest.raises(WireError, match="simulated must be true"):
+        accept(TRUTH, msgpack.packb({**truth, "simulated": False}))

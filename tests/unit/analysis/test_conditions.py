@@ -11,7 +11,7 @@ from telenano.analysis.report import read_session
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.settings.scenario import Scenario
-from telenano.wire import encode
+from telenano.wire import encode, fields_of
 
 SCENARIO = Scenario(
     name="trial", description="", duration_s=1.0, controller={"law": "wave"}, delay_node={"profile": "lte", "seed": 7}
@@ -24,7 +24,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path_factory.mktemp("conditions")))
     ways = {}
     for way, delay_s in (("forward", 0.02), ("backward", 0.03)):
-        given = sample("link/status", 0).model_dump()[way]
+        given = fields_of(sample("link/status", 0))[way]
         ways[way] = given | {"delay_valid": True, "delay_mean_s": delay_s, "delay_min_s": 0.0, "delay_max_s": 0.1}
     messages = []
     for n in range(10):
@@ -77,7 +77,7 @@ def test_the_least_and_the_greatest_delay_of_a_link_are_those_of_its_reports(tmp
     writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path))
     channel = writer.channel("link/status", "delay_node@master", "master")
     for n, delay_s in enumerate((0.0, 0.0, 0.0, 0.2)):
-        way = sample("link/status", 0).model_dump()["forward"]
+        way = fields_of(sample("link/status", 0))["forward"]
         way |= {"delay_valid": True, "delay_mean_s": delay_s, "delay_min_s": 0.0, "delay_max_s": 0.3}
         t_ns = EPOCH_NS + n * MILLISECOND_NS
         message = sample("link/status", n, src="delay_node@master", t_ns=t_ns, forward=way, backward=way)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import pytest
 from wire_contract import examples
 
@@ -13,7 +14,7 @@ BASE = examples(TOPICS[TOPIC])["ordinary"]
 
 
 def message(seq: int, topic: str = TOPIC, **changed: object) -> Forwarded:
-    return Forwarded(topic, encode(BASE.model_copy(update={"seq": seq, **changed})), 1000 + seq)
+    return Forwarded(topic, encode(msgspec.structs.replace(BASE, seq=seq, **changed)), 1000 + seq)
 
 
 def unknown(seq: int) -> Forwarded:

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import zmq
@@ -163,7 +164,7 @@ def test_a_running_rig_is_read(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/hand"
     site = tmp_path / "site.yaml"
     site.write_text(f"nodes: {{haptic_node@master: '{endpoint}'}}\n")
-    given = sample("haptic/state", 0, session_s=2.5).__dict__
+    given = msgspec.structs.asdict(sample("haptic/state", 0, session_s=2.5))
     fields = {name: value for name, value in given.items() if name not in ("seq", "t_ns", "src", "v")}
     with pytest.raises(RigError, match="no rig of this site file runs on this machine"), telenano.live(site):
         pass

@@ -14,10 +14,10 @@ from services.viz_node.requests import COMMANDS
 from telenano.cli.commands import session as session_command
 from telenano.cli.root import app
 from telenano.console.coupling import couple
+from telenano.extend.messages import example
 from telenano.runtime.loop.commands import Command
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import RigError
-from telenano.wire.messages import AfmState, HapticState, TeleopBackward
 
 HAND: dict[str, Any] = {
     "position_m": (0.0, 0.0, 0.0), "velocity_m_per_s": (0.0, 0.0, 0.0), "operator_force_n": (0.0, 0.0, 0.0),
@@ -52,11 +52,11 @@ class Told:
             self._t_ns += round(duration_s * 0.25e9)
             x, y, z = self.hand["position_m"]
             self.hand["position_m"] = (x, y, z + self.moves_m)
-            for model, source, fields in (
-                (HapticState, "haptic_node@master", self.hand),
-                (TeleopBackward, "controller@slave", self.tip),
+            for topic, source, fields in (
+                ("haptic/state", "haptic_node@master", self.hand),
+                ("teleop/backward", "controller@slave", self.tip),
             ):
-                yield model.model_construct(seq=0, t_ns=self._t_ns, src=source, v=1, **fields)
+                yield example(topic, t_ns=self._t_ns, src=source, **fields)
 
     def send(self, command: Command, retry_s: float = 0.0) -> str:
         self.sent.append(command.name)
@@ -138,7 +138,7 @@ def test_silent_rig_is_named() -> None:
 
 def test_states_of_the_instrument_tell_where_the_base_is_and_that_it_is_stopped() -> None:
     rig = Told()
-    state = AfmState.model_construct(t_ns=2, src="afm_node@slave", mode="estop", base_position_m=(0.0, 0.0, 1e-9))
+    state = example("afm/state", t_ns=2, src="afm_node@slave", mode="estop", base_position_m=(0.0, 0.0, 1e-9))
     follow = rig.look
     rig.look = lambda duration_s: iter([*follow(duration_s), state])  # type: ignore[method-assign]
     with pytest.raises(RigError, match="nothing has moved: a device is in emergency stop"):

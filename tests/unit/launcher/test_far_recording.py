@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -181,10 +182,10 @@ def test_a_file_that_becomes_shorter_and_one_that_grows(far: Path, tmp_path: Pat
     pieces = [piece for _, piece in sender.sent]
     part.add(pieces[0])
     with pytest.raises(RecordingError, match="after"):
-        part.add(pieces[1].model_copy(update={"size_bytes": pieces[1].size_bytes - 1}))
+        part.add(msgspec.structs.replace(pieces[1], size_bytes=pieces[1].size_bytes - 1))
     # a recorder that goes on recording: what there was at first is fetched
     for piece in pieces[1:]:
-        part.add(piece.model_copy(update={"size_bytes": piece.size_bytes + 1000}))
+        part.add(msgspec.structs.replace(piece, size_bytes=piece.size_bytes + 1000))
     assert part.is_whole
     part.finish()
 

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from launcher_bench import SECOND_NS, FakeChildren, health
 
@@ -179,7 +180,7 @@ def test_a_page_whose_server_hangs_is_killed_and_started_again() -> None:
         reported.append(text)
 
     supervisor.launch(report)
-    supervisor.record_health(health(PAGE).model_copy(update={"pid": 2}), report)
+    supervisor.record_health(msgspec.structs.replace(health(PAGE), pid=2), report)
     while children.started.count(PAGE) < 2 and clock.monotonic_ns() < 10 * SECOND_NS:
         clock.advance_ns(SECOND_NS // 20)
         supervisor.handle_hangs(report)
@@ -194,7 +195,7 @@ def test_a_page_whose_server_hangs_is_killed_and_started_again() -> None:
 def pid_of_page(plan: Plan) -> int:
     found = receive_health(endpoint_of(PAGE, plan.site_file), PAGE, PATIENCE_S)
     assert found is not None
-    assert set(found) <= set(NodeHealth.model_fields)
+    assert set(found) <= set(NodeHealth.__struct_fields__)
     return int(found["pid"])
 
 

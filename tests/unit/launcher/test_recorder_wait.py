@@ -1,5 +1,6 @@
 """A recorder that has to catch up at the end of a session, in virtual time."""
 
+import msgspec
 import pytest
 from launcher_bench import SECOND_NS, health, row
 
@@ -112,7 +113,7 @@ FAR = ("afm_node@slave", "controller@slave")
 
 
 def stamped(node: str, t_ns: int, uptime_s: float, *rows: InputHealth) -> NodeHealth:
-    return health(node, inputs=rows, uptime_s=uptime_s).model_copy(update={"t_ns": t_ns})
+    return msgspec.structs.replace(health(node, inputs=rows, uptime_s=uptime_s), t_ns=t_ns)
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, 37.0, -37.0])

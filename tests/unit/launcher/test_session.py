@@ -1,6 +1,7 @@
 from io import StringIO
 from typing import Any
 
+import msgspec
 import pytest
 from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
 from rich.console import Console
@@ -335,7 +336,7 @@ def test_the_live_view_draws_every_phase() -> None:
 def test_the_live_view_has_the_health_of_each_node_under_its_heading() -> None:
     rig = Rig()
     found = health("afm_node@slave", "safe", inputs=(row("afm/command", "a@b", age_s=0.5),), uptime_s=3.0)
-    rig.receive(found.model_copy(update={"rejected": {"source": 3}, "memory_bytes": 57_000_000}), "node/health")
+    rig.receive(msgspec.structs.replace(found, rejected={"source": 3}, memory_bytes=57_000_000), "node/health")
     text = StringIO()
     Console(file=text, width=140).print(nodes_table(rig.session))
     cells = [[cell.strip() for cell in line.strip("┃│").split(line[0])] for line in text.getvalue().splitlines()]

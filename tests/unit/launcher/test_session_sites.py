@@ -3,6 +3,7 @@
 from io import StringIO
 from pathlib import Path
 
+import msgspec
 from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
 from rich.console import Console
 
@@ -237,7 +238,7 @@ def test_the_master_waits_at_the_end_for_what_the_slave_sent_last_and_names_what
         now_ns = rig.clock.now_ns()
         rows = tuple(row("node/health", node, age_s=recorded_s_ago) for node in SLAVE)
         for node, inputs in (*((node, ()) for node in (*MASTER[1:], *SLAVE)), (MASTER[0], rows)):
-            rig.receive(health(node, inputs=inputs).model_copy(update={"t_ns": now_ns}), "node/health")
+            rig.receive(msgspec.structs.replace(health(node, inputs=inputs), t_ns=now_ns), "node/health")
         rig.tick()
 
     for _ in range(45):

@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, FakeChildren, health
 
@@ -53,7 +54,7 @@ class Bench:
         self.reported.append((str(data.get("state", "")), text))
 
     def say(self, node: str, state: str = "running", process_id: int | None = None) -> None:
-        message = health(node, state=state).model_copy(update={"pid": process_id or self.pids[node]})
+        message = msgspec.structs.replace(health(node, state=state), pid=process_id or self.pids[node])
         self.supervisor.record_health(message, self.report)
 
     def run(self, duration_s: float, *, silent: tuple[str, ...] = (), tick_s: float = TICK_NS * 1e-9) -> None:

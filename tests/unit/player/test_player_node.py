@@ -5,6 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import yaml
 import zmq
@@ -25,7 +26,7 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import decode, encode
+from telenano.wire import decode, encode, fields_of
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
 from telenano.wire.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.nodes import PLAYER
@@ -109,8 +110,8 @@ class Stage:
         return found
 
     def command(self, name: str = "set", **parameters: Any) -> str:
-        fields = {**session_control(0).__dict__, "command": name, "target": "player", "parameters": parameters}
-        return self.player.on_control(SessionControl.model_validate(fields))
+        fields = {**fields_of(session_control(0)), "command": name, "target": "player", "parameters": parameters}
+        return self.player.on_control(msgspec.convert(fields, SessionControl))
 
     def close(self) -> None:
         self.reader.close()
@@ -354,14 +355,14 @@ def test_a_recorded_command_is_sent_as_one_of_now(stage: Callable[..., Stage], t
     assert [message.seq for message in sent] == [0, 1]
     # with their own times they would have expired
     assert all(0 <= rig.clock.now_ns() - message.t_ns <= 60 * MILLISECOND_NS for message in sent)
-    played = [message.model_copy(update={"t_ns": 0}) for message in sent]
-    assert played == [session_control(seq).model_copy(update={"t_ns": 0}) for seq in range(2)]
+    played = [msgspec.structs.replace(message, t_ns=0) for message in sent]
+    assert played == [msgspec.structs.replace(session_control(seq), t_ns=0) for seq in range(2)]
 
 
 def test_a_recorded_arm_releases_no_emergency_stop_of_now(stage: Callable[..., Stage], tmp_path: Path) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     channel = writer.channel("session/control", "launcher@master", "slave")
-    quoting = session_control(0).model_copy(update={"node_latch": {"afm_node@slave": "5d0c-1"}, "v": 3})
+    quoting = msgspec.structs.replace(session_control(0), node_latch={"afm_node@slave": "5d0c-1"}, v=3)
     writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(quoting))
     writer.finish()
     rig = stage(writer.path, Selection())
@@ -449,7 +450,7 @@ def test_messages_of_another_version_are_named_before_they_are_played(tmp_path: 
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     hand = writer.channel("haptic/state", HAND, "master")
     for seq in range(3):
-        newer = haptic_state(seq).model_copy(update={"v": 5})
+        newer = msgspec.structs.replace(haptic_state(seq), v=5)
         writer.write(hand, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(newer))
     writer.finish()
     recording = Recording(writer.path)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import pytest
 import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
@@ -18,7 +19,7 @@ from telenano.recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, Rej
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.security.peer_connections import MessagePermissions
-from telenano.wire import MAX_MESSAGE_BYTES, Message, encode
+from telenano.wire import MAX_MESSAGE_BYTES, Message, encode, fields_of
 from telenano.wire.ends import end_data
 from telenano.wire.messages import SessionControl
 
@@ -221,8 +222,8 @@ def test_an_emergency_stop_at_the_inlet_is_recorded_at_the_site_of_its_sender(
 ) -> None:
     inlet = listen("estop")
     for site in ("master", "slave"):
-        fields = {**session_control(0).model_dump(), "src": f"estop@{site}", "command": "estop"}
-        stop = SessionControl.model_validate(fields)
+        fields = {**fields_of(session_control(0)), "src": f"estop@{site}", "command": "estop"}
+        stop = msgspec.convert(fields, SessionControl)
         assert intake.record(inlet, frames("session/control", stop), EPOCH_NS) is not None
     channels = recorded(intake).channels
     assert [(c.channel_topic, c.src, c.site, c.via) for c in channels] == [

@@ -31,9 +31,8 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.runtime.wiring.main import Wiring
 from telenano.runtime.wiring.transport import Transport
 from telenano.timing.clock import SystemClock
-from telenano.wire import TOPICS, Message, encode
+from telenano.wire import TOPICS, Message, compose, encode
 from telenano.wire.messages import InputHealth, SessionEvent
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -51,7 +50,7 @@ class QuietBus:
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
         header = {"seq": len(self.published), "t_ns": self.clock.now_ns(), "src": NODE, "v": model.version}
-        message = limited(model, {**header, **fields})
+        message, _ = compose(topic, {**header, **fields}, lambda text: None)
         self.published.append((topic, message))
         return message
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
@@ -23,7 +24,7 @@ from telenano.runtime.loop.node import NodeContext
 from telenano.settings.config import validate
 from telenano.wire import Message, encode
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError
-from telenano.wire.messages import SessionControl, SessionEvent
+from telenano.wire.messages import SessionEvent
 
 SECOND_NS = 1_000_000_000
 
@@ -65,9 +66,7 @@ class RecorderRig:
 
     def command(self, **parameters: Any) -> str:
         return self.node.on_control(
-            SessionControl.model_validate(
-                {**session_control(0).__dict__, "command": "set", "parameters": parameters, "target": "recorder"}
-            )
+            msgspec.structs.replace(session_control(0), command="set", parameters=parameters, target="recorder")
         )
 
     def files(self) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 from wire_contract import examples
 
@@ -22,12 +23,12 @@ def write(
     writer = RecordingWriter.create(node, FileSettings(directory=folder, file_name=f"{site}.mcap"))
     writer.add_metadata("recording", {"node": node})
     for topic, src, seq, log_ns in sorted(rows, key=lambda row: row[3]):
-        made = examples(TOPICS[topic])["ordinary"].model_copy(update={"src": src, "seq": seq, "t_ns": log_ns})
+        made = msgspec.structs.replace(examples(TOPICS[topic])["ordinary"], src=src, seq=seq, t_ns=log_ns)
         writer.write(writer.channel(topic, src, site), log_ns, log_ns, seq, encode(made))
     for seq, (offset_s, uncertainty_s) in enumerate(clocks):
         status = examples(TOPICS["link/status"])["ordinary"]
         clock = {"valid": True, "offset_s": offset_s, "uncertainty_s": uncertainty_s}
-        made = status.model_copy(update={"seq": seq, "clock": status.clock.model_copy(update=clock)})
+        made = msgspec.structs.replace(status, seq=seq, clock=msgspec.structs.replace(status.clock, **clock))
         channel = writer.channel("link/status", "delay_node@master", site)
         writer.write(channel, BEGAN + 50 * MS + seq, BEGAN, seq, encode(made))
     writer.finish()
@@ -62,10 +63,10 @@ def test_a_channel_that_both_have_is_taken_from_the_recorder_near_it(tmp_path: P
     channel = writer.channel("afm/state", "afm_node@slave", "slave")
     state = examples(TOPICS["afm/state"])["ordinary"]
     for seq in (1, 3):
-        writer.write(channel, BEGAN + 90 * MS, BEGAN, seq, encode(state.model_copy(update={"seq": seq})))
+        writer.write(channel, BEGAN + 90 * MS, BEGAN, seq, encode(msgspec.structs.replace(state, seq=seq)))
     status = examples(TOPICS["link/status"])["ordinary"]
-    clock = status.clock.model_copy(update={"valid": True, "offset_s": 0.0, "uncertainty_s": 0.0})
-    made = encode(status.model_copy(update={"clock": clock}))
+    clock = msgspec.structs.replace(status.clock, valid=True, offset_s=0.0, uncertainty_s=0.0)
+    made = encode(msgspec.structs.replace(status, clock=clock))
     writer.write(writer.channel("link/status", "delay_node@master", "master"), BEGAN, BEGAN, 0, made)
     writer.finish()
     slave = write(

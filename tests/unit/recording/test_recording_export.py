@@ -28,6 +28,7 @@ from telenano.recording.writer import RecordingWriter
 from telenano.wire import TOPICS, encode
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmScanline, Array
+from telenano.wire.schema import json_schema
 
 HEIGHTS = np.array([1e-9, -2.5e-10, 3e-12])
 
@@ -138,7 +139,7 @@ def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path
 def test_a_quantity_in_a_name_has_its_unit_in_the_contract() -> None:
     units = {"m": "m", "n": "N", "s": "s", "ns": "ns", "j": "J", "w": "W", "rad": "rad", "percent": "%"}
     for topic, row in TOPICS.items():
-        for name in row.model.model_fields:
+        for name in row.model.__struct_fields__:
             expected = units.get(name.rpartition("_")[2]) if "_per_" not in name and "sqrt" not in name else None
             if expected is not None:
                 assert quantity(topic, name).unit.startswith(expected), (topic, name)
@@ -230,9 +231,9 @@ def test_the_schema_for_viewers_is_plain(topic: str) -> None:
             check(node["items"])
 
     model = TOPICS[topic].model
-    schema = plain_schema(model.model_json_schema())
+    schema = plain_schema(json_schema(model))
     check(schema)
-    assert set(schema["properties"]) == set(model.model_fields)
+    assert set(schema["properties"]) == set(model.__struct_fields__)
 
 
 @pytest.mark.parametrize("kind", ["mcap-json"])
@@ -280,7 +281,7 @@ def test_a_viewer_draws_by_the_time_of_sending(kind: str, tmp_path: Path) -> Non
 
 
 def test_a_viewer_gets_the_unit_of_a_part_that_is_an_array_or_may_be_absent() -> None:
-    parts = plain_schema(AfmScanline.model_json_schema())["properties"]
+    parts = plain_schema(json_schema(AfmScanline))["properties"]
     assert parts["height_m"]["description"].endswith("[m]")
     assert "[rad]" in parts["phase_rad"]["description"]
 

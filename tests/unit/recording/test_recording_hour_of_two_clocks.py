@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
 from wire_contract import examples
@@ -72,11 +73,11 @@ def write(case: Case, folder: Path) -> Path:
         rows = [("clock/pong", TIP, there_ns + 100_000, pong, {"ping_t_ns": asked_ns, "received_ns": there_ns})]
         if seq % 4 == 0 and (estimate := found.estimate()) is not None:
             # the link makes it ten times a second
-            clock = status.clock.model_copy(update={**estimate._asdict(), "valid": True})
+            clock = msgspec.structs.replace(status.clock, **estimate._asdict(), valid=True)
         answer = {"answer_sent_ns": there_ns + 100_000, "answer_received_ns": back_ns, "v": 2}
         rows.append(("link/status", LINK, back_ns + 1000, status, {"clock": clock, **answer}))
         for topic, src, t_ns, example, fields in rows:
-            message = example.model_copy(update={"seq": seq, "t_ns": t_ns, "src": src, **fields})
+            message = msgspec.structs.replace(example, seq=seq, t_ns=t_ns, src=src, **fields)
             writer.write(channels[topic], back_ns + 2000, t_ns, seq, encode(message))
     writer.finish()
     return folder / "hour.mcap"

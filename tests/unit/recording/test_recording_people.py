@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from typer.testing import CliRunner
 
@@ -23,14 +24,15 @@ T_NS = 10**18
 def control(seq: int, command: str, by: str | None = None) -> SessionControl:
     fields: dict[str, Any] = {"seq": seq, "t_ns": T_NS, "src": "console@master", "v": 4, "id": f"c-{seq // 2}"}
     named = {} if by is None else {"by": by}
-    return SessionControl.model_validate(
-        {**fields, "command": command, "target": "afm_node", "parameters": {}, "validity_s": 2.0, **named}
+    return msgspec.convert(
+        {**fields, "command": command, "target": "afm_node", "parameters": {}, "validity_s": 2.0, **named},
+        SessionControl,
     )
 
 
 def event(seq: int, text: str, answer_to: str = "", **data: Any) -> SessionEvent:
     header = {"seq": seq, "t_ns": T_NS, "src": "afm_node@slave", "v": 1, "kind": "ack" if answer_to else "node"}
-    return SessionEvent.model_validate({**header, "id": answer_to, "level": "info", "text": text, "data": data})
+    return msgspec.convert({**header, "id": answer_to, "level": "info", "text": text, "data": data}, SessionEvent)
 
 
 def test_a_recording_says_who_gave_each_command_and_who_had_the_hand(

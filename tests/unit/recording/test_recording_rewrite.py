@@ -4,6 +4,7 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -246,7 +247,7 @@ def test_a_foreign_file_can_be_copied_and_checked_and_is_not_understood(tmp_path
 
 
 def test_a_message_of_a_newer_version_is_named_and_the_others_are_read(tmp_path: Path) -> None:
-    newer = haptic_state(1).model_copy(update={"v": 99})
+    newer = msgspec.structs.replace(haptic_state(1), v=99)
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     hand = writer.channel("haptic/state", "haptic_node@master", "master")
     for message in (haptic_state(0), newer, haptic_state(2)):

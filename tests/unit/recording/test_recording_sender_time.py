@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, teleop_forward
 
@@ -15,7 +16,7 @@ from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
 from telenano.recording.writer import RecordingWriter
-from telenano.wire import Message, encode
+from telenano.wire import Message, encode, fields_of
 from telenano.wire.ends import end_data
 from telenano.wire.messages import LinkClock
 
@@ -147,7 +148,7 @@ def fates(seq: int, rows: list[tuple[int, int]], log_ns: int, topic: str = "tele
         for number, delay_ns in rows
     )
     report = sample("link/fates", seq, src="delay_node@master", direction="forward")
-    return ("link/fates", "master", type(report).model_validate({**report.model_dump(), "fates": told}), log_ns)
+    return ("link/fates", "master", msgspec.convert({**fields_of(report), "fates": told}, type(report)), log_ns)
 
 
 def test_what_left_the_link_is_sent_when_the_link_sent_it(record: Callable[[list[Row]], Recording]) -> None:

@@ -3,6 +3,7 @@
 from functools import partial
 from pathlib import Path
 
+import msgspec
 import pytest
 from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig, turns_of
 
@@ -110,7 +111,7 @@ def test_whoever_drives_a_loop_learns_when_a_report_or_a_piece_of_one_is_due() -
 
 def test_a_kept_file_that_is_no_stop_stops_the_node_all_the_same(tmp_path: Path) -> None:
     node = Stoppable(tmp_path)
-    start = stop_of(NODE, node.rig.clock.now_ns()).model_copy(update={"command": "start"})
+    start = msgspec.structs.replace(stop_of(NODE, node.rig.clock.now_ns()), command="start")
     assert keep(node.path, encode(start)) == ""
     node.rig.loop.turn()
     assert node.executed == ["estop"]

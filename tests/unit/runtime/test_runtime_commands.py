@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
 import pytest
 
 from telenano.extend.testing import VirtualClock
@@ -437,7 +438,7 @@ class Receiver:
     def take(self, command: str = "set", target: str = "*", identifier: str = "a", **parameters: Any) -> bool:
         fields = {"id": identifier, "command": command, "target": target, "parameters": parameters}
         header = {"seq": 0, "t_ns": self.clock.now_ns(), "src": "console@master", "v": 1}
-        control = SessionControl.model_validate({**header, **fields, **self.header})
+        control = msgspec.convert({**header, **fields, **self.header}, SessionControl)
         return self.handler.handle(control, self.clock.now_ns())
 
 
@@ -706,7 +707,7 @@ class Conversation:
 
     def publish(self, topic: str, **fields: Any) -> None:
         header = {"seq": 0, "t_ns": self.client_clock.now_ns(), "src": "console@master", "v": 2}
-        self.forward.append((self.time_ns + self.way_ns, SessionControl.model_validate({**header, **fields})))
+        self.forward.append((self.time_ns + self.way_ns, msgspec.convert({**header, **fields}, SessionControl)))
 
     def event(self, kind: Any, level: Any, text: str, *, answer_to: str = "", **data: Scalar) -> None:
         self.node.event(kind, level, text, answer_to=answer_to, **data)

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from stopped_devices import HAND, MS, TIP, World
 
@@ -140,7 +141,7 @@ def test_whatever_is_in_the_file_the_device_is_stopped(tmp_path: Path, content: 
 
 def test_no_other_command_is_taken_from_the_file(tmp_path: Path) -> None:
     fields = {"seq": 0, "t_ns": 0, "src": "estop@slave", "v": 1, "id": "a", "target": "*", "parameters": {}}
-    arm = SessionControl.model_validate({**fields, "command": "arm"})
+    arm = msgspec.convert({**fields, "command": "arm"}, SessionControl)
     world = World(tmp_path)
     (tmp_path / f"{TIP}.kept").write_bytes(encode(arm))
     world.run(SECOND)

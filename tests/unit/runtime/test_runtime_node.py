@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from operator import itemgetter
 from typing import Any, ClassVar
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,12 +25,11 @@ from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resi
 from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.timing.clock import NEVER_NS
-from telenano.wire import TOPICS, Message, encode
+from telenano.wire import TOPICS, Message, compose, encode, fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
-from telenano.wire.ranges import limited
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -53,18 +53,17 @@ class FakeBus:
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
         header = {"seq": len(self.sent), "t_ns": self.clock.now_ns(), "src": "n@s", "v": model.version}
-        message = limited(model, {**header, **fields})
-        encode(message)
+        message, _ = compose(topic, {**header, **fields}, lambda text: None)
         self.sent.append(message)
         return message
 
     def arrives(self, at_ns: int, topic: str, arrival: Arrival = Arrival.NEXT, **changed: object) -> None:
-        fields = examples(TOPICS[topic])["ordinary"].model_dump()
+        fields = fields_of(examples(TOPICS[topic])["ordinary"])
         if topic == "session/control":
             # old commands have expired
             fields["t_ns"] = at_ns + self.clock.epoch_offset_ns
         fields |= changed
-        message = TOPICS[topic].model.model_validate(fields)
+        message = msgspec.convert(fields, TOPICS[topic].model)
         insort(self.coming, (at_ns, Received(topic, message, encode(message), at_ns, arrival)), key=itemgetter(0))
 
     def wait(self, deadline_ns: int) -> None:
@@ -163,7 +162,7 @@ class Rig:
     def command(self, command: str = "set", target: str = "*", identifier: str = "a", **parameters: Any) -> None:
         fields = {"id": identifier, "command": command, "target": target, "parameters": parameters}
         header = {"seq": 0, "t_ns": self.clock.now_ns(), "src": "launcher@master", "v": 1}
-        message = SessionControl.model_validate({**header, **fields})
+        message = msgspec.convert({**header, **fields}, SessionControl)
         self.bus.coming.append((0, Received("session/control", message, encode(message), 0, Arrival.NEXT)))
         self.loop.turn()
 
@@ -224,9 +223,9 @@ def test_a_process_that_runs_reports_as_often_as_at_first_until_it_receives_ever
     rig.bus.input_health = lambda: (silent,)
     rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, starting_period_ns=100 * MS)
     rig.run_until(300 * MS)
-    heard = silent.model_copy(update={"received": 1, "age_valid": True})
+    heard = msgspec.structs.replace(silent, received=1, age_valid=True)
     # a topic without a rate is waited for by nobody
-    rig.bus.input_health = lambda: (heard, silent.model_copy(update={"topic": "afm/scanline"}))
+    rig.bus.input_health = lambda: (heard, msgspec.structs.replace(silent, topic="afm/scanline"))
     rig.run_until(1500 * MS)
     assert [(h.t_ns - 10**18) // MS for h in rig.health] == [5, 105, 205, 305, 405, 905, 1405]
 
@@ -497,7 +496,7 @@ def test_the_last_message_counts_all_that_were_sent() -> None:
     assert isinstance(before, NodeHealth) and before.state == "stopping"
     # the bus of this bench counts everything as haptic/state; the last message counts itself
     counts = {("haptic/state", "n@s"): len(rig.bus.sent) - 1, ("session/event", "n@s"): 1}
-    assert read_end(last.model_dump()) == counts
+    assert read_end(fields_of(last)) == counts
 
 
 def test_connection_events_at_the_very_end_are_published_too() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import fuzzed_nodes
+import msgspec
 import pytest
 
 from telenano.runtime.loop.node import Node
@@ -64,7 +65,7 @@ def told(node: Node, parameters: Parameters) -> str:
     topic = TOPICS["session/control"].model
     header = {"seq": 0, "t_ns": node.clock.now_ns(), "src": "console@master", "v": topic.version_of({})}
     fields = {"id": "a", "command": "set", "target": node.context.key, "parameters": parameters}
-    return node.on_control(topic.model_validate({**header, **fields}))
+    return node.on_control(msgspec.convert({**header, **fields}, topic))
 
 
 @pytest.mark.parametrize(("name", "seen", "taken", "refused"), COMMANDS)

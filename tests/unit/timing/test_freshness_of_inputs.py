@@ -3,13 +3,14 @@
 import math
 from typing import Any
 
+import msgspec
 import pytest
 from wire_contract import examples
 
 from telenano.link.declared_delay import DeclaredDelay
 from telenano.link.fate import Release, delayed
 from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
-from telenano.wire import TOPICS, encode
+from telenano.wire import TOPICS, encode, fields_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 from telenano.wire.topics import LOOP_DEADLINE_S
@@ -20,8 +21,8 @@ NOW_NS = START_NS + 60 * 10**9
 
 
 def message(topic: str, **changes: Any) -> Any:
-    fields = examples(TOPICS[topic])["ordinary"].model_dump()
-    return TOPICS[topic].model.model_validate({**fields, **changes})
+    fields = fields_of(examples(TOPICS[topic])["ordinary"])
+    return msgspec.convert({**fields, **changes}, TOPICS[topic].model)
 
 
 def received(topic: str, age_ns: int, hand_age_ns: int = 0) -> Received:

@@ -25,6 +25,7 @@ from telenano.runtime.wiring.observer import Observer
 from telenano.runtime.wiring.participant import open_participant
 from telenano.serving.access import Role
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import fields_of
 from telenano.wire.errors import RigError, TelenanoError
 from telenano.wire.messages import Array
 from telenano.wire.nodes import TIP
@@ -45,7 +46,7 @@ def instrument() -> Iterator[ZmqPublisher]:
 
 
 def fields(topic: str) -> dict[str, Any]:
-    return {key: value for key, value in sample(topic, 0).__dict__.items() if key not in ("seq", "t_ns", "src", "v")}
+    return {key: value for key, value in fields_of(sample(topic, 0)).items() if key not in ("seq", "t_ns", "src", "v")}
 
 
 def received(source: LiveSource, watched: bool, send: Callable[[], object], wanted: int = 5) -> list[Seen]:

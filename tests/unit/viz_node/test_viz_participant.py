@@ -30,7 +30,7 @@ from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
 from telenano.serving.access import Access
-from telenano.wire import TOPICS
+from telenano.wire import TOPICS, fields_of
 from telenano.wire.experiment_messages import Question
 from telenano.wire.messages import Array, Message
 
@@ -102,7 +102,7 @@ class Rig:
         self.source.waiting.append(Seen(topic, src, said["t_ns"], said))
 
     def cue(self, **changes: Any) -> None:
-        empty = Array.from_numpy(np.empty(0)).model_dump()
+        empty = fields_of(Array.from_numpy(np.empty(0)))
         fields = dict.fromkeys(CUE_KEYS) | {
             "id": "c-1",
             "stage": "trial",
@@ -112,9 +112,7 @@ class Rig:
         }
         fields |= {"total": 6, "practice": False, "quantity": "none", "band": 0.0, "times_s": empty, "target": empty}
         question = Question(name="felt", text="?", low="", high="", least=0.0, most=0.0, step=0.0, options=("now",))
-        self.tell(
-            "experiment/cue", fields | {"questions": [question.model_dump()], "answered": ()} | changes, "c@master"
-        )
+        self.tell("experiment/cue", fields | {"questions": [fields_of(question)], "answered": ()} | changes, "c@master")
 
     def trial(self, picture_s: float = 0.0) -> None:
         fields = dict.fromkeys(TRIAL_KEYS, 0) | {"condition": {"law": WORDS[0], "level": WORDS[2], "delay": DELAY_S}}
@@ -127,7 +125,7 @@ class Rig:
 
 def told(message: Message) -> dict[str, Any]:
     """Return a message as plain data."""
-    return message.model_dump()
+    return fields_of(message)
 
 
 def marked(value: Any, name: str = "") -> Any:
@@ -374,7 +372,7 @@ def test_a_participant_has_a_token_of_its_own() -> None:
 
 def test_a_page_is_told_all_of_a_cue_but_its_header() -> None:
     header = {"seq", "t_ns", "src", "v"}
-    assert set(CUE_KEYS) == set(TOPICS["experiment/cue"].model.model_fields) - header
+    assert set(CUE_KEYS) == set(TOPICS["experiment/cue"].model.__struct_fields__) - header
 
 
 def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_the_condition(

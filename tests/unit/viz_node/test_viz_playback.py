@@ -1,6 +1,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, haptic_state
@@ -148,7 +149,7 @@ def scanned(folder: Path) -> Recording:
             height = Array.from_numpy(np.full(4, 1e-9 * (10 * image + line), dtype=np.float32))
             for direction in ("trace", "retrace"):
                 made = {"line": line, "lines": LINES, "direction": direction, "height_m": height}
-                message = example.model_copy(update={"src": "afm_node@slave", **made})
+                message = msgspec.structs.replace(example, src="afm_node@slave", **made)
                 rows.append((begin_ms + LINE_MS * line, tip, encode(message)))
     for number, (ms, channel, payload) in enumerate(sorted(rows, key=lambda row: row[0])):
         writer.write(channel, EPOCH_NS + ms * MS, EPOCH_NS + ms * MS, number, payload)

@@ -7,9 +7,9 @@ import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from typing import Any
-from unittest.mock import patch
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -26,11 +26,11 @@ from telenano.wire import (
     decode,
     decode_header,
     encode,
+    fields_of,
     read_header,
 )
-from telenano.wire.codec import _TYPED, MAX_PLAIN_BYTES, MOST_BYTES, header_check
+from telenano.wire.codec import MAX_PLAIN_BYTES, MOST_BYTES, header_check
 from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
-from telenano.wire.typed import TypedForm, typed_form
 
 TOPIC = st.sampled_from(list(TOPICS))
 GOLDEN = {topic: [encode(message) for message in examples(row).values()] for topic, row in TOPICS.items()}
@@ -52,40 +52,17 @@ def outcome(topic: str, payload: bytes, read: Callable[[str, bytes], Message] = 
     return result
 
 
-def _typed_forms() -> Iterator[tuple[str, TypedForm]]:
-    """Yield the fast way of each topic that has one, which knows the texts of the golden messages."""
-    for topic in _TYPED:
-        model = TOPICS[topic].model
-        form = typed_form(model, MOST_BYTES[model])
-        if form is not None:
-            for payload in GOLDEN[topic]:
-                form.note(decode(topic, payload))
-            yield topic, form
-
-
-FORMS = dict(_typed_forms())
-
-
-def check_fast_ways(topic: str, payload: bytes, result: Message | WireError) -> None:
-    """Check that what is read without the declared model, header or fields, is what that model reads."""
-    if topic not in TOPICS:
-        return
-    header = header_check(topic)(payload)
-    if header is not None:
+def check_header(topic: str, payload: bytes, result: Message | WireError) -> None:
+    """Check that a header which is found without an error is that of the message."""
+    if topic in TOPICS and (header := header_check(topic)(payload)) is not None:
         assert isinstance(result, Message)
         assert header == (result.seq, result.t_ns, result.src)
-    found = FORMS[topic].read(payload) if topic in FORMS else None
-    if found is not None:
-        with patch.dict("telenano.wire.codec._TYPED", clear=True):
-            declared = accept(topic, payload)
-        assert declared == found
-        assert encode(declared) == encode(found)
 
 
 def check(topic: str, payload: bytes) -> None:
     """Decode; a message that came out must have one encoding, which gives it back, and is accepted in its ranges."""
     result = outcome(topic, payload)
-    check_fast_ways(topic, payload, result)
+    check_header(topic, payload, result)
     if isinstance(result, Message):
         accepted = outcome(topic, payload, accept)
         canonical = encode(result)
@@ -95,7 +72,7 @@ def check(topic: str, payload: bytes) -> None:
         assert accepted == result or (isinstance(accepted, WireError) and accepted.reason == "range")
 
 
-def fields_of(topic: str, case: str = "ordinary") -> dict[str, Any]:
+def example_fields(topic: str, case: str = "ordinary") -> dict[str, Any]:
     fields: dict[str, Any] = msgpack.unpackb(encode(examples(TOPICS[topic])[case]), use_list=False)
     return fields
 
@@ -103,7 +80,7 @@ def fields_of(topic: str, case: str = "ordinary") -> dict[str, Any]:
 def refused(topic: str, payload: bytes) -> WireError:
     with pytest.raises(WireError) as caught:
         decode(topic, payload)
-    check_fast_ways(topic, payload, caught.value)
+    check_header(topic, payload, caught.value)
     return caught.value
 
 
@@ -150,7 +127,7 @@ def test_any_msgpack(topic: str, value: Any) -> None:
 @settings(max_examples=400)
 @given(TOPIC, st.data(), anything)
 def test_one_field_replaced_by_anything(topic: str, data: st.DataObject, value: Any) -> None:
-    fields = fields_of(topic)
+    fields = example_fields(topic)
     key = data.draw(st.sampled_from(sorted(fields)))
     check(topic, msgpack.packb({**fields, key: value}))
 
@@ -169,7 +146,7 @@ def test_valid_messages_with_bytes_changed(topic: str, data: st.DataObject) -> N
 @given(TOPIC, TOPIC, st.data())
 def test_a_message_on_the_topic_of_another_and_two_spliced(topic: str, other: str, data: st.DataObject) -> None:
     a, b = data.draw(st.sampled_from(GOLDEN[topic])), data.draw(st.sampled_from(GOLDEN[other]))
-    needed = {key for key, field in TOPICS[topic].model.model_fields.items() if field.is_required()}
+    needed = {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
     # a message that has all that another needs is read as one with keys that are not known; its source tells them apart
     if topic != other and not needed <= msgpack.unpackb(b).keys():
         assert isinstance(outcome(topic, b), WireError)
@@ -192,7 +169,7 @@ def test_text_that_is_not_utf8(raw: bytes) -> None:
         raw.decode()
     except UnicodeDecodeError:
         assert isinstance(result, WireError)
-        assert result.reason == "malformed"
+        assert str(result) == "session/event: text is '<11 bytes>', must be text in UTF-8"
     else:
         assert isinstance(result, Message)
 
@@ -287,7 +264,7 @@ def test_no_room_is_made_for_arrays_that_are_not_there(topic: str, items: int) -
 
 def test_refusing_the_dearest_costs_a_few_times_taking_the_longest() -> None:
     """The longest message that a node sends is a report of 1000 fates."""
-    fates = fields_of("link/fates")
+    fates = example_fields("link/fates")
     longest = msgpack.packb({**fates, "fates": fates["fates"][:1] * 1000})
 
     def take() -> None:
@@ -306,15 +283,15 @@ def test_refusing_the_dearest_costs_a_few_times_taking_the_longest() -> None:
 def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
     wrong = {f"k{number}": None for number in range(MAX_KEYS)}
     for topic, key in {"session/control": "parameters", "session/event": "data", "node/health": "rejected"}.items():
-        yield f"wrong {topic}", topic, msgpack.packb({**fields_of(topic), key: wrong})
-    status = fields_of("link/status")
+        yield f"wrong {topic}", topic, msgpack.packb({**example_fields(topic), key: wrong})
+    status = example_fields("link/status")
     ways = {way: {**status[way], "settings": wrong, "dropped": wrong} for way in ("forward", "backward")}
     yield "wrong link/status", "link/status", msgpack.packb({**status, **ways})
     for topic, key in {"node/health": "inputs", "link/fates": "fates", "node/journal": "inputs"}.items():
-        row = fields_of(topic)[key][0]
+        row = example_fields(topic)[key][0]
         rows = (row,) * (MAX_ROWS - 1)
         last = {**row, **dict.fromkeys(row, b"")}
-        yield f"wrong last row of {topic}", topic, msgpack.packb({**fields_of(topic), key: (*rows, last)})
+        yield f"wrong last row of {topic}", topic, msgpack.packb({**example_fields(topic), key: (*rows, last)})
 
 
 @pytest.mark.parametrize(
@@ -343,10 +320,10 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
         ("haptic/state", {"v": 5}, "newer_version", "version 5 from 'haptic_node@master'"),
         ("haptic/state", {"v": 2**64 - 1}, "newer_version", "update this node"),
         ("session/control", {"validty_s": 1.0}, "schema", "validty_s"),
-        ("session/control", {b"seq": 1}, "schema", "Keys should be strings"),
-        ("haptic/state", {"t_ns": msgpack.Timestamp(1, 0)}, "malformed", "not msgpack"),
+        ("session/control", {b"seq": 1}, "malformed", "a key that is no text"),
+        ("haptic/state", {"t_ns": msgpack.Timestamp(1, 0)}, "schema", "t_ns"),
         ("haptic/state", {"position_m": msgpack.ExtType(5, b"")}, "schema", "position_m"),
-        ("haptic/state", {7: 1}, "malformed", "not msgpack"),
+        ("haptic/state", {7: 1}, "malformed", "a key that is no text"),
         ("session/control", {"id": ""}, "schema", "id"),
         ("session/control", {"id": "a b"}, "schema", "id"),
         ("session/control", {"parameters": {"gain": (1.0, 2.0)}}, "schema", "parameters.gain"),
@@ -360,14 +337,14 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
     ],
 )
 def test_a_wrong_field_is_named(topic: str, change: dict[Any, Any], reason: str, named: str) -> None:
-    error = refused(topic, msgpack.packb({**fields_of(topic), **change}))
+    error = refused(topic, msgpack.packb({**example_fields(topic), **change}))
     assert error.reason == reason
     assert str(error).startswith(f"{topic}: ")
     assert named in str(error)
 
 
 def test_a_long_unknown_key_is_named_in_brief() -> None:
-    error = refused("session/control", msgpack.packb({**fields_of("session/control"), "k" * 3000: 1.0}))
+    error = refused("session/control", msgpack.packb({**example_fields("session/control"), "k" * 3000: 1.0}))
     assert error.reason == "schema"
     assert "kkkk" in str(error)
     assert len(str(error)) < 300
@@ -375,17 +352,17 @@ def test_a_long_unknown_key_is_named_in_brief() -> None:
 
 @pytest.mark.parametrize("topic", TOPICS)
 def test_every_missing_key_is_named(topic: str) -> None:
-    fields = fields_of(topic)
+    fields = example_fields(topic)
     for key in fields:
         error = refused(topic, msgpack.packb({k: v for k, v in fields.items() if k != key}))
-        assert (error.reason, str(error)) == ("schema", f"{topic}: {key}: Field required")
+        assert (error.reason, str(error)) == ("schema", f"{topic}: {key} is missing")
 
 
 @pytest.mark.parametrize("value", [None, True, 7, 1.5, "text", b"raw", (1, 2)])
 def test_what_is_not_a_map_is_refused(value: object) -> None:
     error = refused("haptic/state", msgpack.packb(value))
     assert error.reason == "malformed"
-    assert type(value).__name__ in str(error)
+    assert "must be a map" in str(error)
 
 
 def test_unknown_topics_and_oversized_messages_are_refused() -> None:
@@ -408,24 +385,17 @@ def test_the_longest_message_of_every_plain_topic_has_room() -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_a_key_given_twice_is_refused_whichever_value_is_right(topic: str) -> None:
-    fields = fields_of(topic)
+def test_of_a_key_given_twice_the_last_value_counts_and_a_verifier_sees_it(topic: str) -> None:
+    fields = example_fields(topic)
+    whole = accept(topic, msgpack.packb(fields))
     for key, value in fields.items():
-        for again in (value, "x"):
-            twice = msgpack.Packer().pack_map_pairs([*fields.items(), (key, again)])
-            error = refused(topic, twice)
-            assert error.reason == "malformed"
-            assert str(error) == f"{topic}: a map has a key twice, each may be there once"
-            with pytest.raises(WireError, match="has a key twice"):
-                decode_header(topic, twice)
-
-
-def test_a_key_given_twice_in_place_of_another_is_refused() -> None:
-    pairs = list(fields_of("haptic/state").items())
-    twice = msgpack.Packer().pack_map_pairs([*pairs[:-1], pairs[0]])
-    assert refused("haptic/state", twice).reason == "malformed"
-    with pytest.raises(WireError, match="has a key twice"):
-        decode_header("haptic/state", twice)
+        again = msgpack.Packer().pack_map_pairs([*fields.items(), (key, value)])
+        assert accept(topic, again) == whole
+        assert header_check(topic)(again) is None
+        wrong = msgpack.Packer().pack_map_pairs([*fields.items(), (key, {"x": None})])
+        assert key in str(refused(topic, wrong))
+        right = msgpack.Packer().pack_map_pairs([(key, value), *fields.items()])
+        assert accept(topic, right) == whole
 
 
 @pytest.mark.parametrize("head", [b"\xde\x00\x08", b"\xdf\x00\x00\x00\x08"])
@@ -433,28 +403,6 @@ def test_a_map_may_say_its_size_in_more_bytes_than_it_needs(head: bytes) -> None
     payload = encode(examples(TOPICS["afm/command"])["ordinary"])
     assert payload[0] == 0x88
     assert accept("afm/command", head + payload[1:]) == accept("afm/command", payload)
-    longer = head[:-1] + b"\x09" + payload[1:] + b"\xa3seq\x00"
-    assert "twice" in str(refused("afm/command", longer))
-
-
-@pytest.mark.parametrize(
-    ("topic", "key"), [("session/control", "parameters"), ("session/event", "data"), ("link/fates", "fates")]
-)
-@pytest.mark.parametrize("padding", [0, 5000])
-def test_a_key_given_twice_in_a_map_inside_is_refused(topic: str, key: str, padding: int) -> None:
-    fields = fields_of(topic)
-    packer = msgpack.Packer(autoreset=False)
-    packer.pack_map_header(len(fields))
-    for name, value in fields.items():
-        packer.pack(name)
-        if name != key:
-            packer.pack(value)
-            continue
-        if isinstance(value, tuple):
-            packer.pack_array_header(1)
-            value = value[0]
-        packer.pack_map_pairs([*value.items(), ("x" * padding, 1), next(iter(value.items()))])
-    assert "a map has a key twice" in str(refused(topic, packer.bytes()))
 
 
 RANGED = [
@@ -478,7 +426,7 @@ RANGED = [
 def test_a_quantity_at_the_end_of_its_range_is_taken_and_one_beyond_is_not(
     topic: str, key: str, place: int | None, bound: float, sign: float
 ) -> None:
-    fields = fields_of(topic)
+    fields = example_fields(topic)
 
     def with_value(value: float) -> bytes:
         whole = value
@@ -493,21 +441,20 @@ def test_a_quantity_at_the_end_of_its_range_is_taken_and_one_beyond_is_not(
             accept(topic, with_value(beyond))
         assert caught.value.reason == "range"
         where = key if place is None else f"{key}.{place}"
-        word = "less" if sign > 0.0 else "greater"
-        assert str(caught.value).startswith(f"{topic}: {where}: Input should be {word} than or equal to")
+        assert str(caught.value).startswith(f"{topic}: {where} is {beyond!r}, must be {-bound:g} to {bound:g} ")
         # a recording is read whatever it holds
-        kept = decode(topic, with_value(beyond)).model_dump()[key]
+        kept = fields_of(decode(topic, with_value(beyond)))[key]
         assert (kept if place is None else kept[place]) == beyond
 
 
 def test_a_negative_count_or_duration_is_no_matter_of_range_to_who_reads() -> None:
     for change in ({"seq": -1}, {"step_s": -1e-9}):
-        with pytest.raises(WireError, match="greater than or equal to 0"):
-            decode("haptic/state", msgpack.packb({**fields_of("haptic/state"), **change}))
+        with pytest.raises(WireError, match=r"must be (a whole number from 0|0 to)"):
+            decode("haptic/state", msgpack.packb({**example_fields("haptic/state"), **change}))
 
 
 def test_quantities_beyond_their_range_are_read_inside_of_records_too() -> None:
-    health = fields_of("node/health")
+    health = example_fields("node/health")
     rows = tuple({**row, "age_s": 1e300} for row in health["inputs"])
     payload = msgpack.packb({**health, "inputs": rows})
     with pytest.raises(WireError) as caught:
@@ -523,17 +470,17 @@ def test_quantities_beyond_their_range_are_read_inside_of_records_too() -> None:
 
 def test_the_elements_of_an_array_have_a_range() -> None:
     beyond = struct.pack("<2d", 0.0, -10.5)
-    with pytest.raises(WireError, match=r"height_m.data: Input should be greater than or equal to -10") as caught:
+    with pytest.raises(WireError, match=r"height_m.data is -10.5, must be -10 to 10 m") as caught:
         accept("afm/scanline", _scanline(data=beyond))
     assert caught.value.reason == "range"
-    assert decode("afm/scanline", _scanline(data=beyond)).model_dump()["height_m"]["data"] == beyond
+    assert fields_of(decode("afm/scanline", _scanline(data=beyond)))["height_m"]["data"] == beyond
 
 
 def test_integers_and_short_floats_are_taken_where_a_number_is_meant() -> None:
-    payload = msgpack.packb({**fields_of("haptic/state"), "position_m": (1, -2, 2**64 - 1)})
-    assert decode("haptic/state", payload).model_dump()["position_m"] == (1.0, -2.0, float(2**64 - 1))
-    short = msgpack.packb({**fields_of("haptic/state"), "session_s": 0.1}, use_single_float=True)
-    value = decode("haptic/state", short).model_dump()["session_s"]
+    payload = msgpack.packb({**example_fields("haptic/state"), "position_m": (1, -2, 2**64 - 1)})
+    assert fields_of(decode("haptic/state", payload))["position_m"] == (1.0, -2.0, float(2**64 - 1))
+    short = msgpack.packb({**example_fields("haptic/state"), "session_s": 0.1}, use_single_float=True)
+    value = fields_of(decode("haptic/state", short))["session_s"]
     assert value == struct.unpack("f", struct.pack("f", 0.1))[0]
     assert type(value) is float
 
@@ -543,7 +490,7 @@ def test_integers_and_short_floats_are_taken_where_a_number_is_meant() -> None:
 
 def _scanline(**array: Any) -> bytes:
     good = {"dtype": "f8", "shape": (2,), "data": bytes(16)}
-    payload: bytes = msgpack.packb({**fields_of("afm/scanline"), "height_m": {**good, **array}})
+    payload: bytes = msgpack.packb({**example_fields("afm/scanline"), "height_m": {**good, **array}})
     return payload
 
 
@@ -646,7 +593,7 @@ def _record(schema: dict[str, Any], root: dict[str, Any]) -> st.SearchStrategy[d
 
 def _arrays() -> st.SearchStrategy[dict[str, Any]]:
     lengths = st.lists(st.integers(0, 3), min_size=1, max_size=4).map(tuple)
-    return lengths.map(lambda shape: Array.from_numpy(np.ones(shape, dtype="f8")).model_dump())
+    return lengths.map(lambda shape: fields_of(Array.from_numpy(np.ones(shape, dtype="f8"))))
 
 
 VALID = {topic: _record(schema_of(row), schema_of(row)) for topic, row in TOPICS.items()}
@@ -655,11 +602,11 @@ VALID = {topic: _record(schema_of(row), schema_of(row)) for topic, row in TOPICS
 @settings(max_examples=400)
 @given(TOPIC, st.data())
 def test_every_valid_message_comes_back_the_same(topic: str, data: st.DataObject) -> None:
-    message = TOPICS[topic].model.model_validate(data.draw(VALID[topic]))
+    message = msgspec.convert(data.draw(VALID[topic]), TOPICS[topic].model)
     payload = encode(message)
     again = accept(topic, payload)
-    # repr distinguishes -0.0 from 0.0, 1 from 1.0 and from True; where a message keeps an absent key is no matter
-    assert repr(sorted(vars(again).items())) == repr(sorted(vars(message).items()))
+    # repr distinguishes -0.0 from 0.0, 1 from 1.0 and from True
+    assert repr(again) == repr(message)
     assert encode(again) == payload
     # the order of keys is free: the canonical one is the model's
     assert encode(decode(topic, msgpack.packb(dict(reversed(msgpack.unpackb(payload).items()))))) == payload
@@ -669,8 +616,8 @@ def test_every_valid_message_comes_back_the_same(topic: str, data: st.DataObject
 
 
 def _control(**parameters: Any) -> SessionControl:
-    fields = {**fields_of("session/control"), "parameters": parameters}
-    return SessionControl.model_validate(fields)
+    fields = {**example_fields("session/control"), "parameters": parameters}
+    return msgspec.convert(fields, SessionControl)
 
 
 @pytest.mark.parametrize("value", [2**64, -(2**63) - 1, 2**200, "\ud800", "a\udfffb"])
@@ -694,13 +641,13 @@ def test_a_message_at_the_limit_passes_and_one_byte_more_is_refused_when_sent() 
 
 def test_what_the_model_allows_the_decoder_takes() -> None:
     assert encode(_control(**{str(i): i for i in range(MAX_KEYS)}))
-    with pytest.raises(ValueError, match="at most 1024"):
+    with pytest.raises(ValueError, match="length <= 1024"):
         _control(**{str(i): i for i in range(MAX_KEYS + 1)})
-    health = fields_of("node/health")
-    crowd = TOPICS["node/health"].model.model_validate({**health, "inputs": health["inputs"][:1] * MAX_ROWS})
+    health = example_fields("node/health")
+    crowd = msgspec.convert({**health, "inputs": health["inputs"][:1] * MAX_ROWS}, TOPICS["node/health"].model)
     assert decode("node/health", encode(crowd)) == crowd
-    with pytest.raises(ValueError, match="at most 1024"):
-        TOPICS["node/health"].model.model_validate({**health, "inputs": health["inputs"][:1] * (MAX_ROWS + 1)})
+    with pytest.raises(ValueError, match="length <= 1024"):
+        msgspec.convert({**health, "inputs": health["inputs"][:1] * (MAX_ROWS + 1)}, TOPICS["node/health"].model)
 
 
 def test_a_header_is_read_without_its_message() -> None:
@@ -714,11 +661,11 @@ def test_a_header_is_read_without_its_message() -> None:
     ("change", "reason", "text"),
     [
         ({"v": 9}, "newer_version", "schema version 9 from 'haptic_node@master' is newer than version 4 known here"),
-        ({"seq": -1}, "schema", "seq -1, t_ns 8 or v 1 is out of range"),
-        ({"t_ns": 2**63}, "schema", "is out of range"),
-        ({"src": 3}, "schema", "the header needs seq, t_ns and v as integers and src as text"),
-        ({"v": True}, "schema", "the header needs"),
-        ({1: 2}, "malformed", "haptic/state: not msgpack"),
+        ({"seq": -1}, "schema", "seq is -1, must be a whole number from 0 to"),
+        ({"t_ns": 2**63}, "schema", "t_ns is 9223372036854775808, must be a whole number from 0 to"),
+        ({"src": 3}, "schema", "src is 3, must be str"),
+        ({"v": True}, "schema", "v is True, must be int"),
+        ({1: 2}, "malformed", "haptic/state: a key that is no text"),
     ],
 )
 def test_a_wrong_header_is_refused(change: dict[Any, Any], reason: str, text: str) -> None:
@@ -756,16 +703,3 @@ def test_what_is_no_map_has_no_header(payload: bytes) -> None:
         read_header("haptic/state", payload)
     with pytest.raises(WireError, match="unknown topic"):
         read_header("haptic/unknown", payload)
-
-
-def test_what_was_decoded_once_is_decoded_in_a_typed_pass_from_then_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    # It remembers so many names of nodes, and other tests in this process have used some up.
-    fresh = typed_form(TOPICS["haptic/state"].model, MOST_BYTES[TOPICS["haptic/state"].model])
-    monkeypatch.setitem(_TYPED, "haptic/state", fresh)
-    fields = fields_of("haptic/state") | {"src": "a_node_that_only_this_test_has@master"}
-    payload = msgpack.packb(fields)
-    message = decode("haptic/state", payload)
-    monkeypatch.setattr(
-        "telenano.wire.codec._read", lambda topic, payload: pytest.fail("it was left to the declared model")
-    )
-    assert decode("haptic/state", payload) == message

@@ -1,0 +1,288 @@
+"""A message read part by part, where msgspec refuses the whole of it.
+
+msgspec states neither the value that it refuses nor the key of a map. Here a value is read as the kind that is declared
+for it, field by field and item by item, so that the one sentence about a fault names key, value and what would be
+right; keys that are not known are left out, and what becomes of a number beyond its bounds is up to the caller. The
+bytes of a part are decoded only if its kind has parts, so that refusing a message costs no more than reading one.
+"""
+
+import math
+import re
+import types
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar, Union, cast, get_args, get_origin
+
+import msgspec
+from msgspec import Meta, Raw
+
+from telenano.wire.errors import known_names
+from telenano.wire.messages import SOURCE_PATTERN, Array, Message, Record
+from telenano.wire.ranges import Range
+
+S = TypeVar("S", bound=msgspec.Struct)
+R = TypeVar("R", bound=Record)
+REFUSALS = (ValueError, TypeError, OverflowError, RecursionError)
+is_source = re.compile(SOURCE_PATTERN.removesuffix("$")).fullmatch
+# A scalar of more bytes is a text, and no number.
+_MOST_SHOWN_BYTES = 256
+# characters of a value, and of a key that is the sender's text, in a sentence
+_MOST_SHOWN = 80
+_MOST_KEY = 100
+
+
+class Fault(NamedTuple):
+    """What is wrong with a part of a message: its key, and a sentence without the topic.
+
+    `kind`: a key is missing or unknown, the type is another one, a word is not one of those declared, a number is
+    beyond its bounds (`bounds` for a count, `range` for a finite quantity), or the whole of a record is wrong.
+    """
+
+    key: str
+    kind: Literal["missing", "unknown", "type", "word", "bounds", "range", "record"]
+    text: str
+
+
+class FaultError(ValueError):
+    """A message has a fault."""
+
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(fault.text)
+        self.fault = fault
+
+
+class Beyond(NamedTuple):
+    """A number beyond its bounds, both included.
+
+    `range` is that of a quantity, None for a count; `in_array`: the number is an element of an array of data.
+    """
+
+    key: str
+    value: float
+    low: float
+    high: float
+    range: Range | None
+    in_array: bool = False
+
+    @property
+    def fault(self) -> Fault:
+        right = str(self.range) if self.range else f"a whole number from {self.low} to {self.high}"
+        kind: Literal["range", "bounds"] = "range" if self.range and math.isfinite(self.value) else "bounds"
+        return Fault(self.key, kind, f"{self.key} is {self.value!r}, must be {right}")
+
+
+def raise_fault(fault: Fault) -> NoReturn:
+    """Raise a fault."""
+    raise FaultError(fault)
+
+
+class Reading(NamedTuple):
+    """How parts are read.
+
+    Args:
+        unknown: Whether keys that are not known are left out, or are a fault.
+        beyond: Returns what to take for a number beyond its bounds, None where that is a fault.
+        report: Called with each fault; by default the first one is raised.
+    """
+
+    unknown: Literal["ignore", "forbid"]
+    beyond: Callable[[Beyond], float | None] = lambda found: None
+    report: Callable[[Fault], None] = raise_fault
+
+
+def any_finite(found: Beyond) -> float | None:
+    """Return a finite quantity as it is, None for one that cannot be negative and is, and for anything else."""
+    if found.range is None or not math.isfinite(found.value) or (found.range.low == 0.0 and found.value < 0.0):
+        return None
+    return float(found.value)
+
+
+def faults_of(model: type[Record], fields: object) -> list[Fault]:
+    """Return all that is wrong with the fields of a record, keys that are not known included."""
+    faults: list[Fault] = []
+    read_record(model, fields, Reading("forbid", report=faults.append))
+    source = fields.get("src") if issubclass(model, Message) and isinstance(fields, dict) else None
+    if isinstance(source, str) and not is_source(source):
+        faults.append(source_fault(source))
+    return faults
+
+
+def made(model: type[R], fields: Mapping[str, Any]) -> R:
+    """Return a record of some fields; FaultError states the first of them that is wrong."""
+    try:
+        return msgspec.convert(fields, model, builtin_types=(bytes,))
+    except ValueError as error:
+        raise FaultError(faults_of(model, fields)[0]) from error
+
+
+def source_fault(source: str) -> Fault:
+    """Return the fault of a source that is not well formed."""
+    text = f"src is {source[:_MOST_SHOWN]!r}, must be node@site, of small letters, digits and _"
+    return Fault("src", "word", text)
+
+
+def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | None:
+    """Return a map, of plain values or of their `Raw` bytes, as a record.
+
+    Returns:
+        The record; None after a fault that was reported.
+
+    Raises:
+        FaultError: The first fault, if `how` raises it.
+    """
+    parts = _opened(dict[str, Raw], value, how, key)
+    if parts is None:
+        return None
+    fields = {field.name: field for field in msgspec.structs.fields(model)}
+    made = {}
+    for name, field in fields.items():
+        here = _joined(key, name)
+        if name in parts:
+            made[name] = _read(field.type, parts[name], how, here)
+            if beyond := elements_beyond(field.type, made[name]):
+                _decide(Beyond(f"{here}.data", beyond[0], beyond[1].low, beyond[1].high, beyond[1], True), how)
+        elif field.required:
+            how.report(Fault(here, "missing", f"{here} is missing"))
+    if how.unknown == "forbid":
+        for name in parts.keys() - fields.keys():
+            text = f"{_joined(key, name)} is not known, {known_names(name[:_MOST_KEY], fields)}"
+            how.report(Fault(_joined(key, name), "unknown", text))
+    try:
+        return model(**made)
+    except (TypeError, ValueError, AttributeError) as error:
+        # A part that is missing or wrong was reported before.
+        if None not in made.values() and all(name in made or not field.required for name, field in fields.items()):
+            how.report(Fault(key, "record", f"{key or model.__name__}: {error}"))
+        return None
+
+
+def declared_elements(kind: Any) -> Range | None:
+    """Return the range that a kind declares for the elements of an array."""
+    return next((rule.extra["elements"] for rule in _rules(kind) if rule.extra and "elements" in rule.extra), None)
+
+
+def elements_beyond(kind: Any, array: object) -> tuple[float, Range] | None:
+    """Return an element of an array that is beyond the range declared with its kind, and that range; else None."""
+    declared = declared_elements(kind) if isinstance(array, Array) and array.data else None
+    if declared is None:
+        return None
+    elements = cast(Array, array).to_numpy()
+    for value in (float(elements.min()), float(elements.max())):
+        if not declared.low <= value <= declared.high:
+            return value, declared
+    return None
+
+
+def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
+    """Return a value as a kind, None after a fault that was reported."""
+    try:
+        return _as_kind(kind, value)
+    except REFUSALS as error:
+        refusal = error
+    base, rules = _unwrapped(kind)
+    arguments = get_args(base)
+    if _is_optional(base):
+        return _read(arguments[0], value, how, key)
+    if isinstance(base, type) and issubclass(base, Record):
+        return read_record(base, value, how, key)
+    if get_origin(base) is dict:
+        parts = _opened(_with_length(dict[str, Raw], rules), value, how, key)
+        return parts and {name: _read(arguments[1], part, how, _joined(key, name)) for name, part in parts.items()}
+    if get_origin(base) is tuple:
+        is_open = arguments[-1] is Ellipsis
+        length = () if is_open else (Meta(min_length=len(arguments), max_length=len(arguments)),)
+        parts = _opened(_with_length(list[Raw], (*rules, *length)), value, how, key)
+        kinds = arguments[:1] * len(parts or ()) if is_open else arguments
+        return parts and tuple(
+            _read(one, part, how, _joined(key, at)) for at, (one, part) in enumerate(zip(kinds, parts, strict=True))
+        )
+    return _read_scalar(base, rules, value, how, key, refusal)
+
+
+def _read_scalar(base: Any, rules: Sequence[Meta], value: Any, how: Reading, key: str, refusal: BaseException) -> Any:
+    if type(value) is Raw:
+        value = _shown(value)
+    is_number = type(value) is int or (type(value) is float and not math.isnan(value))
+    bounds = next((rule for rule in rules if rule.ge is not None and rule.le is not None), None)
+    if bounds is not None and is_number and (base is float or (base is int and type(value) is int)):
+        ranges = [rule.extra["range"] for rule in rules if rule.extra and "range" in rule.extra]
+        low, high = cast(float, bounds.ge), cast(float, bounds.le)
+        return _decide(Beyond(key, value, low, high, ranges[0] if ranges else None), how)
+    type_text, _, got = str(refusal).partition(" - at ")[0].replace("`", "").partition(", got ")
+    right, fault = type_text.removeprefix("Expected "), "type"
+    if get_origin(base) is Literal:
+        right, fault = f"one of {', '.join(map(repr, get_args(base)))}", "word" if type(value) is str else "type"
+    elif isinstance(refusal, UnicodeDecodeError):
+        right = "text in UTF-8"
+    elif type(value) is float and not math.isfinite(value):
+        right, fault = "a finite number", "bounds"
+    elif not got:
+        # It is of the right type.
+        fault = "word" if type(value) is str else "bounds"
+    how.report(Fault(key, cast(Any, fault), f"{key} is {repr(value)[:_MOST_SHOWN]}, must be {right}"))
+    return None
+
+
+def _decide(found: Beyond, how: Reading) -> float | None:
+    taken = how.beyond(found)
+    if taken is None:
+        how.report(found.fault)
+    return taken
+
+
+def _as_kind(kind: Any, value: Any) -> Any:
+    return (
+        msgspec.msgpack.decode(value, type=kind)
+        if type(value) is Raw
+        else msgspec.convert(value, kind, builtin_types=(bytes,))
+    )
+
+
+def _opened(kind: Any, value: Any, how: Reading, key: str) -> Any:
+    """Return the parts of a value, each as bytes where the value is bytes; None after a fault that was reported."""
+    if type(value) is not Raw:
+        # Parts that are no bytes are of any type.
+        kind = _of_anything(kind)
+    try:
+        return _as_kind(kind, value)
+    except REFUSALS as error:
+        text = str(error).partition(" - at ")[0].replace("`", "") or type(error).__name__
+        how.report(Fault(key, "type", f"{key or 'the message'}: {text[:1].lower()}{text[1:]}"))
+        return None
+
+
+def _of_anything(kind: Any) -> Any:
+    base, rules = _unwrapped(kind)
+    return _with_length(dict[str, Any] if get_origin(base) is dict else list[Any], rules)
+
+
+def _shown(raw: Raw) -> Any:
+    """Return a scalar, and the size of what is none."""
+    size = len(memoryview(raw))
+    try:
+        return msgspec.msgpack.decode(raw) if size <= _MOST_SHOWN_BYTES else f"<{size} bytes>"
+    except REFUSALS:
+        return f"<{size} bytes>"
+
+
+def _with_length(kind: Any, rules: Sequence[Meta]) -> Any:
+    lengths = [rule for rule in rules if rule.max_length is not None]
+    return Annotated[kind, lengths[0]] if lengths else kind
+
+
+def _unwrapped(kind: Any) -> tuple[Any, tuple[Meta, ...]]:
+    return (kind.__origin__, _rules(kind)) if get_origin(kind) is Annotated else (kind, ())
+
+
+def _rules(kind: Any) -> tuple[Meta, ...]:
+    """Return the rules of a kind, and those of what it is where it is not nil."""
+    if get_origin(kind) is Annotated:
+        return (*_rules(kind.__origin__), *kind.__metadata__)
+    return _rules(get_args(kind)[0]) if _is_optional(kind) else ()
+
+
+def _is_optional(kind: Any) -> bool:
+    return get_origin(kind) in (Union, types.UnionType) and get_args(kind)[1:] == (type(None),)
+
+
+def _joined(key: str, part: object) -> str:
+    return f"{key}.{part}"[:_MOST_KEY] if key else str(part)[:_MOST_KEY]

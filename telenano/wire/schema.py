@@ -1,0 +1,61 @@
+"""The JSON Schema of a message, from its declaration: for recordings, viewers, and clients in other languages."""
+
+import inspect
+import sys
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import msgspec
+
+from telenano.wire.messages import Record
+
+
+def json_schema(model: type[Record]) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a record, with the records inside it under `$defs`.
+
+    The words of a field are in the order in which they are declared, a pattern ends with `$`, and bytes have the format
+    `binary`.
+    """
+    (_,), definitions = msgspec.json.schema_components([model])
+    kinds = {kind.__name__: kind for kind in records_in(model)}
+    for name, kind in kinds.items():
+        schema = definitions[name]
+        schema["description"] = inspect.cleandoc(kind.__doc__ or "")
+        for field in msgspec.structs.fields(kind):
+            _restore(schema["properties"][field.name], field.type)
+    whole = definitions.pop(model.__name__)
+    return {**({"$defs": definitions} if definitions else {}), **whole}
+
+
+def _restore(schema: dict[str, Any], kind: Any) -> None:
+    """Bring what msgspec says of a field into the words of the contract."""
+    kind = kind.__origin__ if get_origin(kind) is Annotated else kind
+    for choice in (kind, *get_args(kind)):
+        if get_origin(choice) is Literal:
+            words = next(part for part in (schema, *schema.get("anyOf", ())) if "enum" in part)
+            words |= {"type": "string", "enum": list(get_args(choice))}
+    _plain(schema)
+
+
+def _plain(schema: dict[str, Any]) -> None:
+    if schema.pop("contentEncoding", ""):
+        # On the wire they are bytes, which JSON does not have.
+        schema["format"] = "binary"
+    if schema.get("maximum") == sys.float_info.max:
+        # Any number of JSON is finite.
+        del schema["maximum"], schema["minimum"]
+    if schema.get("items") is False:
+        # maxItems says the same.
+        del schema["items"]
+    if "pattern" in schema:
+        schema["pattern"] = schema["pattern"].replace(r"\Z", "$")
+    parts = [schema[key] for key in ("items", "additionalProperties") if isinstance(schema.get(key), dict)]
+    for part in (*parts, *schema.get("anyOf", ()), *schema.get("prefixItems", ())):
+        _plain(part)
+
+
+def records_in(kind: Any) -> list[type[Record]]:
+    """Return a record and those inside it, or those inside a kind."""
+    kind = kind.__origin__ if get_origin(kind) is Annotated else kind
+    if isinstance(kind, type) and issubclass(kind, Record):
+        return [kind, *(found for field in msgspec.structs.fields(kind) for found in records_in(field.type))]
+    return [] if get_origin(kind) is Literal else [found for part in get_args(kind) for found in records_in(part)]
