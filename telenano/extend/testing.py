@@ -103,7 +103,7 @@ class NodeBench:
         seq = self._sequence.get((topic, src), 0)
         self._sequence[topic, src] = seq + 1
         model = TOPICS[topic].model
-        header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version_of(fields)}
+        header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version}
         return compose(topic, {**header, **fields}, lambda text: None)[0]
 
     def received(self, topic: str, src: str, **fields: Any) -> Received:

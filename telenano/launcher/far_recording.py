@@ -231,7 +231,7 @@ class _LinkEnd:
 
     def publish(self, topic: str, **fields: Any) -> None:
         """Send a message of the console."""
-        now_ns, version = self._participant.clock.now_ns(), SessionControl.version_of(fields.keys())
+        now_ns, version = self._participant.clock.now_ns(), SessionControl.version
         header = {"seq": self._seq, "t_ns": now_ns, "src": "console@master", "v": version}
         _, payload = compose(topic, {**header, **fields}, lambda text: None)
         self._seq += 1

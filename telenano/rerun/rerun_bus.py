@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import msgspec
+
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.tolerance import Tolerances, first_difference
@@ -50,12 +52,12 @@ class RerunBus:
 
     def publish_as(self, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
         """Compare a message of one of the node's endpoints; its `t_ns`, the time of sending, is the recorded one."""
-        name, model = output_name(topic, src), TOPICS[topic].model
+        name = output_name(topic, src)
         seq = self.numbers.get(name, 0)
         self.numbers[name] = seq + 1
         recorded = None if topic in NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version_of(fields)}
+        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": TOPICS[topic].model.version}
         message, payload = compose(topic, {**header, **fields}, lambda text: None)
         if recorded is not None:
             self._compare(message, payload, recorded)
@@ -134,5 +136,6 @@ class RerunOutlet:
 
 def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
     """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
-    since = {key for key in message.additions if kept[key] is None}
+    optional = [field.name for field in msgspec.structs.fields(type(message)) if not field.required]
+    since = {key for key in optional if kept[key] is None}
     return since | {"v"} if message.v > kept["v"] else since

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from telenano.wire.messages import Array, Count, Facts, Name, Record, _Headed, about
+from telenano.wire.messages import Array, Count, Facts, Message, Name, Record, about
 from telenano.wire.ranges import DurationS, ScaleValue
 
 MOST_QUESTIONS = 16
@@ -27,7 +27,7 @@ class Question(Record):
     options: Annotated[tuple[Label, ...], about("What can be chosen; empty for a scale", max_length=MOST_QUESTIONS)]
 
 
-class ExperimentCue(_Headed):
+class ExperimentCue(Message):
     """What a participant sees and is asked now, repeated while it stands. Nothing in it tells of the condition."""
 
     id: Annotated[str, about("Identifier that the answers to it name", pattern=_ID)]
@@ -60,7 +60,7 @@ class ExperimentCue(_Headed):
     ]
 
 
-class ExperimentAnswer(_Headed):
+class ExperimentAnswer(Message):
     """What a person at a page answered; sent again, with the same id, until a cue says that it was taken."""
 
     id: Annotated[str, about("Identifier of the answer", pattern=_ID)]
@@ -71,7 +71,7 @@ class ExperimentAnswer(_Headed):
     shown_s: Annotated[DurationS, about("How long the cue had been shown by then [s]")]
 
 
-class ExperimentTrial(_Headed):
+class ExperimentTrial(Message):
     """The trial with its condition, for the recording and the experimenter; no participant's page is told of it."""
 
     participant: Annotated[str, about("Pseudonym, never a name", pattern=r"^[A-Za-z0-9_-]{1,32}$", examples=["P01"])]

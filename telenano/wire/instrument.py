@@ -1,9 +1,8 @@
 """Messages of the instrument that only come while it does something of its own accord."""
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from telenano.wire.messages import Array, Count, Facts, Lengths, _Headed, about
+from telenano.wire.messages import Array, Count, Facts, Lengths, Message, about
 from telenano.wire.ranges import Percent
 
 # A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
@@ -12,11 +11,8 @@ MOST_TEXT = 512
 AfmProgramName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
-class AfmProgram(_Headed):
+class AfmProgram(Message):
     """What the instrument does by itself, whatever afm/command says; ten times a second, and when it ends."""
-
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"values": 2}
 
     program: Annotated[
         AfmProgramName,
@@ -38,7 +34,7 @@ class AfmProgram(_Headed):
     ] = None
 
 
-class AfmParticles(_Headed):
+class AfmParticles(Message):
     """Where the particles of a simulated instrument really are: no instrument knows it, and who plans must not read it.
 
     For who judges a session afterwards; 20 times a second while one moves, else once a second.

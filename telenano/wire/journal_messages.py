@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from telenano.wire.messages import MAX_ITEMS, Array, Count, Counts, Record, Source, Text, _Headed, about
+from telenano.wire.messages import MAX_ITEMS, Array, Count, Counts, Message, Record, Source, Text, about
 
 
 class JournalInput(Record):
@@ -12,7 +12,7 @@ class JournalInput(Record):
     src: Annotated[Source, about("Publisher, node@site")]
 
 
-class NodeJournal(_Headed):
+class NodeJournal(Message):
     """In which order a node took its inputs and deadlines: what a re-run of the node follows.
 
     A turn is one message, deadline or deferred task, acted on at one time. The arrays have one element a turn.

@@ -11,8 +11,7 @@ never sent.
 
 import math
 import sys
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, dataclass_transform
+from typing import Annotated, Any, ClassVar, Literal, dataclass_transform
 
 import msgspec
 import numpy as np
@@ -95,40 +94,15 @@ class Record(
 
 
 class Message(Record):
-    """What every message is: a record that begins with the header."""
+    """What every message begins with: the header."""
 
     version: ClassVar[int] = 1
-    # optional keys, with the version that a message with each has: None stands for a key that is absent on the wire
-    additions: ClassVar[Mapping[str, int]] = {}
 
-    if TYPE_CHECKING:
-        seq: Count
-        t_ns: Count
-        src: str
-        v: int
-
-    @classmethod
-    def version_of(cls, keys: Collection[str]) -> int:
-        """Return the version of a message with these keys: older readers take one without the newer keys."""
-        if not cls.additions:
-            return cls.version
-        return max((added for key, added in cls.additions.items() if key in keys), default=1)
-
-
-Number = Annotated[Count, about("Number of this message on its topic from this source, counted from 0")]
-SentNs = Annotated[Count, about("Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")]
-# The pattern takes as long as all the rest of a message, and `accept` looks at a source once.
-Publisher = Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
-Version = Annotated[int, about("Schema version of this message", ge=1)]
-
-
-class _Headed(Message):
-    """A message that begins with the header."""
-
-    seq: Number
-    t_ns: SentNs
-    src: Publisher
-    v: Version
+    seq: Annotated[Count, about("Number of this message on its topic from this source, counted from 0")]
+    t_ns: Annotated[Count, about("Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")]
+    # The pattern takes as long as all the rest of a message, and `accept` looks at a source once.
+    src: Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
+    v: Annotated[int, about("Schema version of this message", ge=1)]
 
 
 class _OfHand(Message):
@@ -136,10 +110,6 @@ class _OfHand(Message):
 
     hand_seq: Annotated[Count, about("seq of the haptic/state that this message answers or descends from")]
     hand_t_ns: Annotated[Count, about("t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")]
-    seq: Number
-    t_ns: SentNs
-    src: Publisher
-    v: Version
 
 
 class Array(Record):
@@ -193,17 +163,8 @@ HandArmed = Annotated[
 ]
 
 
-class HapticState(_Headed):
+class HapticState(Message):
     """The operator's device: what was measured and what was really applied."""
-
-    version: ClassVar[int] = 4
-    additions: ClassVar[Mapping[str, int]] = {
-        **dict.fromkeys(
-            ("device", "sample_age_s", "position_raw", "velocity_raw", "operator_force_raw", "drive_raw"), 2
-        ),
-        **dict.fromkeys(("buttons", "orientation", "hand_energy_j", "coupling_energy_j"), 3),
-        "armed": 4,
-    }
 
     buttons: Annotated[
         Annotated[int, Meta(ge=0, le=2**16 - 1)] | None,
@@ -256,11 +217,8 @@ class HapticState(_Headed):
     ] = None
 
 
-class OperatorForce(_Headed):
+class OperatorForce(Message):
     """The force of an operator who has no device, for a simulated one: from the page of the view."""
-
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"by": 2}
 
     force_n: Annotated[
         ForceVector, about("Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z")
@@ -292,9 +250,6 @@ class _Teleop(_OfHand):
 class TeleopForward(_Teleop):
     """From the master half of a law to the slave half."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"hand_armed": 2}
-
     hand_armed: HandArmed = None
 
 
@@ -308,9 +263,6 @@ class TeleopBackward(_Teleop):
 
 class AfmCommand(_OfHand):
     """What the slave half of the law asks of the AFM."""
-
-    version: ClassVar[int] = 3
-    additions: ClassVar[Mapping[str, int]] = {"lateral_m": 2, "hand_armed": 3}
 
     mode: Annotated[Literal["position", "hold", "retract"], about("Follow base_position_m, stay, or withdraw")]
     base_position_m: Annotated[
@@ -328,13 +280,6 @@ class AfmCommand(_OfHand):
 
 class AfmState(_OfHand):
     """The AFM: what was measured and what was really applied."""
-
-    version: ClassVar[int] = 4
-    additions: ClassVar[Mapping[str, int]] = {
-        **dict.fromkeys(("device", "sample_age_s", "output_v", "input_v"), 2),
-        **dict.fromkeys(("felt_channel", "felt_value", "felt_clamp"), 3),
-        **dict.fromkeys(("armed", "placed"), 4),
-    }
 
     # What the converters of a real instrument had, before any calibration.
     output_v: Annotated[VoltageV | None, about("Output to the stage, read back [V]")] = None
@@ -376,11 +321,9 @@ class AfmState(_OfHand):
     ] = None
 
 
-class AfmScanline(_Headed):
+class AfmScanline(Message):
     """A finished line of an image."""
 
-    version: ClassVar[int] = 3
-    additions: ClassVar[Mapping[str, int]] = {"lateral_force_n": 2, "torsion_rad": 2, "dissipated_j": 3}
     line: Annotated[Count, about("Number of the line, from 0")]
     lines: Annotated[int, about("Lines in the image", ge=1, le=2**20)]
     direction: Annotated[Literal["trace", "retrace"], about("Sense of the fast axis")]
@@ -402,7 +345,7 @@ class AfmScanline(_Headed):
     ] = None
 
 
-class LawStatus(_Headed):
+class LawStatus(Message):
     """State of one half of the law: energy, passivity, and what it receives; energies at the hand's scale."""
 
     law: Annotated[str, about("Law in force at this half", pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
@@ -453,11 +396,8 @@ class LinkClock(Record):
     exchanges: Annotated[Count, about("Number of exchanges in view of the minimum filter")]
 
 
-class LinkStatus(_Headed):
+class LinkStatus(Message):
     """The link, both directions."""
-
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"answer_sent_ns": 2, "answer_received_ns": 2}
 
     forward: Annotated[LinkDirection, about("From the master to the slave")]
     backward: Annotated[LinkDirection, about("From the slave to the master")]
@@ -470,7 +410,7 @@ class LinkStatus(_Headed):
     ] = None
 
 
-class LinkDelay(_Headed):
+class LinkDelay(Message):
     """What the way between the sites adds to the age of the hand's samples, from one sample on.
 
     It is sent before the first message that descends from that sample, whenever the delay changes by a step, and
@@ -506,29 +446,26 @@ class LinkFate(Record):
     corrupted: Annotated[bool, about("Bits of it were flipped")]
 
 
-class LinkFates(_Headed):
+class LinkFates(Message):
     """What the link did to each message of one direction since the last such report."""
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
     fates: Annotated[tuple[LinkFate, ...], about("In the order in which they were decided", max_length=MAX_ROWS)]
 
 
-class ClockPing(_Headed):
+class ClockPing(Message):
     """Question of the link to the other site for its time."""
 
 
-class ClockPong(_Headed):
+class ClockPong(Message):
     """Answer to a clock/ping; its own t_ns is the time of sending on the answering clock."""
 
     ping_t_ns: Annotated[Count, about("t_ns of the question, on the asking clock [ns]")]
     received_ns: Annotated[Count, about("When the question arrived, on the answering clock [ns]")]
 
 
-class SessionControl(_Headed):
+class SessionControl(Message):
     """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
-
-    version: ClassVar[int] = 4
-    additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2, "node_latch": 3, "by": 4}
 
     id: Annotated[str, about("Identifier that the answers repeat", pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     command: Annotated[
@@ -559,7 +496,7 @@ class SessionControl(_Headed):
     ] = None
 
 
-class SessionEvent(_Headed):
+class SessionEvent(Message):
     """What happened at a node."""
 
     id: Annotated[str, about("Id of the command answered; empty = unasked", pattern=r"^[A-Za-z0-9_-]{0,64}$")]
@@ -589,11 +526,8 @@ class InputHealth(Record):
     age_s: Annotated[TimeS, about("Time since the publisher sent the newest message [s], across two clocks")]
 
 
-class NodeHealth(_Headed):
+class NodeHealth(Message):
     """How a process is doing."""
-
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2, "calibration": 2}
 
     pid: Annotated[Count, about("Process id")]
     state: Annotated[Literal["starting", "ready", "running", "safe", "stopping"], about("What the node is at")]

@@ -1,22 +1,16 @@
 """The messages of the link between two machines: its keys, and what the network did."""
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from telenano.wire.messages import Array, Count, Counts, LinkClock, _Headed, about
+from telenano.wire.messages import Array, Count, Counts, LinkClock, Message, about
 from telenano.wire.ranges import DurationS
 
 
-class LinkKey(_Headed):
+class LinkKey(Message):
     """The public key of one end of the link between two machines, for the keys of its datagrams, and what it received.
 
     It crosses over TCP both ways, so that each end knows what arrives of its datagrams where none comes back.
     """
-
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = dict.fromkeys(
-        ("receiving", "sent", "arrived", "lost", "capacity_bit_per_s"), 2
-    )
 
     public_key: Annotated[str, about("Ephemeral X25519 key of this end, in hexadecimal", pattern=r"^[0-9a-f]{64}$")]
     answers: Annotated[
@@ -35,7 +29,7 @@ class LinkKey(_Headed):
     ] = None
 
 
-class RecordingPiece(_Headed):
+class RecordingPiece(Message):
     """A piece of a recording of the other site, sent on request (ADR 0075)."""
 
     file: Annotated[str, about("Name of the file, without any folder", max_length=255)]
@@ -46,17 +40,12 @@ class RecordingPiece(_Headed):
     data: Annotated[Array, about("u1: the piece, empty at the end of the file")]
 
 
-class LinkNetwork(_Headed):
+class LinkNetwork(Message):
     """What the network between two machines did to the datagrams of one direction, as their receiver saw it.
 
     The arrays have one element a datagram, in the order in which its fate was known: the ground truth of a real
     network, as link/fates is that of an injected one. One-way delays rest on `clock`, and are as uncertain.
     """
-
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = dict.fromkeys(
-        ("settled", "queue_s", "capacity_bit_per_s", "line", "limit_bit_per_s", "blocked_since_ns"), 2
-    )
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
     receiving: Annotated[Literal["datagram", "stream"], about("How this direction is received now")]

@@ -22,7 +22,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RECORDS, GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TOPICS, Message, encode
+from telenano.wire import TOPICS, encode
 from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
 
@@ -57,23 +57,20 @@ def wire() -> dict[str, Any]:
 
 def fields_of(model: type[Record], schema: Mapping[str, Any]) -> dict[str, str]:
     """Return the type of each field of a message by its path, with what it may lack: `number -10 to 10, required`."""
-    added = model.additions if issubclass(model, Message) else {}
-    found = dict(_fields(schema, schema, "", added))
+    found = dict(_fields(schema, schema, ""))
     # its greatest value is the version of the message, which stands beside it
     return found | ({"v": "integer from 1, required"} if "v" in found else {})
 
 
-def _fields(
-    part: Mapping[str, Any], root: Mapping[str, Any], before: str, added: Mapping[str, int]
-) -> Iterator[tuple[str, str]]:
+def _fields(part: Mapping[str, Any], root: Mapping[str, Any], before: str) -> Iterator[tuple[str, str]]:
     for name, field in part["properties"].items():
-        since = f"may be absent, version {added[name]}" if name in added else "required"
-        yield f"{before}{name}", f"{_type(field, root)}, {since}"
+        presence = "required" if name in part["required"] else "may be absent"
+        yield f"{before}{name}", f"{_type(field, root)}, {presence}"
         for choice in (field, *field.get("anyOf", ())):
             record, mark = (choice.get("items", {}), "[]") if "items" in choice else (choice, "")
             if "$ref" in record:
                 below = root["$defs"][record["$ref"].rpartition("/")[2]]
-                yield from _fields(below, root, f"{before}{name}{mark}.", {})
+                yield from _fields(below, root, f"{before}{name}{mark}.")
 
 
 def _type(field: Mapping[str, Any], root: Mapping[str, Any]) -> str:
@@ -164,12 +161,11 @@ def _broken_wire(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[
         for node in sorted(set(row["published by"]) - set(found["published by"])):
             yield f"topic {topic}: {node} publishes it no longer"
         yield from _broken_fields(f"topic {topic}", row["fields"], found["fields"])
-        new = [text for path, text in found["fields"].items() if path not in row["fields"]]
-        newest = max((_since(text) for text in new), default=row["version"])
-        if found["version"] != max(row["version"], newest):
+        has_new = bool(found["fields"].keys() - row["fields"].keys())
+        if not row["version"] <= found["version"] <= row["version"] + has_new:
             yield (
-                f"topic {topic}: version {found['version']}, and {row['version']} is frozen: the version is that of "
-                f"the newest key, {newest}"
+                f"topic {topic}: version {found['version']}, and {row['version']} is frozen: a key that is added may "
+                "raise it by one"
             )
 
 
@@ -207,13 +203,8 @@ def _broken_fields(where: str, frozen: Mapping[str, str], now: Mapping[str, str]
     for path in new:
         # what a new record must have is needed only where it is
         within = any(path.startswith((f"{other}.", f"{other}[].")) for other in new)
-        if not within and not _since(now[path]):
+        if not within and "may be absent" not in now[path]:
             yield f"{where}: field {path} is new and `{now[path]}`: what is added may be absent"
-
-
-def _since(text: str) -> int:
-    """Return the version of a message with a field that may be absent, 0 for a field that is required."""
-    return int(text.rpartition("may be absent, version ")[2]) if "may be absent" in text else 0
 
 
 def main(file: Path = FILE) -> int:

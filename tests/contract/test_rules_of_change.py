@@ -1,9 +1,8 @@
 """The rules of change of proto/SPEC.md: what a reader of wire 1 and recording 1 takes, ignores and refuses."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import msgpack
 import pytest
@@ -26,7 +25,6 @@ from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, WireError, accept, compose, decode, decode_header, encode, fields_of, read_header
 from telenano.wire.codec import MAX_PLAIN_BYTES
 from telenano.wire.errors import RecordingError
-from telenano.wire.messages import AfmState
 
 LATER = {"tip_temperature_k": 295.1, "later": {"of": [1, "two", b"three"], "nothing": None}}
 IGNORING = [topic for topic in TOPICS if topic != "session/control"]
@@ -76,14 +74,6 @@ def test_a_key_that_is_not_known_is_not_sent(topic: str) -> None:
         compose(topic, fields_of(decode(topic, msgpack.packb(example_fields(topic)))) | LATER, print)
 
 
-def test_a_key_that_readers_may_do_without_leaves_the_version() -> None:
-    class Later(AfmState):
-        additions: ClassVar[Mapping[str, int]] = {**AfmState.additions, "tip_temperature_k": 1}
-
-    assert Later.version_of(["tip_temperature_k"]) == 1
-    assert Later.version_of(["tip_temperature_k", "device"]) == 2
-
-
 @pytest.mark.parametrize("topic", TOPICS)
 def test_a_later_version_is_refused_in_a_sentence_with_both(topic: str) -> None:
     known = TOPICS[topic].model.version
@@ -92,14 +82,6 @@ def test_a_later_version_is_refused_in_a_sentence_with_both(topic: str) -> None:
         with pytest.raises(WireError, match=f"version {known + 1} from .* is newer than version {known} ") as caught:
             read(topic, later)
         assert caught.value.reason == "newer_version"
-
-
-def test_the_version_before_an_added_key_is_read(tmp_path: Path) -> None:
-    for topic, row in TOPICS.items():
-        if row.model.additions:
-            before = examples(row)["ordinary"]
-            assert before.v < row.model.version
-            assert accept(topic, encode(before)) == before
 
 
 def test_a_topic_that_is_not_known_is_skipped_and_counted(tmp_path: Path) -> None:

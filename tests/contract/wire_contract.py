@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import numpy as np
 
 from telenano.wire.codec import MOST_BYTES, decode, encode, fields_of
@@ -29,7 +30,7 @@ FOLDER = ROOT / "proto"
 # These parts of SPEC.md are generated.
 PARTS = ("topics", "ranges")
 
-WITH_ADDITIONS = "_with_additions"
+WITH_OPTIONAL = "_with_optional_keys"
 
 # A made-up text would not match the patterns of these strings.
 _PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance", "public_key": "07" * 32, "answers": "a9" * 32}
@@ -71,10 +72,7 @@ CASES = (
 
 
 def schema_of(topic: Topic) -> dict[str, Any]:
-    """Return the JSON Schema of a topic's message; `x-topic` and `x-version` are its topic and version.
-
-    `x-added` has the version of a message with each of the keys that may be absent.
-    """
+    """Return the JSON Schema of a topic's message; `x-topic` and `x-version` are its topic and version."""
     schema = json_schema(topic.model)
     schema["properties"]["v"]["maximum"] = topic.model.version
     if topic.model is not SessionControl:
@@ -85,7 +83,6 @@ def schema_of(topic: Topic) -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "x-topic": topic.name,
         "x-version": topic.model.version,
-        "x-added": dict(topic.model.additions),
         **schema,
     }
 
@@ -94,21 +91,23 @@ def schema_of(topic: Topic) -> dict[str, Any]:
 def examples(topic: Topic) -> Mapping[str, Message]:
     """Return one valid message a case, by the name of the case; the same ones every time.
 
-    Where keys are optional each case is there without them, as before they were added, and then once more for each
-    version that added some, with all until then.
+    Where keys may be absent each case is there without them, and once more with all of them.
     """
     schema = json_schema(topic.model)
-    added = topic.model.additions
     sets = {"": schema["required"]}
-    for number, version in enumerate(sorted(set(added.values()))):
-        keys = [name for name in schema["properties"] if added.get(name, 1) <= version]
-        sets[WITH_ADDITIONS + (f"_{version}" if number else "")] = keys
+    if has_optional_keys(topic):
+        sets[WITH_OPTIONAL] = list(schema["properties"])
     made = {}
     for suffix, keys in sets.items():
         for case in CASES:
             fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema, keys)
             made[case.name + suffix] = decode(topic.name, msgpack.packb(fields))
     return made
+
+
+def has_optional_keys(topic: Topic) -> bool:
+    """Return whether the message of a topic has keys that may be absent."""
+    return any(not field.required for field in msgspec.structs.fields(topic.model))
 
 
 def vectors() -> list[dict[str, Any]]:
@@ -226,7 +225,7 @@ class _Filler:
 
     def fill(self, schema: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
         filled = {name: self._field(name, field) for name, field in schema["properties"].items() if name in keys}
-        return {**filled, "v": self._topic.model.version_of(keys)} if "v" in filled else filled
+        return {**filled, "v": self._topic.model.version} if "v" in filled else filled
 
     def _field(self, name: str, schema: dict[str, Any]) -> Any:
         if name == "src":

@@ -208,7 +208,7 @@ class Made:
             assert estimate is not None and math.isfinite(estimate.offset_s)
             told = {**estimate._asdict(), "offset_s": estimate.offset_s + self.told_s, "valid": True}
             clock = msgspec.structs.replace(example("link/status").clock, **told)
-            answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns, "v": 2}
+            answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns}
             # an earlier version tells no answers
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))
             if self.full_s is not None and tenth % 5 == 0:

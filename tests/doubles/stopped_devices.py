@@ -187,7 +187,7 @@ class World:
     def message(self, topic: str, src: str, **fields: Any) -> Received:
         now_ns = self.clock.now_ns()
         model = TOPICS[topic].model
-        header = {"seq": 0, "t_ns": now_ns, "src": src, "v": model.version_of(fields)}
+        header = {"seq": 0, "t_ns": now_ns, "src": src, "v": model.version}
         made: Message = msgspec.convert({**header, **fields}, model)
         return Received(topic, made, b"", now_ns, Arrival.NEXT)
 

@@ -80,7 +80,6 @@ class AssemblyRecorder:
         channel, seq = self._channels[topic]
         self._channels[topic] = channel, seq + 1
         t_ns, model = _BEGAN_NS + round(1e9 * self._instrument.time_s), TOPICS[topic].model
-        version = model.version_of([key for key, value in fields.items() if value is not None])
-        header = {"v": version, "src": src, "seq": seq, "t_ns": t_ns}
+        header = {"v": model.version, "src": src, "seq": seq, "t_ns": t_ns}
         _, payload = compose(topic, {**header, **fields}, lambda text: None)
         self._writer.write(channel, t_ns, t_ns, seq, payload)

@@ -28,10 +28,10 @@ def recorded(folder: Path, *, raw: bool = True) -> Path:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
     counts = {"position_raw": POSITION_ZERO + 10, "velocity_raw": 5, "operator_force_raw": 0, "drive_raw": 3}
     volts = {"output_v": 2.6, "input_v": 0.0123}
-    device = {"device": "ok", "sample_age_s": 1e-3, "v": 2}
+    device = {"device": "ok", "sample_age_s": 1e-3}
     rows: list[tuple[str, str, str, dict[str, Any]]] = [
-        ("node/health", "haptic_node@master", "master", {"calibration": HAND_ID, "v": 2}),
-        ("node/health", "afm_node@slave", "slave", {"calibration": STAGE_ID, "v": 2}),
+        ("node/health", "haptic_node@master", "master", {"calibration": HAND_ID}),
+        ("node/health", "afm_node@slave", "slave", {"calibration": STAGE_ID}),
         ("haptic/state", "haptic_node@master", "master", {**device, **counts} if raw else {}),
         ("afm/state", "afm_node@slave", "slave", {**device, **volts} if raw else {}),
     ]

@@ -33,7 +33,7 @@ RULES = (
     Rule("types", "A message", "each value has its type; text is text, bytes are bin"),
     Rule("words", "A message", "a text is one of the words of its schema, or has its pattern"),
     Rule("ranges", "Ranges", "each quantity is finite, in SI units, and within its range"),
-    Rule("version", "Rules of change", "v is that of the newest key in the message, x-added of its schema"),
+    Rule("version", "Rules of change", "v is x-version of the schema of its topic"),
     Rule("sequence", "Sequence", "seq goes up by 1 from 0, for each topic and source by itself"),
     Rule("order of time", "A message", "t_ns never goes back"),
     Rule("clock", "A message", "t_ns is in ns since 1970, and at most 1 s from this machine's clock"),

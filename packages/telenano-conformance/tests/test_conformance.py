@@ -105,13 +105,7 @@ FIELDS: dict[str, tuple[str, Callable[[dict[str, Any]], object], str, str]] = {
     ),
     "an integer is a float": ("afm/state", lambda f: f.update(command_seq=1.0), "types", "command_seq"),
     "a later version": ("afm/state", lambda f: f.update(v=9), "version", "version 9 from"),
-    "the version of keys that are absent": ("session/event", lambda f: f.update(v=2), "version", "version 2 from"),
-    "the version without its key": (
-        "session/control",
-        lambda f: f.update(v=3),
-        "version",
-        "session/control: v is 3, and with these keys 1",
-    ),
+    "the next version": ("session/event", lambda f: f.update(v=2), "version", "version 2 from"),
     "nanometres": (
         "afm/state",
         lambda f: f.update(deflection_m=25.0),
@@ -215,12 +209,12 @@ def answered(command: str) -> Frames:
 @pytest.mark.parametrize(
     ("acknowledged", "fields", "seen"),
     [
-        ("arm", {"armed": True, "v": 4}, ""),
-        ("estop", {"armed": False, "v": 4, "estop": True}, ""),
-        ("arm", {"armed": False, "v": 4}, "has acknowledged an arm, and does not say that it is armed"),
+        ("arm", {"armed": True}, ""),
+        ("estop", {"armed": False, "estop": True}, ""),
+        ("arm", {"armed": False}, "has acknowledged an arm, and does not say that it is armed"),
         ("arm", {}, "has acknowledged an arm, and does not say that it is armed"),
-        ("estop", {"armed": True, "v": 4}, "is armed in emergency stop"),
-        ("arm", {"armed": True, "v": 4, "estop": True}, "is armed in emergency stop"),
+        ("estop", {"armed": True}, "is armed in emergency stop"),
+        ("arm", {"armed": True, "estop": True}, "is armed in emergency stop"),
     ],
 )
 def test_a_stand_in_for_the_hand_says_that_it_is_armed_when_it_is(
@@ -239,7 +233,7 @@ def test_a_controller_takes_no_hand_for_armed_that_did_not_say_so() -> None:
     account = Account()
     examiner = MessageExaminer(account, is_hand=True)
     for number in range(2):
-        fields = fields_of("afm/command", seq=number, t_ns=NOW_NS + number, hand_armed=number == 1, v=3)
+        fields = fields_of("afm/command", seq=number, t_ns=NOW_NS + number, hand_armed=number == 1)
         examiner.take(spec_client.write("afm/command", **fields), NOW_NS)
     assert "the hand was never armed" in outcomes(account)["armed hand"][1]
 
@@ -463,7 +457,7 @@ class Client:
                 elif fields["id"] == "mine":
                     is_taken |= fields["kind"] == "ack"
                     if fields["kind"] == "refused":
-                        quoted = {"v": 3, "validity_s": 5.0, "node_t_ns": {fields["src"]: fields["t_ns"]}}
+                        quoted = {"validity_s": 5.0, "node_t_ns": {fields["src"]: fields["t_ns"]}}
                         quoted["node_latch"] = {fields["src"]: fields["data"]["latch"]}
             if time.monotonic() < due_s:
                 continue

@@ -108,7 +108,7 @@ def test_a_session_becomes_tip_hand_and_force_against_distance(
 def scanline(number: int, direction: str, heights: list[float], lines: int = 2) -> AfmScanline:
     y = number * 10e-9
     return msgspec.convert({
-            "seq": number, "t_ns": 1_700_000_000_000_000_000, "src": "afm_node@slave", "v": AfmScanline.version_of({}),
+            "seq": number, "t_ns": 1_700_000_000_000_000_000, "src": "afm_node@slave", "v": AfmScanline.version,
             "line": number, "lines": lines, "direction": direction, "start_m": (-15e-9, y, 0.0),
             "end_m": (15e-9, y, 0.0), "height_m": Array.from_numpy(np.array(heights)), "amplitude_m": None,
             "phase_rad": None,

@@ -23,8 +23,7 @@ _LARGEST_SUBSCRIPTION = 4096
 SNDMORE = int(zmq.SNDMORE)
 # This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
 FIRST_THREAD = 1
-# Messages of these topics have one version, whatever keys they have.
-_VERSIONS = {name: row.model.version for name, row in TOPICS.items() if not row.model.additions}
+_VERSIONS = {name: row.model.version for name, row in TOPICS.items()}
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
 # A few samples of the link's datagrams are also sent under their topic with one of these before it, by turns, and a
 # reader has a connection for each (datagram/sparse.py).
@@ -59,8 +58,7 @@ class _NumberingPublisher(ABC):
             WireError: The fields do not make a valid message, or one that is too large.
         """
         seq = self._sequence.get(topic, 0)
-        version = _VERSIONS.get(topic) or TOPICS[topic].model.version_of(fields)
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version}
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": _VERSIONS[topic]}
         message, payload = compose(topic, {**header, **fields}, self.on_limited)
         self.send(topic, payload)
         self._sequence[topic] = seq + 1

@@ -24,7 +24,7 @@ def line(
     if lateral is not None:
         fields["lateral_force_n"] = Array.from_numpy(np.array(lateral))
     return msgspec.convert({
-            "seq": 0, "t_ns": 0, "src": "afm_node@slave", "v": AfmScanline.version_of(fields), "line": number,
+            "seq": 0, "t_ns": 0, "src": "afm_node@slave", "v": AfmScanline.version, "line": number,
             "lines": 3, "direction": direction, "start_m": (-15e-9, y, 0.0), "end_m": (15e-9, y, 0.0),
             "height_m": Array.from_numpy(np.array(heights)), **fields,
         }, AfmScanline)  # fmt: skip

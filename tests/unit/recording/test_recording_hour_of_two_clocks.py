@@ -74,7 +74,7 @@ def write(case: Case, folder: Path) -> Path:
         if seq % 4 == 0 and (estimate := found.estimate()) is not None:
             # the link makes it ten times a second
             clock = msgspec.structs.replace(status.clock, **estimate._asdict(), valid=True)
-        answer = {"answer_sent_ns": there_ns + 100_000, "answer_received_ns": back_ns, "v": 2}
+        answer = {"answer_sent_ns": there_ns + 100_000, "answer_received_ns": back_ns}
         rows.append(("link/status", LINK, back_ns + 1000, status, {"clock": clock, **answer}))
         for topic, src, t_ns, example, fields in rows:
             message = msgspec.structs.replace(example, seq=seq, t_ns=t_ns, src=src, **fields)

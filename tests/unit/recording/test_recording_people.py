@@ -22,7 +22,7 @@ T_NS = 10**18
 
 
 def control(seq: int, command: str, by: str | None = None) -> SessionControl:
-    fields: dict[str, Any] = {"seq": seq, "t_ns": T_NS, "src": "console@master", "v": 4, "id": f"c-{seq // 2}"}
+    fields: dict[str, Any] = {"seq": seq, "t_ns": T_NS, "src": "console@master", "v": 1, "id": f"c-{seq // 2}"}
     named = {} if by is None else {"by": by}
     return msgspec.convert(
         {**fields, "command": command, "target": "afm_node", "parameters": {}, "validity_s": 2.0, **named},

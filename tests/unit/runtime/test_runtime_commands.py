@@ -706,7 +706,7 @@ class Conversation:
         self.stopped = False
 
     def publish(self, topic: str, **fields: Any) -> None:
-        header = {"seq": 0, "t_ns": self.client_clock.now_ns(), "src": "console@master", "v": 2}
+        header = {"seq": 0, "t_ns": self.client_clock.now_ns(), "src": "console@master", "v": 1}
         self.forward.append((self.time_ns + self.way_ns, msgspec.convert({**header, **fields}, SessionControl)))
 
     def event(self, kind: Any, level: Any, text: str, *, answer_to: str = "", **data: Scalar) -> None:

@@ -63,7 +63,7 @@ def build(tmp_path: Path) -> Iterator[Callable[[str], Any]]:
 
 def told(node: Node, parameters: Parameters) -> str:
     topic = TOPICS["session/control"].model
-    header = {"seq": 0, "t_ns": node.clock.now_ns(), "src": "console@master", "v": topic.version_of({})}
+    header = {"seq": 0, "t_ns": node.clock.now_ns(), "src": "console@master", "v": topic.version}
     fields = {"id": "a", "command": "set", "target": node.context.key, "parameters": parameters}
     return node.on_control(msgspec.convert({**header, **fields}, topic))
 
