@@ -3,7 +3,7 @@
 from typing import Any
 
 from telenano import wire
-from telenano.extend.messages import example
+from telenano.extend.messages import example, required_keys
 from telenano.wire import Message
 
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -18,8 +18,12 @@ def sample(topic: str, seq: int, **changes: Any) -> Message:
 
 def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
     """Return the fields of a valid message without its header; those that no test asks for as in `sample`."""
-    fields = wire.fields_of(example(topic)) | changes
-    return {name: value for name, value in fields.items() if name not in ("seq", "t_ns", "src", "v")}
+    present = {
+        name: value
+        for name, value in wire.fields_of(example(topic)).items()
+        if value is not None or name in required_keys(topic)
+    }
+    return {name: value for name, value in (present | changes).items() if name not in ("seq", "t_ns", "src", "v")}
 
 
 def haptic_state(seq: int, **changes: Any) -> Message:

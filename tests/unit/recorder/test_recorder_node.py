@@ -431,7 +431,7 @@ def test_everything_on_real_sockets_is_received_at_its_place(
         "scenario.yaml": scenario_file.read_bytes(),
     }
     assert recording.metadata["recording"]["node"] == NODE
-    assert recording.metadata["versions"]["schema haptic/state"] == "4"
+    assert recording.metadata["versions"]["schema haptic/state"] == "1"
     assert recording.metadata["versions"]["package mcap"]
     for message in recording.messages(["teleop/forward@slave"]):
         assert message.payload == encode(teleop_forward(message.seq))

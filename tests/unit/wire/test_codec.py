@@ -660,7 +660,7 @@ def test_a_header_is_read_without_its_message() -> None:
 @pytest.mark.parametrize(
     ("change", "reason", "text"),
     [
-        ({"v": 9}, "newer_version", "schema version 9 from 'haptic_node@master' is newer than version 4 known here"),
+        ({"v": 9}, "newer_version", "schema version 9 from 'haptic_node@master' is newer than version 1 known here"),
         ({"seq": -1}, "schema", "seq is -1, must be a whole number from 0 to"),
         ({"t_ns": 2**63}, "schema", "t_ns is 9223372036854775808, must be a whole number from 0 to"),
         ({"src": 3}, "schema", "src is 3, must be str"),
