@@ -148,7 +148,8 @@ def test_a_row_of_the_table_has_a_cell_for_each_column() -> None:
     interval = {"rate": 12.0, "low": 3.0, "high": 30.0}
     row = {
         "beside": "burner", "loop": "rig", "cycles": 30_000, "late_in_million": 40.0, "runs_in_million": interval,
-        "runs": 1, "ratio": 3.0, "ratio_is_bound": True, "after_next_tick_in_million": 50.0, "median_ms": 0.8, "longest_ms": 5.0, "burner_percent": 70.0,
+        "runs": 1, "ratio": 3.0, "ratio_is_bound": True, "after_next_tick_in_million": 50.0, "median_ms": 0.8,
+        "longest_ms": 5.0, "burner_percent": 70.0,
     }  # fmt: skip
     found = cells(row)
     assert len(found) == HEAD.count("|") - 1
