@@ -5,13 +5,14 @@
 
 A row is a session of its own (`observers.py`), in which all that reads it has connected before the window begins: of
 processes that read every topic, of pages (of the protocol, without a browser), of the rate of the rig, and of how many
-topics four processes read, those of the loop first. The rig at 1 kHz with nothing beside it is a row of each, and the
-ages are ratios to it. The readers are on the same machine, and have their own columns. With more rounds the sessions
-take turns, and the medians are compared.
+topics four processes read, those of the loop first. The rig at 1 kHz with nothing beside it is measured before each of
+the four: its median is the baseline of all ages. The readers are on the same machine, and have their own columns. With
+more rounds the sessions take turns, and the medians are compared.
 
-A row holds its rate where hand and instrument both have 99 % of it. The sentences name the first row that does not, the
-first one in which the loop is older than a tick at 99 %, and what happens in it: messages that a newer one superseded
-in the nodes, deadlines that were missed, what a reader still has, and what `telenano status` says at that moment.
+A row holds its rate where hand and instrument both have 99 % of it. The sentences name the row from which on none does,
+the one from which on the loop is older than a tick at 99 %, and what happens in it: messages that a newer one
+superseded in the nodes, deadlines that were missed, what a reader still has, and what `telenano status` says at that
+moment. A row that fails before one that does not is named as well: it was disturbed.
 """
 
 import argparse
@@ -19,7 +20,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -128,31 +129,52 @@ def within_tick(row: Row) -> bool:
     return "failed" not in row and row["p99_ms"] <= 1e3 / row["asked_hz"]
 
 
+def rate_of(row: Row) -> str:
+    """Return the rates of a row in words, or why it has none."""
+    if "failed" in row:
+        return str(row["failed"])
+    return f"{row['hand_hz']:.0f} Hz at the hand and {row['tip_hz']:.0f} Hz at the tip of {row['asked_hz']:.0f} Hz"
+
+
+def age_of(row: Row) -> str:
+    """Return the age of a row in words."""
+    return f"{row['p99_ms']:.2f} ms, where a tick is {1e3 / row['asked_hz']:g} ms"
+
+
+def where_from(rows: Sequence[Row], is_good: Callable[[Row], bool]) -> tuple[Row | None, list[Row]]:
+    """Return the row from which on none is good, None where the last one is, and those before it that are not good.
+
+    More of what loads a machine does not make it better: a row that fails before one that does not was disturbed.
+    """
+    last = max((place for place, row in enumerate(rows) if is_good(row)), default=-1)
+    return next(iter(rows[last + 1 :]), None), [row for row in rows[: last + 1] if not is_good(row)]
+
+
 def where_it_stops(axis: str, rows: Sequence[Row]) -> list[str]:
-    """Return in sentences the first row that does not hold its rate, the first whose loop is too old, and what then is.
+    """Return in sentences from which row on the rate is not held, from which on the loop is too old, and what then is.
 
     The rows are taken in the order of their values, and the last one that has figures is described as well.
     """
     named, ordered = AXES[axis].named, sorted(rows, key=lambda row: row["value"])
     found, shown = [], dict[int, Row]()
-    slow = next((row for row in ordered if not holds_rate(row)), None)
+    slow, odd = where_from(ordered, holds_rate)
     if slow is None:
-        found.append(f"The rig holds its rate in every row, up to {named(ordered[-1]['value'])}.")
+        found.append(f"The rig holds its rate up to {named(ordered[-1]['value'])}, the most that was tried.")
     elif "failed" in slow:
-        found.append(f"There are no figures at {named(slow['value'])}: {slow['failed']}.")
+        found.append(f"There are no figures from {named(slow['value'])} on: {slow['failed']}.")
     else:
-        had = f"{slow['hand_hz']:.0f} Hz at the hand and {slow['tip_hz']:.0f} Hz at the tip"
-        found.append(f"The rig no longer holds its rate at {named(slow['value'])}: {had} of {slow['asked_hz']:.0f} Hz.")
+        found.append(f"The rig no longer holds its rate from {named(slow['value'])} on: {rate_of(slow)}.")
         shown[slow["value"]] = slow
+    found += [f"At {named(row['value'])} it did not, but with more it did: {rate_of(row)}." for row in odd]
     answered = [row for row in ordered if "failed" not in row]
-    old = next((row for row in answered if not within_tick(row)), None)
-    if old is None:
-        found.append("The loop is younger than a tick at 99 % in every row that has figures.")
-    else:
+    old, odd = where_from(answered, within_tick)
+    if old is not None:
         first = "already " if old is ordered[0] else ""
-        tick = f"{old['p99_ms']:.2f} ms, where a tick is {1e3 / old['asked_hz']:g} ms"
-        found.append(f"The loop is older than a tick at 99 % {first}at {named(old['value'])}: {tick}.")
+        found.append(f"The loop is older than a tick at 99 % {first}from {named(old['value'])} on: {age_of(old)}.")
         shown[old["value"]] = old
+    elif answered:
+        found.append(f"The loop is younger than a tick at 99 % up to {named(answered[-1]['value'])}.")
+    found += [f"At {named(row['value'])} it was not, but with more it was: {age_of(row)}." for row in odd]
     if answered:
         # the most that was tried says what becomes of it
         shown.setdefault(answered[-1]["value"], answered[-1])
@@ -168,13 +190,18 @@ def where_it_stops(axis: str, rows: Sequence[Row]) -> list[str]:
 
 def measure(wanted: Mapping[str, Sequence[int]], rounds: int, window_s: float) -> dict[str, Any]:
     """Return the rows of each axis, and the sentences."""
-    wanted_loads = {load_of(axis, value): (axis, value) for axis, values in wanted.items() for value in values}
-    turns: dict[Load, list[dict[str, Any]]] = {load: [] for load in wanted_loads}
+    turns: dict[Load, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory(prefix="tng-") as folder:
         for _ in range(rounds):
-            for load, (axis, value) in wanted_loads.items():
+            done = set[Load]()
+            for axis, value in ((axis, value) for axis, values in wanted.items() for value in values):
+                load = load_of(axis, value)
+                # all ages are compared with the baseline, so each axis has it again
+                if load in done and load != Load():
+                    continue
+                done.add(load)
                 begun_s = time.monotonic()
-                turns[load].append(measured(load, window_s, Path(folder)))
+                turns.setdefault(load, []).append(measured(load, window_s, Path(folder)))
                 took_s = time.monotonic() - begun_s
                 print(f"{AXES[axis].named(value)}: {took_s:.0f} s", file=sys.stderr, flush=True)
     axes = {}
@@ -218,7 +245,7 @@ def main() -> None:
         parser.add_argument(f"--{axis}", default=given_values, help=f"{about.title}; the first is the baseline")
     parser.add_argument("--rounds", type=int, default=3, help="sessions of each row, in turn")
     parser.add_argument("--window", type=float, default=5.0, help="length of each measurement [s]")
-    parser.add_argument("--quick", action="store_true", help="one round of 2.5 s a row, in about six minutes")
+    parser.add_argument("--quick", action="store_true", help="one round of 2.5 s a row, in five to six minutes")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()

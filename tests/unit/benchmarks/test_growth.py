@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 import growth
 import tables
 from loop import ProcessWatch
-from observers import Load, said
+from observers import Load, SessionError, said
 
 from telenano.wire import TOPICS
 
@@ -44,8 +44,8 @@ def row(value: int, **changed: Any) -> dict[str, Any]:
 def test_a_rig_that_holds_everywhere_says_so_and_what_is_at_the_end() -> None:
     found = growth.where_it_stops("subscribers", [row(value, received_hz=9000.0 * (value > 0)) for value in (0, 1, 16)])
     assert found == [
-        "The rig holds its rate in every row, up to 16 processes.",
-        "The loop is younger than a tick at 99 % in every row that has figures.",
+        "The rig holds its rate up to 16 processes, the most that was tried.",
+        "The loop is younger than a tick at 99 % up to 16 processes.",
         "At 16 processes: superseded messages 2 /s, missed deadlines 0 /s, messages to a reader 9000 /s (100 % of the"
         " first row with one); `telenano status`: every node reports.",
     ]
@@ -63,8 +63,8 @@ def test_the_first_row_of_each_measure_is_named_with_what_happens_in_it() -> Non
     rows = [row(1000), row(2000, asked_hz=2000.0, hand_hz=1990.0, tip_hz=1999.0), row(4000, **slow, says=["a", "b"])]
     found = growth.where_it_stops("rates", rows)
     assert found == [
-        "The rig no longer holds its rate at 4000 Hz: 3700 Hz at the hand and 3950 Hz at the tip of 4000 Hz.",
-        "The loop is older than a tick at 99 % at 2000 Hz: 0.95 ms, where a tick is 0.5 ms.",
+        "The rig no longer holds its rate from 4000 Hz on: 3700 Hz at the hand and 3950 Hz at the tip of 4000 Hz.",
+        "The loop is older than a tick at 99 % from 2000 Hz on: 0.95 ms, where a tick is 0.5 ms.",
         "At 2000 Hz: superseded messages 2 /s, missed deadlines 0 /s; `telenano status`: every node reports.",
         "At 4000 Hz: superseded messages 900 /s, missed deadlines 0 /s; `telenano status`: a; b.",
     ]
@@ -74,10 +74,10 @@ def test_a_row_without_figures_is_where_it_stops_and_a_first_row_may_be_too_old_
     rows = [row(125, asked_hz=125.0, hand_hz=125.0, tip_hz=125.0, p99_ms=8.5)]
     rows.append({"value": 4000, "asked_hz": 4000.0, "failed": "the rig ended before its session: it was not placed"})
     found = growth.where_it_stops("rates", rows)
-    assert found[0] == "There are no figures at 4000 Hz: the rig ended before its session: it was not placed."
-    assert found[1].startswith("The loop is older than a tick at 99 % already at 125 Hz: 8.50 ms")
+    assert found[0] == "There are no figures from 4000 Hz on: the rig ended before its session: it was not placed."
+    assert found[1].startswith("The loop is older than a tick at 99 % already from 125 Hz on: 8.50 ms")
     assert len(found) == 3
-    assert growth.where_it_stops("rates", rows[1:])[0].startswith("There are no figures at 4000 Hz")
+    assert growth.where_it_stops("rates", rows[1:])[0].startswith("There are no figures from 4000 Hz on")
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -92,19 +92,30 @@ def test_the_rows_named_are_the_first_ones_of_any_table(seed: int) -> None:
         at_hand = bool(rng.random() < 0.5)
         p99_ms = float(rng.uniform(0.2, 1.0) if place < is_young else rng.uniform(1.001, 30.0))
         rows.append(row(value, hand_hz=hz if at_hand else 1000.0, tip_hz=1000.0 if at_hand else hz, p99_ms=p99_ms))
+    # a row before the stop that was disturbed is no stop
+    disturbed = [each["value"] for each in rows[: max(0, keeps - 1)] if rng.random() < 0.2]
+    for each in rows:
+        each["hand_hz"] = 900.0 if each["value"] in disturbed else each["hand_hz"]
     rng.shuffle(rows)
     found = growth.where_it_stops("pages", rows)
     named = growth.AXES["pages"].named
     holds = keeps == len(values)
-    assert found[0].startswith("The rig holds its rate in every row" if holds else "The rig no longer holds its rate")
-    assert named(values[-1] if holds else values[keeps]) in found[0]
-    if is_young == len(values):
-        assert "younger than a tick" in found[1]
+    if holds:
+        assert found[0] == f"The rig holds its rate up to {named(values[-1])}, the most that was tried."
     else:
-        assert f"at {named(values[is_young])}:" in found[1]
-        assert ("already" in found[1]) == (is_young == 0)
+        assert found[0].startswith(f"The rig no longer holds its rate from {named(values[keeps])} on: ")
+    odd = [text for text in found if "it did not, but with more it did" in text]
+    assert [text.partition(" it")[0] for text in odd] == [f"At {named(value)}" for value in disturbed]
+    of_age = found[1 + len(odd)]
+    if is_young == len(values):
+        assert of_age == f"The loop is younger than a tick at 99 % up to {named(values[-1])}."
+    else:
+        assert f"from {named(values[is_young])} on:" in of_age
+        assert ("already" in of_age) == (is_young == 0)
     described = {values[-1], *values[keeps : keeps + 1], *values[is_young : is_young + 1]}
-    assert [text.partition(":")[0] for text in found[2:]] == [f"At {named(value)}" for value in sorted(described)]
+    assert [text.partition(":")[0] for text in found[2 + len(odd) :]] == [
+        f"At {named(value)}" for value in sorted(described)
+    ]
 
 
 def test_the_ages_are_ratios_to_the_first_row_and_rounds_are_medians() -> None:
@@ -117,6 +128,31 @@ def test_the_ages_are_ratios_to_the_first_row_and_rounds_are_medians() -> None:
     assert [each.get("p50_ratio") for each in found] == [1.0, 4.0, None]
     assert [each.get("p99_ratio") for each in found] == [1.0, 0.95, None]
     assert "p50_ratio" not in growth.compared([failed, joined])[1]
+
+
+def test_a_table_goes_on_after_a_session_without_figures_and_has_its_baseline_in_each_axis(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Load] = []
+
+    def session(load: Load, window_s: float, folder: Path, *, asks_status: bool) -> dict[str, Any]:
+        asked.append(load)
+        if load.rate_hz == 4000.0:
+            raise SessionError("the rig ended before its session")
+        return {**GOOD, "p50_ms": 0.1 * len(asked)}
+
+    monkeypatch.setattr(growth, "session", session)
+    wanted = {axis: about.values for axis, about in growth.AXES.items()}
+    found = growth.measure(wanted, 2, 0.1)["axes"]
+    assert list(found) == list(growth.AXES)
+    for axis, figures in found.items():
+        assert [each["value"] for each in figures["rows"]] == sorted(growth.AXES[axis].values)
+    baseline = {figures["rows"][3 if axis == "rates" else 0]["p50_ms"] for axis, figures in found.items()}
+    assert len(baseline) == 1
+    assert asked.count(Load()) == 2 * len(growth.AXES)
+    assert {load: asked.count(load) for load in asked if load != Load()} == dict.fromkeys(set(asked) - {Load()}, 2)
+    assert found["rates"]["rows"][-1]["failed"] == "the rig ended before its session"
+    assert "There are no figures from 4000 Hz on" in found["rates"]["stops"][0]
 
 
 def test_a_value_of_an_axis_is_a_load() -> None:
