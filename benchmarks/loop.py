@@ -89,7 +89,7 @@ def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--sc
 
 
 class ProcessWatch:
-    """Processor time [s] and resident memory [MB] of processes and their children, as the kernel has them.
+    """Processor time [s] and resident memory [MB] of processes and of those below them, as the kernel has them.
 
     Those of a rig have names of their own; the others one name for each group, whose figures are sums.
 
@@ -132,17 +132,22 @@ class ProcessWatch:
 
     def _found(self) -> Iterator[tuple[str, tuple[float, float]]]:
         """Yield name, processor time [s] and memory [MB] of each process."""
+        looks: dict[int, list[str]] = {}
         for folder in Path("/proc").glob("[0-9]*"):
             # a process may end meanwhile
+            with contextlib.suppress(OSError):
+                looks[int(folder.name)] = (folder / "stat").read_text().rpartition(")")[2].split()
+        for number, after_name in looks.items():
+            root = number
+            while root not in self._groups and root in looks:
+                root = int(looks[root][1])
+            if root not in self._groups:
+                continue
             with contextlib.suppress(OSError, IndexError):
-                after_name = (folder / "stat").read_text().rpartition(")")[2].split()
-                root = next((each for each in (int(folder.name), int(after_name[1])) if each in self._groups), None)
-                if root is None:
-                    continue
                 used_s = (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
-                pages = int((folder / "statm").read_text().split()[1])
+                pages = int(Path(f"/proc/{number}/statm").read_text().split()[1])
                 memory_mb = pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
-                yield self._groups[root] or _name_of(folder), (used_s, memory_mb)
+                yield self._groups[root] or _name_of(Path(f"/proc/{number}")), (used_s, memory_mb)
 
 
 def _name_of(folder: Path) -> str:

@@ -193,20 +193,26 @@ def test_a_watch_gives_the_shares_of_a_time_from_the_looks_around_it() -> None:
 
 
 def test_processes_of_a_group_are_one_row_and_each_of_a_rig_has_its_own() -> None:
-    command = [sys.executable, "-c", "import sys; print('ready', flush=True); sys.stdin.read()"]
-    pipe = subprocess.PIPE
-    both = [subprocess.Popen(command, stdin=pipe, stdout=pipe) for _ in range(2)]
-    for each in both:
-        assert each.stdout is not None
-        each.stdout.readline()
-    watch = ProcessWatch(os.getpid(), {each.pid: "readers" for each in both})
-    while len(watch._samples) < 2:
-        time.sleep(0.05)
-    watch.end()
-    for each in both:
-        each.communicate()
-    _, memory = watch.within(0.0, watch._samples[-1][0])
-    assert memory["readers"] > 0.0
+    # the second one has a child of its own below it, as a browser has
+    ready = "echo ready; exec cat"
+    deeper = f"sh -c \"sh -c '{ready}'; :\"; :"
+    memory_mb = []
+    for programs in ((ready, ready), (ready, deeper)):
+        pipe = subprocess.PIPE
+        both = [subprocess.Popen(["sh", "-c", program], stdin=pipe, stdout=pipe) for program in programs]
+        for each in both:
+            assert each.stdout is not None
+            each.stdout.readline()
+        watch = ProcessWatch(os.getpid(), {each.pid: "readers" for each in both})
+        while len(watch._samples) < 2:
+            time.sleep(0.05)
+        watch.end()
+        for each in both:
+            each.communicate()
+        _, memory = watch.within(0.0, watch._samples[-1][0])
+        memory_mb.append(memory["readers"])
+    # two shells and what they run in the place of that alone
+    assert memory_mb[1] > 1.3 * memory_mb[0] > 0.0
     names = set(memory) - {"readers"}
     assert "launcher@master" in names
 
