@@ -121,18 +121,16 @@ def compared(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def holds_rate(row: Row) -> bool:
     """Return whether hand and instrument had the rate that was asked for."""
-    return "failed" not in row and min(row["hand_hz"], row["tip_hz"]) >= LEAST_SHARE * row["asked_hz"]
+    return min(row["hand_hz"], row["tip_hz"]) >= LEAST_SHARE * row["asked_hz"]
 
 
 def within_tick(row: Row) -> bool:
     """Return whether the loop is younger than a tick at 99 %."""
-    return "failed" not in row and row["p99_ms"] <= 1e3 / row["asked_hz"]
+    return row["p99_ms"] <= 1e3 / row["asked_hz"]
 
 
 def rate_of(row: Row) -> str:
-    """Return the rates of a row in words, or why it has none."""
-    if "failed" in row:
-        return str(row["failed"])
+    """Return the rates of a row in words."""
     return f"{row['hand_hz']:.0f} Hz at the hand and {row['tip_hz']:.0f} Hz at the tip of {row['asked_hz']:.0f} Hz"
 
 
@@ -156,17 +154,17 @@ def where_it_stops(axis: str, rows: Sequence[Row]) -> list[str]:
     The rows are taken in the order of their values, and the last one that has figures is described as well.
     """
     named, ordered = AXES[axis].named, sorted(rows, key=lambda row: row["value"])
+    answered = [row for row in ordered if "failed" not in row]
     found, shown = [], dict[int, Row]()
-    slow, odd = where_from(ordered, holds_rate)
-    if slow is None:
-        found.append(f"The rig holds its rate up to {named(ordered[-1]['value'])}, the most that was tried.")
-    elif "failed" in slow:
-        found.append(f"There are no figures from {named(slow['value'])} on: {slow['failed']}.")
-    else:
+    slow, odd = where_from(answered, holds_rate)
+    if slow is not None:
         found.append(f"The rig no longer holds its rate from {named(slow['value'])} on: {rate_of(slow)}.")
         shown[slow["value"]] = slow
+    elif answered:
+        most = ", the most that was tried" if answered[-1] is ordered[-1] else ""
+        found.append(f"The rig holds its rate up to {named(answered[-1]['value'])}{most}.")
     found += [f"At {named(row['value'])} it did not, but with more it did: {rate_of(row)}." for row in odd]
-    answered = [row for row in ordered if "failed" not in row]
+    found += [f"There are no figures at {named(row['value'])}: {row['failed']}." for row in ordered if "failed" in row]
     old, odd = where_from(answered, within_tick)
     if old is not None:
         first = "already " if old is ordered[0] else ""
@@ -184,7 +182,8 @@ def where_it_stops(axis: str, rows: Sequence[Row]) -> list[str]:
         if axis in OF_READERS and value:
             share = 100.0 * row["received_hz"] / max(1.0, had_first)
             counts += f", messages to a reader {row['received_hz']:.0f} /s ({share:.0f} % of the first row with one)"
-        found.append(f"At {named(value)}: {counts}; `telenano status`: {'; '.join(row['says'])}.")
+        says = "; ".join(row["says"])
+        found.append(f"At {named(value)}: {counts}; `telenano status`: {says}{'' if says.endswith('?') else '.'}")
     return found
 
 

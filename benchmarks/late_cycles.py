@@ -145,7 +145,7 @@ def cells(row: dict[str, Any]) -> tuple[str, ...]:
         f"{row['cycles']}",
         f"{row['late_in_million']:.0f}",
         f"{runs.rate:.0f} ({runs.low:.0f} to {runs.high:.0f})",
-        f"{'> ' * row['ratio_is_bound']}{row['ratio']:.2g}" if has_ratio else "",
+        f"{'> ' * row['ratio_is_bound']}{row['ratio']:.1f}" if has_ratio else "",
         f"{row['after_next_tick_in_million']:.0f}",
         f"{row['median_ms']:.3f}",
         f"{row['longest_ms']:.1f}",

@@ -40,7 +40,7 @@ SETTLE_S, MARGIN_S = 1.0, 2.0
 # A session is ended when its window is over; nothing here takes longer than that [s].
 LONGEST_S, PATIENCE_S = 600.0, 60.0
 # On a machine that is full an ordinary process has little of it: what readers and `status` say is waited for that long.
-ANSWER_S = 15.0
+ANSWER_S = 10.0
 # They have imported all that they need when the rig starts: that takes more processor time than to listen. They count
 # for a time, say how many they had, and go on until they are ended.
 OBSERVER = """

@@ -153,7 +153,7 @@ def test_a_row_of_the_table_has_a_cell_for_each_column() -> None:
     }  # fmt: skip
     found = cells(row)
     assert len(found) == HEAD.count("|") - 1
-    assert found[:6] == (BESIDE["burner"], LOOPS["rig"][0], "30000", "40", "12 (3 to 30)", "> 3")
+    assert found[:6] == (BESIDE["burner"], LOOPS["rig"][0], "30000", "40", "12 (3 to 30)", "> 3.0")
     lines = tables.late_lines({"rows": [row]})
     assert len({line.count("|") for line in lines}) == 1
     assert cells({**row, "runs": 0})[5] == cells({**row, "loop": "waiting"})[5] == ""
