@@ -2,7 +2,7 @@
 
 Five processes in the places of hand, master half, link, slave half and AFM pass bytes of the very sizes of our messages
 along the loop, paced at 1 kHz, doing nothing else. `placed`: under the scheduling that the rig's nodes ask for
-(SCHED_FIFO, a processor for each side of the link).
+(SCHED_FIFO, a processor for each side of the link). Each gives its cycles: from a deadline to the answer.
 """
 
 import multiprocessing
@@ -10,12 +10,14 @@ import multiprocessing.connection
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 import zmq
+from cycles import Cycle
 
+from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage
 from telenano.settings.scenario import RealtimeConfig
@@ -132,8 +134,19 @@ class End(Protocol):
 OpenEnd = Callable[[int, int], End]
 
 
-def measure_sockets(ticks: int, *, placed: bool) -> list[float]:
-    """Return the age [ms] of each of `ticks` round trips over eight hops of Unix-domain sockets."""
+def ages_ms(cycles: Sequence[Cycle]) -> list[float]:
+    """Return how old each answer was when it came [ms], rising."""
+    return sorted((cycle.ended_ns - cycle.begun_ns) * 1e-6 for cycle in cycles)
+
+
+def measure_waiting(ticks: int) -> list[Cycle]:
+    """Return `ticks` cycles of one thread in the place of the hand, which only waits for its deadlines."""
+    given, result = _CONTEXT.Pipe(duplex=False)
+    return _cycles_of([_CONTEXT.Process(target=_pace_nothing, args=(ticks, result), daemon=True)], given, ticks)
+
+
+def measure_sockets(ticks: int, *, placed: bool) -> list[Cycle]:
+    """Return `ticks` round trips over eight hops of Unix-domain sockets."""
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(4)]
     try:
         return measure_ends(lambda link, side: pairs[link][side], ticks, placed=placed)
@@ -143,8 +156,8 @@ def measure_sockets(ticks: int, *, placed: bool) -> list[float]:
                 end.close()
 
 
-def measure_ends(open_end: OpenEnd, ticks: int, *, placed: bool) -> list[float]:
-    """Return the age [ms] of each of `ticks` round trips over eight hops of the four links between neighbours."""
+def measure_ends(open_end: OpenEnd, ticks: int, *, placed: bool) -> list[Cycle]:
+    """Return `ticks` round trips over eight hops of the four links between neighbours."""
     sizes = {topic: bytes(len(topic) + len(payload)) for topic, payload in message_bytes().items()}
     there = [sizes["teleop/forward"], sizes["teleop/forward"], sizes["afm/command"]]
     back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
@@ -155,11 +168,11 @@ def measure_ends(open_end: OpenEnd, ticks: int, *, placed: bool) -> list[float]:
     given, result = _CONTEXT.Pipe(duplex=False)
     task = (placed, open_end, sizes["haptic/state"], ticks, result)
     workers.append(_CONTEXT.Process(target=_pace_ends, args=task, daemon=True))
-    return _ages_of(workers, given, ticks)
+    return _cycles_of(workers, given, ticks)
 
 
-def measure_zeromq(ticks: int, *, placed: bool) -> list[float]:
-    """Return the age [ms] of each of `ticks` round trips over eight hops of ZeroMQ's PUB and SUB sockets.
+def measure_zeromq(ticks: int, *, placed: bool) -> list[Cycle]:
+    """Return `ticks` round trips over eight hops of ZeroMQ's PUB and SUB sockets.
 
     Topics, sizes and connections are those of the rig; in the recorder's place one subscriber takes everything.
     """
@@ -171,19 +184,18 @@ def measure_zeromq(ticks: int, *, placed: bool) -> list[float]:
         workers.append(_CONTEXT.Process(target=_drain_zeromq, args=(folder,), daemon=True))
         task = (placed, folder, messages["haptic/state"], ticks, result)
         workers.append(_CONTEXT.Process(target=_pace_zeromq, args=task, daemon=True))
-        return _ages_of(workers, given, ticks)
+        return _cycles_of(workers, given, ticks)
 
 
-def _ages_of(
+def _cycles_of(
     workers: list[multiprocessing.context.ForkProcess], given: "multiprocessing.connection.Connection", ticks: int
-) -> list[float]:
+) -> list[Cycle]:
     for worker in workers:
         worker.start()
     try:
         if not given.poll(60.0 + 10.0 * ticks * PERIOD_NS * 1e-9):
             raise RuntimeError("the chain of processes gave no result: one of them has ended")
-        ages: list[float] = given.recv()
-        return ages
+        return [Cycle(*times_ns) for times_ns in given.recv()]
     finally:
         for worker in workers:
             worker.terminate()
@@ -204,6 +216,24 @@ def _wait_until(deadline_ns: int) -> int:
     while (now := time.monotonic_ns()) < deadline_ns:
         pass
     return now
+
+
+def _paced(ticks: int, turn: Callable[[], object]) -> list[tuple[int, ...]]:
+    """Take a turn at each deadline as the haptic node does, which skips those that it missed; return the cycles."""
+    grid = PeriodicDeadline(time.monotonic_ns() + 200 * PERIOD_NS, PERIOD_NS)
+    cycles: list[tuple[int, ...]] = []
+    for _ in range(ticks):
+        begun_ns = _wait_until(grid.deadline_ns)
+        grid.advance(begun_ns)
+        turn()
+        cycles.append((grid.deadline_ns - PERIOD_NS, begun_ns, time.monotonic_ns()))
+    return cycles
+
+
+def _pace_nothing(ticks: int, result: "multiprocessing.connection.Connection") -> None:
+    """Wait for deadlines as the haptic node does, and do nothing at them."""
+    _prepare("haptic_node@master", True)
+    result.send(_paced(ticks, lambda: None))
 
 
 def _relay_ends(node: str, placed: bool, open_end: OpenEnd, hop: int, there: bytes, back: bytes) -> None:
@@ -233,16 +263,14 @@ def _pace_ends(
 ) -> None:
     """Send on an absolute grid as the haptic node does and time the answers."""
     _prepare("haptic_node@master", placed)
-    near, ages = open_end(0, 0), []
+    near = open_end(0, 0)
     time.sleep(_SETTLE_S)
-    deadline = time.monotonic_ns() + 200 * PERIOD_NS
-    for _ in range(ticks):
-        deadline += PERIOD_NS
-        start = _wait_until(deadline)
+
+    def turn() -> None:
         near.send(payload)
         near.recv(4096)
-        ages.append((time.monotonic_ns() - start) * 1e-6)
-    result.send(ages)
+
+    result.send(_paced(ticks, turn))
 
 
 def _publisher(context: "zmq.Context[zmq.Socket[bytes]]", folder: str, endpoint: str) -> "zmq.Socket[bytes]":
@@ -306,12 +334,9 @@ def _pace_zeromq(
         publisher.send_multipart(state)
     while subscriber.poll(100):
         subscriber.recv_multipart()
-    ages = []
-    deadline = time.monotonic_ns() + 200 * PERIOD_NS
-    for _ in range(ticks):
-        deadline += PERIOD_NS
-        start = _wait_until(deadline)
+
+    def turn() -> None:
         publisher.send_multipart(state)
         subscriber.recv_multipart()
-        ages.append((time.monotonic_ns() - start) * 1e-6)
-    result.send(ages)
+
+    result.send(_paced(ticks, turn))

@@ -26,7 +26,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from chains import measure_sockets, measure_zeromq
+from chains import PERIOD_NS, ages_ms, measure_sockets, measure_zeromq
+from cycles import Cycle, cycles_of
 from hop_trace import PARTS
 
 from telenano.recording.reader import Recording
@@ -50,7 +51,8 @@ class RigRun(NamedTuple):
     """What one run of the rig showed: age of the loop [ms], by process [% of one core] and [MB], start [s], parts [us].
 
     `start_s`: from the command to the first sample of the hand, and to the first tick of its programme. `parts_us`: by
-    process, empty in a run without trace. `late_share`: of the messages of PACED, by topic.
+    process, empty in a run without trace. `late_share`: of the messages of PACED, by topic. `cycles`: of the hand, in
+    the session.
     """
 
     age_ms: dict[str, float]
@@ -59,6 +61,7 @@ class RigRun(NamedTuple):
     start_s: dict[str, float]
     parts_us: dict[str, dict[str, float]]
     late_share: dict[str, float]
+    cycles: list[Cycle]
 
 
 def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--scenario", "fig12")) -> RigRun:
@@ -81,14 +84,20 @@ def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--sc
         recording = Recording(out / "session.mcap")
         start_s, late = _start_s(recording, begin_ns), {topic: _late_share(recording, topic) for topic in PACED}
         share, memory = watch.while_running(duration_s)
-        return RigRun(json.loads(printed)["loop_age_ms"], share, memory, start_s, _traced(out / "logs"), late)
+        age_ms, cycles = json.loads(printed)["loop_age_ms"], cycles_of(out, PERIOD_NS)
+        return RigRun(age_ms, share, memory, start_s, _traced(out / "logs"), late, cycles)
 
 
 class ProcessWatch:
-    """Processor time [s] and resident memory [MB] of the processes of a rig, as the kernel has them."""
+    """Processor time [s] and resident memory [MB] of processes and of those below them, as the kernel has them.
 
-    def __init__(self, launcher: int) -> None:
-        self._launcher = launcher
+    Those of a rig have names of their own; the others one name for each group, whose figures are sums.
+
+    Parameters: launcher, the process of the rig; groups, the name of the group of other processes.
+    """
+
+    def __init__(self, launcher: int, groups: Mapping[int, str] | None = None) -> None:
+        self._groups = {launcher: "", **(groups or {})}
         self._samples: list[tuple[float, dict[str, tuple[float, float]]]] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -102,31 +111,57 @@ class ProcessWatch:
         """Return for each process its share of a processor [%] and its memory [MB], while all of them ran."""
         most = max(len(found) for _, found in self._samples)
         whole = [sample for sample in self._samples if len(sample[1]) == most]
-        end_s, last = whole[-1]
+        end_s = whole[-1][0]
         # the start of the rig does not count, nor the first second of its session
-        begin_s, first = next(sample for sample in whole if end_s - sample[0] <= duration_s - 1.0)
-        share = {name: 100.0 * (last[name][0] - first[name][0]) / (end_s - begin_s) for name in last if name in first}
-        return share, {name: memory for name, (_, memory) in last.items()}
+        begin = next(place for place, sample in enumerate(whole) if end_s - sample[0] <= duration_s - 1.0)
+        return _used(whole[begin:])
+
+    def within(self, begin_s: float, end_s: float) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the same for a time on the monotonic clock [s], from the last look before it to the first after it."""
+        begin = max((place for place, sample in enumerate(self._samples) if sample[0] <= begin_s), default=0)
+        after = (place for place, sample in enumerate(self._samples) if sample[0] >= end_s)
+        return _used(self._samples[begin : next(after, len(self._samples)) + 1])
 
     def _run(self) -> None:
         while not self._ended.wait(0.25):
-            self._samples.append((time.monotonic(), dict(self._found())))
+            found: dict[str, tuple[float, float]] = {}
+            for name, (used_s, memory_mb) in self._found():
+                before_s, before_mb = found.get(name, (0.0, 0.0))
+                found[name] = before_s + used_s, before_mb + memory_mb
+            self._samples.append((time.monotonic(), found))
 
     def _found(self) -> Iterator[tuple[str, tuple[float, float]]]:
-        """Yield name, processor time [s] and memory [MB] of the launcher and its children."""
+        """Yield name, processor time [s] and memory [MB] of each process."""
+        looks: dict[int, list[str]] = {}
         for folder in Path("/proc").glob("[0-9]*"):
             # a process may end meanwhile
+            with contextlib.suppress(OSError):
+                looks[int(folder.name)] = (folder / "stat").read_text().rpartition(")")[2].split()
+        for number, after_name in looks.items():
+            root = number
+            while root not in self._groups and root in looks:
+                root = int(looks[root][1])
+            if root not in self._groups:
+                continue
             with contextlib.suppress(OSError, IndexError):
-                after_name = (folder / "stat").read_text().rpartition(")")[2].split()
-                if self._launcher not in (int(folder.name), int(after_name[1])):
-                    continue
-                words = (folder / "cmdline").read_text().split("\0")
-                name = next((word.removeprefix("services.") for word in words if word.startswith("services.")), "")
-                site = words[words.index("--site") + 1] if "--site" in words else "master"
                 used_s = (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
-                pages = int((folder / "statm").read_text().split()[1])
+                pages = int(Path(f"/proc/{number}/statm").read_text().split()[1])
                 memory_mb = pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
-                yield f"{name or 'launcher'}@{site}", (used_s, memory_mb)
+                yield self._groups[root] or _name_of(Path(f"/proc/{number}")), (used_s, memory_mb)
+
+
+def _name_of(folder: Path) -> str:
+    """Return the name of a process of a rig; OSError or IndexError where it has ended."""
+    words = (folder / "cmdline").read_text().split("\0")
+    name = next((word.removeprefix("services.") for word in words if word.startswith("services.")), "")
+    site = words[words.index("--site") + 1] if "--site" in words else "master"
+    return f"{name or 'launcher'}@{site}"
+
+
+def _used(samples: Sequence[tuple[float, dict[str, tuple[float, float]]]]) -> tuple[dict[str, float], dict[str, float]]:
+    (begin_s, first), (end_s, last) = samples[0], samples[-1]
+    share = {name: 100.0 * (last[name][0] - first[name][0]) / (end_s - begin_s) for name in last if name in first}
+    return share, {name: memory for name, (_, memory) in last.items()}
 
 
 def _start_s(recording: Recording, begin_ns: int) -> dict[str, float]:
@@ -164,7 +199,7 @@ def measure(rounds: int, duration_s: float) -> dict[str, Any]:
     for _ in range(rounds):
         for name, (_, floor) in FLOORS.items():
             with shallow_idle():
-                found = sorted(floor(round(duration_s * 1000)))
+                found = ages_ms(floor(round(duration_s * 1000)))
             ages[name].append({"p50": statistics.median(found), "p99": found[int(0.99 * len(found))], "max": found[-1]})
         runs.append(measure_rig(duration_s, trace=False))
         ages["rig"].append(runs[-1].age_ms)

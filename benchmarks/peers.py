@@ -21,7 +21,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from chains import OpenEnd, measure_ends, measure_sockets, measure_zeromq
+from chains import OpenEnd, ages_ms, measure_ends, measure_sockets, measure_zeromq
+from cycles import Cycle
 from loop import measure_rig
 
 from telenano.runtime.loop.realtime import shallow_idle
@@ -94,10 +95,10 @@ class ZenohEnd:
         self._publisher.put(payload)
 
 
-def over(kind: Callable[[str, int, int], Any]) -> Callable[[int], list[float]]:
+def over(kind: Callable[[str, int, int], Any]) -> Callable[[int], list[Cycle]]:
     """Return what measures a chain of such ends, in a folder and under names of its own."""
 
-    def measured(ticks: int) -> list[float]:
+    def measured(ticks: int) -> list[Cycle]:
         with tempfile.TemporaryDirectory() as folder:
             place = str(Path(folder, f"p{time.time_ns()}"))
             opened: OpenEnd = lambda link, side: kind(place, link, side)  # noqa: E731
@@ -107,7 +108,7 @@ def over(kind: Callable[[str, int, int], Any]) -> Callable[[int], list[float]]:
 
 
 # by name: what it needs from PyPI, and what measures it
-PEERS: dict[str, tuple[str, Callable[[int], list[float]]]] = {
+PEERS: dict[str, tuple[str, Callable[[int], list[Cycle]]]] = {
     "Unix-domain sockets": ("", lambda ticks: measure_sockets(ticks, placed=True)),
     "ZeroMQ": ("", lambda ticks: measure_zeromq(ticks, placed=True)),
     "iceoryx2": ("iceoryx2", over(IceoryxEnd)),
@@ -122,7 +123,7 @@ def measure(rounds: int, duration_s: float) -> dict[str, Any]:
     for _ in range(rounds):
         for name, run in there.items():
             with shallow_idle():
-                found = sorted(run(round(duration_s * 1000)))
+                found = ages_ms(run(round(duration_s * 1000)))
             ages[name].append({"p50": statistics.median(found), "p99": found[int(0.99 * len(found))]})
         ages["rig"].append(measure_rig(duration_s, trace=False).age_ms)
     age_ms = {

@@ -2,7 +2,7 @@
 
     python benchmarks/tables.py [--only loop,lockstep] [--smoke] [--json]
 
-The scripts run one after the other, some minutes in all, on a machine that has to be quiet. What is between the
+The scripts run one after the other, a quarter of an hour in all, on a machine that has to be quiet. What is between the
 marks of the page is replaced; a script that fails leaves its table as it was, and is named.
 """
 
@@ -17,6 +17,9 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import growth
+import late_cycles
 
 from telenano.signals import children
 
@@ -82,11 +85,29 @@ def lockstep_lines(found: Figures) -> list[str]:
     return table("| times real time | " + " | ".join(environments) + " |", rows)
 
 
+def late_lines(found: Figures) -> list[str]:
+    """Return the late cycles of each loop."""
+    return table(late_cycles.HEAD, ["| " + " | ".join(late_cycles.cells(row)) + " |" for row in found["rows"]])
+
+
+def growth_lines(found: Figures) -> list[str]:
+    """Return a table for all that grows, each with the sentences that say where it stops."""
+    lines: list[str] = []
+    for axis, figures in found["axes"].items():
+        columns = growth.columns_of(figures["rows"])
+        head = " | ".join(("", growth.AXES[axis].several, *columns, "")).strip(" ")
+        rows = ["| " + " | ".join(growth.cells(row, columns)) + " |" for row in figures["rows"]]
+        lines += [f"{growth.AXES[axis].title.capitalize()}:", "", *table(head, rows), "", *figures["stops"], ""]
+    return lines[:-1]
+
+
 _LOOP = ("--rounds", "1", "--duration", "4")
 TABLES = {
     "loop": Table("loop.py", _LOOP, loop_lines),
     "parts": Table("loop.py", _LOOP, parts_lines),
     "peers": Table("peers.py", _LOOP, peers_lines),
+    "late": Table("late_cycles.py", ("--quick",), late_lines),
+    "growth": Table("growth.py", ("--quick",), growth_lines),
     "lockstep": Table("lockstep.py", ("--session-s", "10", "--repeats", "9"), lockstep_lines),
 }
 

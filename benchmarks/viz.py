@@ -34,6 +34,7 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from observers import wait_for_session
 
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
@@ -149,9 +150,11 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     frames: list[float] = []
     costs: list[float] = []
     pictures = 0
-    with process(up, environment), process(["view", "--port", "0"], environment) as view:
+    with process(up, environment) as rig, process(["view", "--port", "0"], environment) as view:
         address = address_of(view)
-        _wait_for_session(out)
+        wait_for_session(out, rig)
+        # until the devices have come to rest
+        time.sleep(2.0 * SETTLE_S)
         for _ in range(given.rounds):
             without.append(_window(given.window))
             readers = [Reader(address) for _ in range(given.pages - given.browser)]
@@ -306,17 +309,6 @@ def _looked(path: str, environment: dict[str, str]) -> dict[str, float]:
             times[step] = time.monotonic() - begun_s
         browser.close()
     return {step: round(time_s, 2) for step, time_s in times.items()}
-
-
-def _wait_for_session(out: Path) -> None:
-    """Wait until the operator's programme has begun, and the devices have come to rest."""
-    log = out / "logs" / "launcher@master.log"
-    end_s = time.monotonic() + PATIENCE_S
-    while not (log.exists() and "the session is running" in log.read_text()):
-        if time.monotonic() > end_s:
-            sys.exit(f"no session within {PATIENCE_S:g} s: see {out / 'logs'}")
-        time.sleep(0.2)
-    time.sleep(2.0 * SETTLE_S)
 
 
 def _window(length_s: float) -> tuple[int, int]:

@@ -23,8 +23,16 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "dynamic_node.py": {"rounds.*.*.p50": (0.05, 500.0), "exchange_ms.*.*": (1e-4, 10.0)},
     "empty_loop.py": {"available": (0.2, 1.0), "stalls": (0, 1000)},
     "estop.py": {},
+    "growth.py": {
+        "axes.*.rows.*.p50_ms": (0.05, 500.0), "axes.*.rows.*.hand_hz": (50.0, 1100.0),
+        "axes.*.rows.*.rig_percent": (5.0, 400.0), "axes.*.rows.*.rig_mb": (100.0, 1e4),
+    },
     "haptic_devices.py": {"cases.*.p50_ms": (0.05, 500.0), "cases.*.p50_ratio": (0.2, 20.0)},
     "journal.py": {"entry of a turn.decodings": (0.01, 10.0), "link, plain.ratio": (0.5, 2.0)},
+    "late_cycles.py": {
+        "rows.*.cycles": (1000, 10_000), "rows.*.median_ms": (0.0, 500.0), "rows.*.late_in_million": (0.0, 1e6),
+        "rows.*.runs_in_million.high": (100.0, 1e6), "rows.5.burner_percent": (0.5, 110.0),
+    },
     "link.py": {
         "messages_per_s": (6000, 6000), "lost": (0, 0), "ratio": (0.5, 100.0), "delay_error_ms.p50": (-1.0, 100.0)
     },
@@ -37,7 +45,9 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     },
     "mean_intervals.py": {"white.*.known": (0.5, 1.0), "white.*.covered": (0.7, 1.0)},
     "network.py": {"round_trip_p50_ms.*": (0.01, 100.0), "curve_to_plain.cpu": (0.3, 5.0)},
-    "observers.py": {"median.*.p50_ms": (0.05, 500.0), "median.*.hand_hz": (100.0, 1100.0)},
+    "observers.py": {
+        "median.*.p50_ms": (0.05, 500.0), "median.*.hand_hz": (100.0, 1100.0), "median.shared.received_hz": (10.0, 2e4),
+    },
     "particles.py": {"ratio.*": (0.3, 30.0), "times_real_time.*": (1.0, 1e6)},
     "peers.py": {"age_ms.*.p50": (0.01, 100.0), "rig_ratio.ZeroMQ.p50": (1.0, 50.0)},
     "recompile.py": {"rows.*.share": (0.02, 1.5), "rows.*.time_s": (0.5, 600.0)},
