@@ -78,7 +78,11 @@ def accept(topic: str, payload: bytes) -> Message:
         except REFUSALS:
             pass
         else:
-            if message.v <= form.version and (message.src in _sources or _note(message.src)) and form.fits(message):
+            if (
+                message.v <= form.version
+                and (message.src in _sources or _note(message.src))
+                and (not form.elements or form.fits(message))
+            ):
                 return message
     return _read(topic, payload)
 
@@ -99,13 +103,15 @@ def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]
     """
     form = _FORMS[topic]
     try:
-        message = msgspec.convert(fields, form.model, builtin_types=(bytes,))
+        if form.nested:
+            # A record that was made before is not looked at when it is taken into a message, but here.
+            message = form.decode(_encode(msgspec.convert(fields, form.model, builtin_types=(bytes,))))
+        else:
+            message = msgspec.convert(fields, form.model)
         payload = _encode(message)
-        # A record that was made before is not looked at when it is taken into a message.
-        message = form.decode(payload) if form.nested else message
         if (
             (message.src in _sources or _note(message.src))
-            and form.fits(message)
+            and (not form.elements or form.fits(message))
             and len(payload) <= form.most_bytes
             and message.v <= form.version
         ):
