@@ -28,12 +28,12 @@ from telenano.wire.messages import Message, Record, SessionControl
 from telenano.wire.topics import TOPICS, Topic
 
 MAX_MESSAGE_BYTES = 1 << 20
-# The limit is for a message without maps and arrays of data inside; the longest has 500.
+# The limit is for a message without maps, lists and arrays of data inside; the longest golden vector has 500 bytes.
 MAX_PLAIN_BYTES = 4096
 # A command needs room for the node that repeats it in an event.
 MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
 _COUNT_LIMIT = 2**63
-# Few names of nodes come again and again, and the pattern takes as long as the rest of a message.
+# The same few sources come with every message, and the pattern takes as long as the rest of a message.
 _MOST_SOURCES = 256
 _sources: set[str] = set()
 
@@ -69,7 +69,7 @@ def accept(topic: str, payload: bytes) -> Message:
 
     Raises:
         WireError: The message is not valid; the error names the topic, the key at fault, its value and what would be
-            right. Its kind is `range` where a quantity is beyond its range (`telenano.wire.ranges`).
+            right. Its `reason` is `range` where a quantity is beyond its range (`telenano.wire.ranges`).
     """
     form = _FORMS.get(topic)
     if form is not None and len(payload) <= form.most_bytes:
@@ -80,7 +80,7 @@ def accept(topic: str, payload: bytes) -> Message:
         else:
             if (
                 message.v <= form.version
-                and (message.src in _sources or _note(message.src))
+                and (message.src in _sources or _takes_source(message.src))
                 and (not form.elements or form.fits(message))
             ):
                 return message
@@ -110,14 +110,14 @@ def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]
             message = msgspec.convert(fields, form.model)
         payload = _encode(message)
         if (
-            (message.src in _sources or _note(message.src))
+            (message.src in _sources or _takes_source(message.src))
             and (not form.elements or form.fits(message))
             and len(payload) <= form.most_bytes
             and message.v <= form.version
         ):
             return message, payload
     except REFUSALS:
-        # the other way names the fault, or mends it
+        # What is refused here is read part by part below, which limits it or names the fault.
         pass
     return _compose_limited(topic, form, fields, report)
 
@@ -216,8 +216,9 @@ def header_check(topic: str) -> Callable[[bytes], tuple[int, int, str] | None]:
 class _Form:
     """What the bytes of a topic's messages look like.
 
-    `most_bytes`: the most that a message may have; `nested`: records stand inside; `elements`: the fields whose arrays
-    have elements with a range, and their kinds.
+    `version` is the newest that is known, `most_bytes` the most that a message may have. `nested`: records stand inside.
+    `elements`: the fields whose arrays have elements with a range, and their kinds. `unknown`: what becomes of a key
+    that is not known.
     """
 
     model: type[Message]
@@ -260,7 +261,7 @@ _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
 MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 
-def _plain(value: Any) -> Any:
+def _number_of(value: Any) -> Any:
     """Return a number of numpy as the number that it is."""
     if hasattr(value, "tolist"):
         return value.tolist()
@@ -270,15 +271,15 @@ def _plain(value: Any) -> Any:
 def _as_plain(topic: str, key: str, value: Any) -> Any:
     """Return a value of numpy as numbers, and a record as a map, whose fields are looked at."""
     try:
-        return msgspec.to_builtins(value, builtin_types=(bytes,), enc_hook=_plain)
+        return msgspec.to_builtins(value, builtin_types=(bytes,), enc_hook=_number_of)
     except REFUSALS as error:
         raise WireError("schema", f"{topic}: {key}: {error}") from error
 
 
-_encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+_encode = msgspec.msgpack.Encoder(enc_hook=_number_of).encode
 
 
-def _note(src: str) -> bool:
+def _takes_source(src: str) -> bool:
     """Return whether a source is well formed, which is remembered of a few."""
     if not is_source(src):
         return False
@@ -337,7 +338,7 @@ def _scalar(part: Raw | None) -> object:
 
 
 def _with_source(topic: str, message: Message) -> Message:
-    if not _note(message.src):
+    if not _takes_source(message.src):
         raise WireError("schema", f"{topic}: {source_fault(message.src).text}")
     return message
 

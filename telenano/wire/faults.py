@@ -1,9 +1,9 @@
 """A message read part by part, where msgspec refuses the whole of it.
 
-msgspec states neither the value that it refuses nor the key of a map. Here a value is read as the kind that is declared
-for it, field by field and item by item, so that the one sentence about a fault names key, value and what would be
-right; keys that are not known are left out, and what becomes of a number beyond its bounds is up to the caller. The
-bytes of a part are decoded only if its kind has parts, so that refusing a message costs no more than reading one.
+msgspec states neither the value that it refuses nor the key inside a map. Here each field, item and element is read as
+the type that is declared for it, the *kind*. So the sentence about a fault has key, value and what would be right; keys
+that are not known can be left out; and a number beyond its bounds can be refused, kept or limited (`Reading`). Bytes
+are decoded one level at a time (`msgspec.Raw`), so that refusing a message costs no more than reading one.
 """
 
 import math
@@ -25,6 +25,8 @@ REFUSALS = (ValueError, TypeError, OverflowError, RecursionError)
 is_source = re.compile(SOURCE_PATTERN.removesuffix("$")).fullmatch
 # A scalar of more bytes is a text, and no number.
 _MOST_SHOWN_BYTES = 256
+# stands in the place of a part whose fault was reported
+_WRONG: Any = object()
 # characters of a value, and of a key that is the sender's text, in a sentence
 _MOST_SHOWN = 80
 _MOST_KEY = 100
@@ -90,7 +92,7 @@ class Reading(NamedTuple):
 
 
 def any_finite(found: Beyond) -> float | None:
-    """Return a finite quantity as it is, None for one that cannot be negative and is, and for anything else."""
+    """Return a finite quantity as it is; None for a count, and for a negative value of what cannot be negative."""
     if found.range is None or not math.isfinite(found.value) or (found.range.low == 0.0 and found.value < 0.0):
         return None
     return float(found.value)
@@ -133,25 +135,29 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | 
     if parts is None:
         return None
     fields = {field.name: field for field in msgspec.structs.fields(model)}
-    made = {}
+    found = {}
+    is_whole = True
     for name, field in fields.items():
         here = _joined(key, name)
         if name in parts:
-            made[name] = _read(field.type, parts[name], how, here)
-            if beyond := elements_beyond(field.type, made[name]):
-                _decide(Beyond(f"{here}.data", beyond[0], beyond[1].low, beyond[1].high, beyond[1], True), how)
+            found[name] = _read(field.type, parts[name], how, here)
+            if beyond := elements_beyond(field.type, found[name]):
+                value, allowed = beyond
+                is_whole &= (
+                    _decide(Beyond(f"{here}.data", value, allowed.low, allowed.high, allowed, True), how) is not _WRONG
+                )
+            is_whole &= found[name] is not _WRONG
         elif field.required:
             how.report(Fault(here, "missing", f"{here} is missing"))
-    if how.unknown == "forbid":
-        for name in parts.keys() - fields.keys():
-            text = f"{_joined(key, name)} is not known, {known_names(name[:_MOST_KEY], fields)}"
-            how.report(Fault(_joined(key, name), "unknown", text))
+            is_whole = False
+    for name in parts.keys() - fields.keys() if how.unknown == "forbid" else ():
+        text = f"{_joined(key, name)} is not known, {known_names(name[:_MOST_KEY], fields)}"
+        how.report(Fault(_joined(key, name), "unknown", text))
+        is_whole = False
     try:
-        return model(**made)
-    except (TypeError, ValueError, AttributeError) as error:
-        # A part that is missing or wrong was reported before.
-        if None not in made.values() and all(name in made or not field.required for name, field in fields.items()):
-            how.report(Fault(key, "record", f"{key or model.__name__}: {error}"))
+        return model(**found) if is_whole else None
+    except ValueError as error:
+        how.report(Fault(key, "record", f"{key or model.__name__}: {error}"))
         return None
 
 
@@ -173,7 +179,7 @@ def elements_beyond(kind: Any, array: object) -> tuple[float, Range] | None:
 
 
 def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
-    """Return a value as a kind, None after a fault that was reported."""
+    """Return a value as the kind that is declared for it, `_WRONG` after a fault that was reported."""
     try:
         return _as_kind(kind, value)
     except REFUSALS as error:
@@ -183,18 +189,23 @@ def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
     if _is_optional(base):
         return _read(arguments[0], value, how, key)
     if isinstance(base, type) and issubclass(base, Record):
-        return read_record(base, value, how, key)
+        return read_record(base, value, how, key) or _WRONG
     if get_origin(base) is dict:
         parts = _opened(_with_length(dict[str, Raw], rules), value, how, key)
-        return parts and {name: _read(arguments[1], part, how, _joined(key, name)) for name, part in parts.items()}
+        if parts is None:
+            return _WRONG
+        items = {name: _read(arguments[1], part, how, _joined(key, name)) for name, part in parts.items()}
+        return _WRONG if _WRONG in items.values() else items
     if get_origin(base) is tuple:
         is_open = arguments[-1] is Ellipsis
         length = () if is_open else (Meta(min_length=len(arguments), max_length=len(arguments)),)
         parts = _opened(_with_length(list[Raw], (*rules, *length)), value, how, key)
-        kinds = arguments[:1] * len(parts or ()) if is_open else arguments
-        return parts and tuple(
-            _read(one, part, how, _joined(key, at)) for at, (one, part) in enumerate(zip(kinds, parts, strict=True))
-        )
+        if parts is None:
+            return _WRONG
+        kinds = arguments[:1] * len(parts) if is_open else arguments
+        pairs = enumerate(zip(kinds, parts, strict=True))
+        listed = tuple(_read(one, part, how, _joined(key, at)) for at, (one, part) in pairs)
+        return _WRONG if _WRONG in listed else listed
     return _read_scalar(base, rules, value, how, key, refusal)
 
 
@@ -216,16 +227,17 @@ def _read_scalar(base: Any, rules: Sequence[Meta], value: Any, how: Reading, key
     elif type(value) is float and not math.isfinite(value):
         right, fault = "a finite number", "bounds"
     elif not got:
-        # It is of the right type.
+        # The type is right, and the value is not.
         fault = "word" if type(value) is str else "bounds"
     how.report(Fault(key, cast(Any, fault), f"{key} is {repr(value)[:_MOST_SHOWN]}, must be {right}"))
-    return None
+    return _WRONG
 
 
-def _decide(found: Beyond, how: Reading) -> float | None:
+def _decide(found: Beyond, how: Reading) -> Any:
     taken = how.beyond(found)
     if taken is None:
         how.report(found.fault)
+        return _WRONG
     return taken
 
 
@@ -240,7 +252,7 @@ def _as_kind(kind: Any, value: Any) -> Any:
 def _opened(kind: Any, value: Any, how: Reading, key: str) -> Any:
     """Return the parts of a value, each as bytes where the value is bytes; None after a fault that was reported."""
     if type(value) is not Raw:
-        # Parts that are no bytes are of any type.
+        # Values of Python are opened as they are, whatever their parts are.
         kind = _of_anything(kind)
     try:
         return _as_kind(kind, value)

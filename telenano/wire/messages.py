@@ -45,7 +45,7 @@ MAX_KEYS = 1024
 # The rows of a table of records, such as the inputs of a node.
 MAX_ROWS = 1024
 MAX_TEXT = 4096
-# This is the one reason in node/health for which a message is not acted on although nothing is wrong.
+# This reason in `rejected` of node/health is no fault: a newer message was waiting as well.
 SUPERSEDED = "superseded"
 
 SOURCE_PATTERN = r"^[a-z][a-z0-9_]*@[a-z][a-z0-9_]*$"
@@ -65,6 +65,7 @@ Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Stamp = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 RawCount = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
+# A message without maps and lists has at most 4096 bytes in all (`telenano.wire.codec`), and so has a text in it.
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Name = Annotated[str, Meta(max_length=64)]
 LawName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
@@ -80,7 +81,7 @@ _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8":
 
 
 class _RecordMeta(msgspec.StructMeta):
-    """Makes the fields of every record keywords: of all options, msgspec does not pass this one on to a class below."""
+    """Makes the fields of every record keywords: msgspec passes `kw_only`, alone of its options, on to no subclass."""
 
     def __new__(mcls, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any) -> Any:
         return super().__new__(mcls, name, bases, namespace, kw_only=True, **options)
@@ -100,7 +101,7 @@ class Message(Record):
 
     seq: Annotated[Count, about("Number of this message on its topic from this source, counted from 0")]
     t_ns: Annotated[Count, about("Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")]
-    # The pattern takes as long as all the rest of a message, and `accept` looks at a source once.
+    # `accept` looks at the pattern of each source once: in each message it would take as long as all the rest.
     src: Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
     v: Annotated[int, about("Schema version of this message", ge=1)]
 
@@ -238,7 +239,7 @@ class HapticCommand(_OfHand):
 class _Teleop(_OfHand):
     """What the two halves of a law send to each other; a law that has no use for an optional part sends nil."""
 
-    law: Annotated[str, about("Law that this message belongs to", pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+    law: Annotated[LawName, about("Law that this message belongs to")]
     active: Annotated[bool, about("The device of the sending site follows the law")]
     position_m: Annotated[WayVector, about("Position at the slave's scale, AFM frame [m]; forward: reference")]
     velocity_m_per_s: Annotated[VelocityVector, about("Velocity at the slave's scale, AFM frame [m/s]")]
@@ -348,7 +349,7 @@ class AfmScanline(Message):
 class LawStatus(Message):
     """State of one half of the law: energy, passivity, and what it receives; energies at the hand's scale."""
 
-    law: Annotated[str, about("Law in force at this half", pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+    law: Annotated[LawName, about("Law in force at this half")]
     switching: Annotated[bool, about("The half waits for the other one to take up this law; its device stands still")]
     port_energy_j: Annotated[EnergyJ, about("Energy that has entered the law at this port since it is in force [J]")]
     port_power_w: Annotated[PowerW, about("Power entering at this port, mean since the last report [W]")]

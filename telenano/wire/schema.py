@@ -27,16 +27,16 @@ def json_schema(model: type[Record]) -> dict[str, Any]:
 
 
 def _restore(schema: dict[str, Any], kind: Any) -> None:
-    """Bring what msgspec says of a field into the words of the contract."""
+    """Write what msgspec says of a field as the schemas of the contract have it."""
     kind = kind.__origin__ if get_origin(kind) is Annotated else kind
     for choice in (kind, *get_args(kind)):
         if get_origin(choice) is Literal:
-            words = next(part for part in (schema, *schema.get("anyOf", ())) if "enum" in part)
-            words |= {"type": "string", "enum": list(get_args(choice))}
-    _plain(schema)
+            listed = next(part for part in (schema, *schema.get("anyOf", ())) if "enum" in part)
+            listed |= {"type": "string", "enum": list(get_args(choice))}
+    _simplify(schema)
 
 
-def _plain(schema: dict[str, Any]) -> None:
+def _simplify(schema: dict[str, Any]) -> None:
     if schema.pop("contentEncoding", ""):
         # On the wire they are bytes, which JSON does not have.
         schema["format"] = "binary"
@@ -44,13 +44,13 @@ def _plain(schema: dict[str, Any]) -> None:
         # Any number of JSON is finite.
         del schema["maximum"], schema["minimum"]
     if schema.get("items") is False:
-        # maxItems says the same.
+        # minItems and maxItems say that no further items may come.
         del schema["items"]
     if "pattern" in schema:
         schema["pattern"] = schema["pattern"].replace(r"\Z", "$")
     parts = [schema[key] for key in ("items", "additionalProperties") if isinstance(schema.get(key), dict)]
     for part in (*parts, *schema.get("anyOf", ()), *schema.get("prefixItems", ())):
-        _plain(part)
+        _simplify(part)
 
 
 def records_in(kind: Any) -> list[type[Record]]:

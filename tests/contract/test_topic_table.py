@@ -141,7 +141,9 @@ def test_every_field_is_described_and_named_with_its_unit_and_none_if_absent(rec
         assert any(rule.description for rule in field.type.__metadata__), f"{name} has no description"
         assert field.required or field.default is None, f"{name} has a default: a key that may be absent has None"
         if _is_numeric(field.type):
-            assert bool(UNIT.search(name)) != (name in UNITLESS), f"{name} has no unit, or one too many"
+            assert bool(UNIT.search(name)) != (name in UNITLESS), (
+                f"{name} has no unit of UNIT, or one too many: a number without one stands in UNITLESS"
+            )
 
 
 def test_the_rule_finds_a_field_without_unit_and_knows_no_field_that_is_gone() -> None:
