@@ -142,7 +142,10 @@ def _command(servo: _Servo, x: float) -> float:
 
 @compiled
 def _clip(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+    # in plain Python a third of the time of `min` and `max`
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value
 
 
 @compiled
