@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from heapq import nlargest
 from itertools import islice
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol
 
 import zmq
 
@@ -249,7 +249,8 @@ class Subscriber:
     def pending(self) -> bool:
         """Return whether a message has arrived."""
         # `Socket.poll` is avoided because it first makes a poller.
-        return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
+        events: Any = self.socket.get(_EVENTS)
+        return bool(events & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of the sources that sent most; a topic without messages has empty ones."""
