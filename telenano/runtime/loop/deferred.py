@@ -77,16 +77,13 @@ class DeferredTasks:
             end_ns: When it was dealt with.
             is_last: Whether the tick is then with others for the longest time.
         """
-        if self._in_gap:
-            gap_ns = min(begin_ns, self._met_ns) - self._begin_ns
-            if gap_ns < _IDLE_NS:
-                self._gap_ns = _mean(self._gap_ns, gap_ns)
+        gap_ns = min(begin_ns, self._met_ns) - self._begin_ns
+        if self._in_gap and gap_ns < _IDLE_NS:
+            self._gap_ns = _mean(self._gap_ns, gap_ns)
         self._in_gap, self._begin_ns, self._met_ns, self._is_used = is_last, end_ns, NEVER_NS, False
-        self._free_ns = self._next_ns = NEVER_NS
-        if is_last and self._gap_ns:
-            quarter_ns = self._gap_ns // 4
-            self._free_ns, self._middle_ns = end_ns + quarter_ns, end_ns + self._gap_ns // 2
-            self._end_ns = end_ns + self._gap_ns - quarter_ns
+        gap_ns = self._gap_ns or 0
+        self._free_ns = end_ns + gap_ns // 4 if is_last and gap_ns else NEVER_NS
+        self._end_ns, self._middle_ns, self._next_ns = end_ns + gap_ns - gap_ns // 4, end_ns + gap_ns // 2, NEVER_NS
         if self._waiting:
             self._schedule(end_ns)
 
