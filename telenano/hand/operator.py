@@ -78,11 +78,10 @@ def interpolate(times_s: NDArray[np.float64], values: NDArray[np.float64], time_
             low = middle
         else:
             high = middle
-    first = float(values[low])
     if high == len(times_s):
-        return first
+        return float(values[low])
     # plain Python numbers, because NumPy's take three times as long
-    begin_s = float(times_s[low])
+    begin_s, first = float(times_s[low]), float(values[low])
     share = (time_s - begin_s) / (float(times_s[high]) - begin_s)
     return first + share * (float(values[high]) - first)
 

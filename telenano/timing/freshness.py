@@ -5,12 +5,12 @@ Nothing here reads a clock: a node passes the time of its turn, so that a re-run
 
 import math
 from bisect import bisect_right
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
 import msgspec
 
 from telenano.timing.clock import NEVER_NS
-from telenano.wire.messages import AfmCommand, HapticCommand, LinkDelay
+from telenano.wire.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received
 from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of
@@ -182,18 +182,16 @@ class Freshness:
         A sample of the device at this site counts from its time stamp, a signal of the other half from the hand's
         sample that it descends from. The sentence is empty where the message before was too old as well.
         """
-        topic = received.topic
+        topic, message = received.topic, received.message
         limit_s = DEADLINES_S.get(topic)
         if limit_s is None:
             return None
-        message: Any = received.message
         if topic in _SIGNALS:
-            old_s = self.age_s(received.received_ns, message.hand_t_ns)
+            old_s = self.age_s(received.received_ns, cast(TeleopForward | TeleopBackward, message).hand_t_ns)
         else:
             old_s = age_s(received.received_ns, self.stamp_ns(message.t_ns, received.received_ns))
         if old_s <= limit_s:
-            if self._late:
-                self._late.discard(topic)
+            self._late.discard(topic)
             return None
         if topic in self._late:
             return ""

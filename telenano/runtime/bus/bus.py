@@ -186,11 +186,7 @@ class Subscriber:
             # Commands, and reports of a changed delay, come before the messages that they apply to.
             left = without_superseded(waiting, self._conflated, self._header)
             waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
-        found: list[Received] = []
-        for frames, received_ns in waiting:
-            if (received := self.decode_and_track(frames, received_ns)) is not None:
-                found.append(received)
-        return found
+        return [found for frames, at_ns in waiting if (found := self.decode_and_track(frames, at_ns)) is not None]
 
     def _header(self, frames: Sequence[bytes]) -> Header | None:
         if len(frames) != 2:
