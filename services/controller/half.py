@@ -74,6 +74,7 @@ class ControllerHalf(Node):
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context)
         self.config = self._built_with = config
+        self.law: Law = KNOWN_LAWS[config.law]
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
@@ -106,10 +107,6 @@ class ControllerHalf(Node):
             if law.name == self.config.law:
                 raise ConfigError(self._failing[law.name]) from error
 
-    @property
-    def law(self) -> Law:
-        return KNOWN_LAWS[self.config.law]
-
     def deadline_ns(self) -> int:
         return self.freshness.deadline_ns()
 
@@ -122,11 +119,12 @@ class ControllerHalf(Node):
         """Return whether a message is too old to act on; forget the time before, where this process stalled."""
         if self.begin_turn(received.received_ns - self.clock.epoch_offset_ns):
             self.forget()
-        reason = self.freshness.rejection(received)
+        if (reason := self.freshness.rejection(received)) is None:
+            return False
         if reason:
             self.event("fault", "warning", reason, topic=received.topic, source=received.message.src)
-        self.stale += reason is not None
-        return reason is not None
+        self.stale += 1
+        return True
 
     @abstractmethod
     def timing_of(self, config: ControllerConfig) -> TimingParams:
@@ -169,6 +167,7 @@ class ControllerHalf(Node):
 
     def _adopt(self, config: ControllerConfig) -> None:
         self.config, self.params, self.timing_params = config, config.params(), self.timing_of(config)
+        self.law = KNOWN_LAWS[config.law]
         self._band = config.deadband.to_params()
         self.lateral = config.lateral_params()
 

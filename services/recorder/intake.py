@@ -32,6 +32,7 @@ _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
 # a member of an enumeration takes longer to look up, and there is one for every message
 _NEXT = Arrival.NEXT
+_TOPIC_OF = {topic.encode(): topic for topic in TOPICS}
 # a gap is recorded when so much has passed: what the link has late is not missing
 _LATE_NS = 100_000_000
 # the nodes that are stopped before a recorder; each sends far more often
@@ -114,7 +115,10 @@ class Intake:
         """
         self.received += 1
         try:
-            topic, payload = split_frames(frames)
+            topic = _TOPIC_OF.get(frames[0]) if len(frames) == 2 else None
+            if topic is None:
+                topic, _ = split_frames(frames)
+            payload = frames[1]
             seq, t_ns, src = read_header(topic, payload)
             if (permit := listener.subscriber.permit) is not None:
                 permit(topic, src)
@@ -126,7 +130,10 @@ class Intake:
             if stream.wanted:
                 if arrival is not _NEXT:
                     self._note_arrival(stream, arrival, seq, received_ns)
-                self._store(stream, received_ns, t_ns, seq, payload)
+                if self.writer is not None:
+                    self.written += 1
+                    channel = stream.channel or self._open_channel(self.writer, stream)
+                    self.writer.write(channel, received_ns, t_ns, seq, payload)
             if self._ended and stream.direct:
                 # one that is received again was started again
                 self._ended.discard(src)
@@ -216,13 +223,9 @@ class Intake:
         for stream in self._streams:
             stream.channel = None
 
-    def _store(self, stream: Stream, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
-        if self.writer is None:
-            return
-        self.written += 1
-        if stream.channel is None:
-            stream.channel = self.writer.channel(stream.topic.name, stream.src, stream.site)
-        self.writer.write(stream.channel, log_ns, publish_ns, seq, payload)
+    def _open_channel(self, writer: RecordingWriter, stream: Stream) -> int:
+        stream.channel = writer.channel(stream.topic.name, stream.src, stream.site)
+        return stream.channel
 
     def _interpret(self, listener: Listener, stream: Stream, fields: Mapping[str, Any], received_ns: int) -> None:
         """Take note of what a message means for the recording: a replay, the end of a publisher."""

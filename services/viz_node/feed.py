@@ -100,14 +100,15 @@ class Feed:
     def _record(self, seen: Seen) -> None:
         if not 0 <= seen.t_ns < LATEST_NS:
             raise ValueError(f"t_ns {seen.t_ns}: is no time")
-        stream = BY_SOURCE.get((seen.topic, site_of(seen.src)))
+        site = site_of(seen.src)
+        stream = BY_SOURCE.get((seen.topic, site))
         if stream is not None:
             ahead_ns = self._slave_ahead_ns if stream.site == "slave" else 0
             fields = self._loss.added(seen.fields) if stream.name == "link" else seen.fields
             self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
         if keys := _STATE_KEYS.get(seen.topic):
-            felt = tuple(key for key in _FELT_KEYS if seen.fields.get(key) is not None)
-            self._set_state(f"{seen.topic}/{site_of(seen.src)}", _facts(seen.fields, keys + felt))
+            felt = {key: value for key in _FELT_KEYS if (value := seen.fields.get(key)) is not None}
+            self._set_state(f"{seen.topic}/{site}", _facts(seen.fields, keys) | felt)
         elif seen.topic == "link/status":
             ways = {way: _facts(seen.fields[way], _WAY_KEYS) for way in ("forward", "backward")}
             clock = seen.fields["clock"]
@@ -192,6 +193,8 @@ def _check(facts: Mapping[str, Any], most: int) -> int:
 
 
 def _facts(fields: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    facts = {key: fields[key] for key in keys if key not in _OPTIONAL}
-    rounded = {key: round(facts[key], _COARSE[key]) for key in facts.keys() & _COARSE.keys()}
-    return facts | rounded | {key: fields[key] for key in _OPTIONAL.intersection(keys) & fields.keys()}
+    facts = {key: fields[key] for key in keys if key not in _OPTIONAL or key in fields}
+    for key, digits in _COARSE.items():
+        if key in facts:
+            facts[key] = round(facts[key], digits)
+    return facts

@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
+
+import msgspec
 
 from telenano.afm.cantilever import Plant
 from telenano.afm.contact.friction import FrictionParams
@@ -28,7 +30,7 @@ _AT_REST = Oscillation(0.0, 0.0)
 _QUIET = DisturbanceConfig()
 
 
-class InstrumentState(NamedTuple):
+class InstrumentState(msgspec.Struct, array_like=True):
     """The whole state of a simulated instrument.
 
     inputs: of the last step, with the place of the tip, the drive and the thermal noise of the next one; part: None
@@ -111,7 +113,7 @@ class SimulatedInstrument:
     def move_to(self, x_m: float, y_m: float) -> None:
         if not (math.isfinite(x_m) and math.isfinite(y_m)):
             raise ValueError(f"lateral position {x_m}, {y_m} m must be finite")
-        self.state = self.state._replace(inputs=self.state.inputs._replace(x_m=x_m, y_m=y_m))
+        self.state.inputs = self.state.inputs._replace(x_m=x_m, y_m=y_m)
 
     @property
     def lateral_force_n(self) -> tuple[float, float]:
@@ -125,7 +127,7 @@ class SimulatedInstrument:
         """
         if not (math.isfinite(amplitude_m) and amplitude_m >= 0.0):
             raise ValueError(f"amplitude = {amplitude_m} m must be finite and >= 0 m")
-        self.state = self.state._replace(inputs=self.state.inputs._replace(amplitude_m=amplitude_m))
+        self.state.inputs = self.state.inputs._replace(amplitude_m=amplitude_m)
 
     @property
     def oscillation(self) -> Oscillation:
@@ -153,9 +155,9 @@ class SimulatedInstrument:
         state = self.state
         if not state.disturbances.any_enabled:
             # Creep and hysteresis begin at rest, where the base is when they are switched on.
-            state = state._replace(piezo=None, elapsed_s=0.0)
-        inputs = _thermal(state.inputs, config, moves=self._motion is not None)
-        self.state = state._replace(disturbances=config, inputs=inputs)
+            state.piezo, state.elapsed_s = None, 0.0
+        state.inputs = _thermal(state.inputs, config, moves=self._motion is not None)
+        state.disturbances = config
 
     @property
     def is_spring(self) -> bool:
@@ -172,11 +174,11 @@ class SimulatedInstrument:
         """Take a sample as it was in the beginning: its particles lie where they lay, and nothing is remembered."""
         state = self.state
         if state.part is not None:
-            self.state = state._replace(part=part_start(self._params.plant, state.inputs))
+            state.part = part_start(self._params.plant, state.inputs)
 
     def elapse(self, dt: float) -> None:
         """Note the time [s] of the next exchange."""
-        self.state = self.state._replace(elapsed_s=self.state.elapsed_s + dt)
+        self.state.elapsed_s += dt
 
     @property
     def particles(self) -> Particles | None:
@@ -191,8 +193,7 @@ class SimulatedInstrument:
         state = self.state
         if self._motion is None or state.part is None:
             return False
-        part, goes_on = self._motion.settle(self._params.plant, state.part, state.inputs)
-        self.state = state._replace(part=part)
+        state.part, goes_on = self._motion.settle(self._params.plant, state.part, state.inputs)
         return goes_on
 
     def open(self) -> None:
@@ -205,7 +206,7 @@ class SimulatedInstrument:
         if state.part is not None:
             raise RuntimeError("the simulated instrument is already open")
         inputs = state.inputs._replace(base_m=self.safe_position_m)
-        self.state = state._replace(part=part_start(self._params.plant, inputs))
+        state.part = part_start(self._params.plant, inputs)
 
     def exchange(self, base_m: float) -> AfmSample:
         state = self.state
@@ -217,10 +218,9 @@ class SimulatedInstrument:
         if self._cantilever is not None and state.disturbances.any_enabled:
             sample = self._disturbed(self._cantilever, inputs)
         else:
-            part, sample = part_step(self._params.plant, state.part, inputs, state.elapsed_s)
-            self.state = state._replace(inputs=inputs, part=part)
-        lateral_n = (sample.lateral_x_n, sample.lateral_y_n)
-        self.state = self.state._replace(elapsed_s=0.0, lateral_n=lateral_n)
+            state.part, sample = part_step(self._params.plant, state.part, inputs, state.elapsed_s)
+            state.inputs = inputs
+        state.elapsed_s, state.lateral_n = 0.0, (sample.lateral_x_n, sample.lateral_y_n)
         return sample
 
     def _disturbed(self, cantilever: Plant, inputs: PlantInputs) -> AfmSample:
@@ -232,8 +232,8 @@ class SimulatedInstrument:
         moved, sample = disturbed_step(
             disturbed_params(config, tip, cantilever), DisturbedState(state.part, piezo), inputs, noise, state.elapsed_s
         )
-        inputs = inputs._replace(voltage_v=noise.voltage_v)
-        self.state = state._replace(inputs=inputs, noise=noise_state, part=moved.tip, piezo=moved.piezo)
+        state.inputs = inputs._replace(voltage_v=noise.voltage_v)
+        state.noise, state.part, state.piezo = noise_state, moved.tip, moved.piezo
         return sample
 
     def retract(self) -> bool:
@@ -244,7 +244,7 @@ class SimulatedInstrument:
 
     def close(self) -> None:
         self.retract()
-        self.state = self.state._replace(part=None)
+        self.state.part = None
 
 
 def _thermal(inputs: PlantInputs, config: DisturbanceConfig, *, moves: bool) -> PlantInputs:

@@ -129,10 +129,12 @@ class DirectionEngine:
 
     def next_release_ns(self) -> int | None:
         """Return when to call `due` next, or None if nothing is in flight. Nothing can be due earlier."""
-        times_ns = [queue.leave_ns for queue in self._queues if queue.leave_ns is not None]
-        if self._heap:
-            times_ns.append(self._heap[0][0])
-        return min(times_ns) if times_ns else None
+        next_ns = self._heap[0][0] if self._heap else None
+        for queue in self._queues:
+            leave_ns = queue.leave_ns
+            if leave_ns is not None and (next_ns is None or leave_ns < next_ns):
+                next_ns = leave_ns
+        return next_ns
 
     def take_fates(self) -> list[Fate]:
         """Return the fates decided since the last call, in the order of decision, and forget them."""

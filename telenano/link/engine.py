@@ -69,8 +69,10 @@ class LinkEngine:
 
     def next_release_ns(self) -> int | None:
         """Return when to call `due` of a direction next, or None if nothing is in flight."""
-        times_ns = (self.forward.next_release_ns(), self.backward.next_release_ns())
-        return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)
+        forward_ns, backward_ns = self.forward.next_release_ns(), self.backward.next_release_ns()
+        if forward_ns is None or backward_ns is None:
+            return backward_ns if forward_ns is None else forward_ns
+        return min(forward_ns, backward_ns)
 
     def take_fates(self) -> list[Fate]:
         """Return and forget the fates decided since the last call, forward first."""

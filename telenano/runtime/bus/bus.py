@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from heapq import nlargest
 from itertools import islice
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol
 
 import zmq
 
@@ -37,6 +37,8 @@ _MOST_FRAMES = 1000
 _FEW = 3
 # Plain numbers are used, because the enumerations of the binding make the call half as expensive again.
 _EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)
+# a member of an enumeration takes longer to look up, and there is one for every message
+_NEXT = Arrival.NEXT
 # sources that one node keeps sequence statistics of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 # A connection reports at most so many sources twice a second. The sender and every reader handle each of them, and a
@@ -183,8 +185,7 @@ class Subscriber:
             # Commands, and reports of a changed delay, come before the messages that they apply to.
             left = without_superseded(waiting, self._conflated, self._header)
             waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
-        taken = [self.decode_and_track(frames, received_ns) for frames, received_ns in waiting]
-        return [received for received in taken if received is not None]
+        return [found for frames, at_ns in waiting if (found := self.decode_and_track(frames, at_ns)) is not None]
 
     def _header(self, frames: Sequence[bytes]) -> Header | None:
         if len(frames) != 2:
@@ -208,10 +209,11 @@ class Subscriber:
         if topic in self._aside:
             self._aside[topic](message)
             return None
-        overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
-        # A repeated command is known by its id; its number depends on the clock of an earlier sender of commands.
-        if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
-            return None
+        if arrival is not _NEXT:
+            overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
+            # A repeated command is known by its id; its number depends on the clock of an earlier sender of commands.
+            if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
+                return None
         return Received(topic, message, payload, received_ns, arrival)
 
     def accepted(self, frames: Sequence[bytes]) -> tuple[str, Message, bytes, SequenceTracker] | None:
@@ -242,7 +244,8 @@ class Subscriber:
     def pending(self) -> bool:
         """Return whether a message has arrived."""
         # `Socket.poll` is avoided because it first makes a poller.
-        return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
+        events: Any = self.socket.get(_EVENTS)
+        return bool(events & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of the sources that sent most; a topic without messages has empty ones."""

@@ -26,6 +26,8 @@ from telenano.wire.sequence import Arrival
 
 # At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
+# a member of an enumeration takes longer to look up, and there is one for every message
+_AFTER_GAP = Arrival.AFTER_GAP
 
 
 class NodeLoop:
@@ -280,7 +282,7 @@ class NodeLoop:
         return now
 
     def _dispatch(self, received: Received) -> None:
-        if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
+        if received.arrival is _AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
             self._report_gap(received)
         if not self.node.admits(received):
             return

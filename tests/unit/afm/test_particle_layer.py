@@ -1,6 +1,7 @@
 """Particles under the instrument: what it measures of them, in which state it goes on, and what is refused."""
 
 import math
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -90,7 +91,7 @@ def test_a_tip_that_is_driven_leaves_particles_where_they_are() -> None:
 def test_the_state_goes_on_from_where_it_was_kept() -> None:
     device, other = opened(config(TWO)), opened(config(TWO))
     swept(device, 30e-9, -600e-9, -200e-9, 40e-9)
-    other.state = device.state
+    other.state = copy(device.state)
     first = swept(device, 30e-9, -200e-9, 100e-9, 40e-9)
     again = swept(other, 30e-9, -200e-9, 100e-9, 40e-9)
     assert first.tobytes() == again.tobytes()

@@ -73,7 +73,7 @@ def test_particles_lie_where_they_lay_again(bench_of: Any) -> None:
     afm.node = AfmNode(bench_of("afm_node@slave").context, config, driver)
     moved = driver.state.part.moving.copy()
     moved[0, 0] += 3e-7
-    driver.state = driver.state._replace(part=driver.state.part._replace(moving=moved))
+    driver.state.part = driver.state.part._replace(moving=moved)
     assert driver.particles is not None
     assert driver.particles.places_m[0, 0] == pytest.approx(1.3e-6, rel=1e-9, abs=0.0)
     assert afm.set(**{"sample.restore": True}) == "the sample is as it was in the beginning"

@@ -1,0 +1,281 @@
+"""Processor time of a turn of each node without bus and codec, of a message received, recorded and shown, by checkouts.
+
+    python benchmarks/turns.py [--before FOLDER] [--pairs N] [--smoke] [--json] [PART ...]
+
+A worker in this checkout and one in FOLDER, an earlier version (this one again without it, which shows the noise), take
+turns, A B A B: each runs the same session in virtual time (`tests/replay/virtual_rig.py`) and then has a part of it go
+through what its node received, over and over. PART is a node, or `receive` (from a socket to a message), `record` (the
+recorder's intake) or `show` (the feed of a page). A figure is the median of the ratios of all pairs, with the interval
+that holds it with 95 % (bootstrap).
+"""
+
+import argparse
+import gc
+import itertools
+import json
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parents[1]
+NODES = ("haptic_node@master", "controller@master", "controller@slave", "afm_node@slave", "delay_node@master")
+PARTS = (*NODES, "receive", "record", "show")
+SESSION_S = 1.5
+# the slowest tenth of the turns has what the machine did meanwhile
+KEPT_SHARE = 0.9
+SHOWN = ("haptic/state", "haptic/command", "afm/state", "law/status")
+# The end of a context waits for sockets that are open, so nothing of a session is let go.
+_sessions: list[Any] = []
+
+
+def session() -> tuple[Any, dict[str, list[tuple[int, list[Any]]]]]:
+    """Return a rig after a session, and by node the time [ns] of each turn and what the node received in it."""
+    import virtual_rig
+
+    rig = virtual_rig.VirtualRig(None, 7)
+    turns: dict[str, list[tuple[int, list[Any]]]] = {key: [] for key in rig.nodes}
+    for key, bus in rig.buses.items():
+
+        def receive(taken: list[tuple[int, list[Any]]] = turns[key], ask: Callable[[], Any] = bus.receive) -> list[Any]:
+            taken.append((rig.clock.monotonic_ns(), list(ask())))
+            return taken[-1][1]
+
+        bus.receive = receive
+    for until_s, command in ((0.15, ("arm", "*")), (0.3, ("start", "haptic_node"))):
+        rig.run_until(until_s)
+        rig.command(*command)
+    rig.run_until(SESSION_S)
+    _sessions.append(rig)
+    return rig, turns
+
+
+class CountingBus:
+    """A bus that shows a node what it received before, and numbers what it sends."""
+
+    def __init__(self, rig: Any, turns: list[tuple[int, list[Any]]]) -> None:
+        self._rig, self._turns, self._numbers = rig, iter(turns), {}
+        self._received: list[Any] = []
+
+    def publish(self, topic: str, **fields: Any) -> Any:
+        number = self._numbers[topic] = self._numbers.get(topic, -1) + 1
+        return argparse.Namespace(seq=number)
+
+    def send(self, topic: str, payload: bytes) -> None: ...
+
+    def wait(self, deadline_ns: int) -> None:
+        at_ns, self._received = next(self._turns)
+        self._rig.clock.advance_ns(at_ns - self._rig.clock.monotonic_ns())
+
+    def receive(self) -> list[Any]:
+        return self._received
+
+    def sequence_numbers(self) -> dict[str, int]:
+        return dict(self._numbers)
+
+    def input_health(self) -> tuple[()]:
+        return ()
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        return {}, ""
+
+    def process_events(self, *, now: bool = False) -> tuple[()]:
+        return ()
+
+    def has_arrived(self) -> bool:
+        return False
+
+
+def node_turns(key: str) -> Callable[[], float]:
+    """Return what has a new node take all turns, and returns the mean time of one [us]."""
+    import virtual_rig
+
+    from telenano.extend.testing import VirtualClock
+    from telenano.runtime.loop.node import NodeContext
+    from telenano.runtime.loop.node_loop import NodeLoop
+    from telenano.runtime.loop.realtime import RealtimeStatus
+
+    rig, turns = session()
+
+    def run() -> float:
+        rig.clock = VirtualClock(start_ns=turns[key][0][0], epoch_offset_ns=virtual_rig.EPOCH_OFFSET_NS)
+        bus = rig.buses[key] = CountingBus(rig, turns[key])
+        node = rig._node(NodeContext(key, rig.clock, bus, virtual_rig.QuietLog(key), period_s=1e-3))
+        loop = NodeLoop(node, bus, RealtimeStatus(fifo=True, memory_locked=False))
+        return _mean_us(loop.turn for _ in turns[key])
+
+    return run
+
+
+def receiving() -> Callable[[], float]:
+    """Return what takes messages from a socket, and returns the mean time of one [us]."""
+    import zmq
+
+    from telenano.runtime.bus.bus import Subscriber, ZmqBus
+    from telenano.runtime.bus.publisher import NullPublisher, ZmqPublisher
+    from telenano.timing.clock import SystemClock
+
+    clock, context = SystemClock(), zmq.Context[Any]()
+    endpoint = f"ipc://{tempfile.mkdtemp()}/a"
+    publisher = ZmqPublisher(context, clock, "afm_node@slave", endpoint)
+    subscriber = Subscriber(context, clock, {endpoint: ["clock/ping"]}, newest_only=True)
+    bus = ZmqBus(NullPublisher(clock, "controller@slave"), [subscriber], clock, os.pipe()[0])
+
+    def arrived() -> Callable[[], Any]:
+        for _ in range(200):
+            publisher.publish("clock/ping")
+            bus.wait(clock.monotonic_ns() + 20_000_000)
+            if bus._readable:
+                break
+        return bus.receive
+
+    return lambda: _mean_us(arrived() for _ in range(1000))
+
+
+def recording() -> Callable[[], float]:
+    """Return what records a session, and returns the mean time of a message [us]."""
+    import zmq
+
+    from services.recorder.intake import begin_recording
+    from telenano.console.listener import Listener
+    from telenano.recording.recorder_config import RecorderConfig
+    from telenano.runtime.bus.bus import Subscriber
+    from telenano.settings import SITE_DIRECTORY
+    from telenano.timing.clock import SystemClock
+
+    rows = [(endpoint, [topic.encode(), payload], at) for at, _, endpoint, topic, payload in session()[0]._received]
+    clock, context, number = SystemClock(), zmq.Context[Any](), itertools.count()
+    folder = Path(tempfile.mkdtemp())
+    subscriber = Subscriber(context, clock, {"inproc://nowhere": ["haptic/state"]}, connect=False)
+
+    def run() -> float:
+        config = RecorderConfig(directory=folder / str(next(number)))
+        intake = begin_recording("recorder@master", clock, config, SITE_DIRECTORY / "local.yaml", None)
+        listeners = {endpoint: Listener(endpoint, subscriber) for endpoint, _, _ in rows}
+        begun_ns = time.process_time_ns()
+        for endpoint, frames, received_ns in rows:
+            intake.record(listeners[endpoint], frames, received_ns)
+        intake.flush()
+        took_ns = time.process_time_ns() - begun_ns
+        intake.finish()
+        return took_ns * 1e-3 / len(rows)
+
+    return run
+
+
+def showing() -> Callable[[], float]:
+    """Return what a page is shown of a session, and returns the mean time of a message [us]."""
+    from services.viz_node.feed import Feed, seen
+
+    rig, _ = session()
+    rows = [(topic, rig.messages[payload]) for _, _, _, topic, payload in rig._received if topic in SHOWN]
+
+    def run() -> float:
+        feed = Feed()
+        begun_ns = time.process_time_ns()
+        for number, (topic, message) in enumerate(rows):
+            feed.record(seen(topic, message.src, message.t_ns, message))
+            if number % 100 == 99:
+                feed.take()
+        return (time.process_time_ns() - begun_ns) * 1e-3 / len(rows)
+
+    return run
+
+
+def _mean_us(calls: Any) -> float:
+    spent_ns = []
+    for call in calls:
+        begun_ns = time.perf_counter_ns()
+        call()
+        spent_ns.append(time.perf_counter_ns() - begun_ns)
+    return statistics.fmean(sorted(spent_ns)[: max(1, int(KEPT_SHARE * len(spent_ns)))]) * 1e-3
+
+
+def work(part: str) -> None:
+    """Print the time of a part each time that a line comes in."""
+    others = {"receive": receiving, "record": recording, "show": showing}
+    run = others[part]() if part in others else node_turns(part)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    for _ in sys.stdin:
+        print(run(), flush=True)
+    # as at the end of the process
+    os._exit(0)
+
+
+class Worker:
+    """A process that measures a part in a checkout."""
+
+    def __init__(self, folder: Path, part: str) -> None:
+        places = os.pathsep.join((str(folder), str(folder / "tests" / "replay")))
+        self._process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).resolve()), "--worker", part],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": places},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def measure(self) -> float:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return float(self._process.stdout.readline())
+
+    def end(self) -> None:
+        self._process.communicate()
+
+
+def compare(part: str, before: Path, pairs: int) -> dict[str, float]:
+    """Return the time of a part here [us], its ratio to that in another checkout, and the ends of its interval."""
+    here, other = Worker(HERE, part), Worker(before, part)
+    found: list[tuple[float, float]] = []
+    for number in range(pairs + 1):
+        order = (here, other) if number % 2 else (other, here)
+        times = [worker.measure() for worker in order]
+        found.append((times[0], times[1]) if number % 2 else (times[1], times[0]))
+    here.end()
+    other.end()
+    # The first pair finds the caches empty.
+    ratios = [mine / theirs for mine, theirs in found[1:]]
+    draw = random.Random(0)
+    drawn = sorted(statistics.median(draw.choices(ratios, k=len(ratios))) for _ in range(1000))
+    us = statistics.median(mine for mine, _ in found[1:])
+    return {"us": us, "ratio": statistics.median(ratios), "low": drawn[25], "high": drawn[975]}
+
+
+def main() -> None:
+    """Print the time of each part and its ratio; `--smoke` takes one pair of two parts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", default=PARTS)
+    parser.add_argument("--before", type=Path, default=HERE)
+    parser.add_argument("--pairs", type=int, default=30)
+    parser.add_argument("--worker", help=argparse.SUPPRESS)
+    parser.add_argument("--smoke", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    if given.worker:
+        work(given.worker)
+        return
+    if given.smoke:
+        given.parts, given.pairs = ("controller@master", "show"), 1
+    found = {}
+    for part in given.parts:
+        found[part] = compare(part, given.before.resolve(), given.pairs)
+        if not given.json:
+            us, ratio, low, high = found[part].values()
+            print(f"{part}: {us:.2f} us, {ratio:.3f} of before ({low:.3f} to {high:.3f})")
+    if given.json:
+        print(json.dumps({"parts": found}))
+
+
+if __name__ == "__main__":
+    main()
