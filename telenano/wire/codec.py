@@ -216,9 +216,9 @@ def header_check(topic: str) -> Callable[[bytes], tuple[int, int, str] | None]:
 class _Form:
     """What the bytes of a topic's messages look like.
 
-    `version` is the newest that is known, `most_bytes` the most that a message may have. `nested`: records stand inside.
-    `elements`: the fields whose arrays have elements with a range, and their kinds. `unknown`: what becomes of a key
-    that is not known.
+    `version` is the newest that is known, `most_bytes` the most that a message may have. `nested`: records stand
+    inside. `elements`: the fields whose arrays have elements with a range, and their kinds. `unknown`: what becomes of
+    a key that is not known.
     """
 
     model: type[Message]
