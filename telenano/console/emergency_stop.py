@@ -30,8 +30,8 @@ _SUBSCRIBED = b"\x01session/control"
 # The most subscriptions of an inlet that are read in a turn.
 _MOST_SUBSCRIPTIONS = 256
 _TOPIC, _ANSWERS = b"session/control", b"session/event"
-# of a session/control, and of one that says who gave it
-_SCHEMA_VERSION, _NAMED_VERSION = 1, 4
+# of a session/control
+_SCHEMA_VERSION = 1
 _LINK = f"{LINK}@master"
 
 
@@ -149,7 +149,7 @@ class _Sender:
         self._fields = {"src": f"estop@{site}", "v": _SCHEMA_VERSION, "id": identifier, "command": "estop"}
         self._fields |= {"target": target, "parameters": {}}
         if by:
-            self._fields |= {"by": by, "v": _NAMED_VERSION}
+            self._fields["by"] = by
         self._clock = SystemClock()
         self._messages: list[bytes] = []
         self.inlets = inlets

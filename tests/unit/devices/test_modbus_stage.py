@@ -313,7 +313,7 @@ def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) 
     rig.control("arm")
     rig.tick(400)
     state = rig.bench.take("afm/state")[-1]
-    assert (state.v, state.device, state.mode, state.separation_valid) == (4, "ok", "follow", False)
+    assert (state.v, state.device, state.mode, state.separation_valid) == (1, "ok", "follow", False)
     assert state.base_position_m[2] == pytest.approx(0.0, abs=DAC_STEP_M)
     assert 0.0 < state.sample_age_s < 3e-3
     rig.line.reachable = False
