@@ -4,6 +4,7 @@ A message is one msgpack map with a string key a field. Any bytes decode to a me
 in C decodes and checks, another one checks and encodes; what they refuse is read part by part (`telenano.wire.faults`).
 """
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
@@ -355,8 +356,13 @@ def _compose_limited(
         return found.high if found.value > found.high else found.low
 
     plain = {key: _as_plain(topic, key, value) for key, value in fields.items()}
-    message = _with_source(topic, _read_record(topic, form.model, plain, Reading("forbid", nearer_end)))
-    payload = encode(message)
+    message: Message | None = None
+    with contextlib.suppress(*REFUSALS):
+        # If only numbers of numpy were in the way, they are not any more.
+        message = msgspec.convert(plain, form.model, builtin_types=(bytes,))
+    if message is None or not form.fits(message):
+        message = _read_record(topic, form.model, plain, Reading("forbid", nearer_end))
+    payload = encode(_with_source(topic, message))
     if limited:
         report(f"{form.model.__name__}: {limited[0]} is out of range and is sent at the end of the range")
     return message, payload

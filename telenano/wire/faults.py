@@ -10,6 +10,7 @@ import math
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
@@ -134,7 +135,7 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | 
     parts = _opened(dict[str, Raw], value, how, key)
     if parts is None:
         return None
-    fields = {field.name: field for field in msgspec.structs.fields(model)}
+    fields = _fields_of(model)
     found = {}
     is_whole = True
     for name, field in fields.items():
@@ -159,6 +160,12 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | 
     except ValueError as error:
         how.report(Fault(key, "record", f"{key or model.__name__}: {error}"))
         return None
+
+
+@cache
+def _fields_of(model: type[msgspec.Struct]) -> dict[str, msgspec.structs.FieldInfo]:
+    """Return what is declared of each field of a record, which takes msgspec longer than to read one."""
+    return {field.name: field for field in msgspec.structs.fields(model)}
 
 
 def declared_elements(kind: Any) -> Range | None:
