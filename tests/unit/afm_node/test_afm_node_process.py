@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from services.afm_node.node import AfmNode
@@ -70,6 +71,27 @@ def follow(afm: Instrument) -> None:
     afm.control("arm")
     afm.pass_ms(80.0, every_ms=1.0)
     afm.states()
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_an_instrument_that_answers_in_numbers_of_numpy_is_published_as_any_other(
+    afm: Instrument, kind: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exchange, kinds = afm.driver.exchange, {float: kind, bool: np.bool_}
+    monkeypatch.setattr(
+        afm.driver,
+        "exchange",
+        lambda base_m: (sample := exchange(base_m))._replace(
+            **{name: kinds[type(value)](value) for name, value in sample._asdict().items()}
+        ),
+    )
+    follow(afm)
+    afm.pass_ms(20.0, every_ms=1.0)
+    states = afm.states()
+    assert len(states) >= 20
+    numbers = [part for state in states for part in (state.deflection_m, *state.base_position_m, *state.tip_force_n)]
+    assert {type(number) for number in numbers} == {float}
+    assert {type(state.in_contact) for state in states} == {bool}
 
 
 def test_a_command_is_answered_at_once_with_its_number(afm: Instrument) -> None:

@@ -3,6 +3,7 @@
 import itertools
 from typing import Any
 
+import numpy as np
 import pytest
 
 from services.haptic_node.node import HapticNode
@@ -54,6 +55,25 @@ class Hand:
 @pytest.fixture
 def hand(bench_of: Any) -> Hand:
     return Hand(bench_of("haptic_node@master"))
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_a_device_that_answers_in_numbers_of_numpy_is_published_as_any_other(
+    hand: Hand, kind: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = hand.device.read
+
+    def in_numpy(*given: Any) -> Any:
+        sample = read(*given)
+        changes = {name: kind(value) for name, value in sample._asdict().items() if type(value) is float}
+        return sample._replace(**changes)
+
+    monkeypatch.setattr(hand.device, "read", in_numpy)
+    hand.tick(20, commanded=True)
+    states = hand.states()
+    assert len(states) == 20
+    numbers = [part for state in states for part in (*state.position_m, *state.operator_force_n, state.session_s)]
+    assert {type(number) for number in numbers} == {float}
 
 
 def test_states_lie_on_the_grid_whatever_the_lateness(hand: Hand) -> None:
