@@ -1,7 +1,8 @@
 """The wire contract: messages, topics and the codec. It imports nothing else of the project.
 
-What is named here is imported when it is first used: the models of all messages take a third of a second, and
-`telenano.wire.nodes` and `telenano.wire.errors` serve programs that cannot wait for them, an emergency stop above all.
+What is named here is imported when it is first used: the messages and NumPy take most of the time that a command needs
+to start, and `telenano.wire.nodes` and `telenano.wire.errors` serve programs that cannot wait for them, an emergency
+stop above all.
 """
 
 import importlib
