@@ -114,7 +114,8 @@ def made(model: type[R], fields: Mapping[str, Any]) -> R:
     try:
         return msgspec.convert(fields, model, builtin_types=(bytes,))
     except ValueError as error:
-        raise FaultError(faults_of(model, fields)[0]) from error
+        faults = faults_of(model, fields) or [Fault("", "record", str(error))]
+        raise FaultError(faults[0]) from error
 
 
 def source_fault(source: str) -> Fault:
@@ -142,16 +143,15 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | 
         here = _joined(key, name)
         if name in parts:
             found[name] = _read(field.type, parts[name], how, here)
-            if beyond := elements_beyond(field.type, found[name]):
-                value, allowed = beyond
-                is_whole &= (
-                    _decide(Beyond(f"{here}.data", value, allowed.low, allowed.high, allowed, True), how) is not _WRONG
-                )
             is_whole &= found[name] is not _WRONG
+            if beyond := elements_beyond(field.type, found[name]):
+                element, allowed = beyond
+                in_array = Beyond(f"{here}.data", element, allowed.low, allowed.high, allowed, in_array=True)
+                is_whole &= _decide(in_array, how) is not _WRONG
         elif field.required:
             how.report(Fault(here, "missing", f"{here} is missing"))
             is_whole = False
-    for name in parts.keys() - fields.keys() if how.unknown == "forbid" else ():
+    for name in [name for name in parts if name not in fields and how.unknown == "forbid"]:
         text = f"{_joined(key, name)} is not known, {known_names(name[:_MOST_KEY], fields)}"
         how.report(Fault(_joined(key, name), "unknown", text))
         is_whole = False

@@ -70,7 +70,7 @@ def test_a_command_with_a_key_that_is_not_known_is_refused_by_its_name() -> None
 
 @pytest.mark.parametrize("topic", ["afm/state", "node/health", "link/fates", "session/control"])
 def test_a_key_that_is_not_known_is_not_sent(topic: str) -> None:
-    with pytest.raises(WireError, match=r"(tip_temperature_k|later) is not known"):
+    with pytest.raises(WireError, match="tip_temperature_k is not known"):
         compose(topic, fields_of(decode(topic, msgpack.packb(example_fields(topic)))) | LATER, print)
 
 
