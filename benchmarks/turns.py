@@ -24,6 +24,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from telenano.signals import children
+
 HERE = Path(__file__).resolve().parents[1]
 NODES = ("haptic_node@master", "controller@master", "controller@slave", "afm_node@slave", "delay_node@master")
 PARTS = (*NODES, "receive", "record", "show")
@@ -215,7 +217,7 @@ class Worker:
 
     def __init__(self, folder: Path, part: str) -> None:
         places = os.pathsep.join((str(folder), str(folder / "tests" / "replay")))
-        self._process = subprocess.Popen(
+        self._process = children.start(
             [sys.executable, str(Path(__file__).resolve()), "--worker", part],
             cwd=folder,
             env={**os.environ, "PYTHONPATH": places},
