@@ -169,7 +169,7 @@ def matched(
         if at_ns is not None and begin_ns <= due_ns <= last_ns:
             found.append(Cycle(due_ns, stamp, at_ns))
     if found and (left := (last_ns - found[-1].due_ns) // period_ns) > 0:
-        # what had no answer by then is late until the next one, or until the end
+        # A cycle without an answer by then is late until the next answer, or until the end.
         due_ns = found[-1].due_ns + period_ns * left
         later = (at_ns for stamp, at_ns in arrived.items() if stamp >= due_ns)
         found.append(Cycle(due_ns, due_ns, min(later, default=int(samples.sampled_ns[-1]))))

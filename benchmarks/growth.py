@@ -33,7 +33,7 @@ OF_THE_LOOP = ("haptic/state", "afm/state", "teleop/forward", "teleop/backward",
 IN_ORDER = (*OF_THE_LOOP, *(topic for topic in TOPICS if topic not in OF_THE_LOOP))
 READERS_OF_TOPICS = 4
 USUAL_HZ = 1000.0
-# of its rate, by the samples of the hand and of the instrument
+# A rig holds its rate where its hand and its instrument have at least this share of it.
 LEAST_SHARE = 0.99
 Row = Mapping[str, Any]
 
@@ -59,7 +59,7 @@ AXES = {
         f"topics that {READERS_OF_TOPICS} processes read", "topic", "topics", (0, 1, 2, 4, 6, len(IN_ORDER))
     ),
 }
-# what a reader has is the same in each row of these, while all goes well
+# Along these axes a reader receives the same in each row, while all goes well.
 OF_READERS = ("subscribers", "pages")
 COLUMNS = {
     "rig [%]": ("rig_percent", 0),

@@ -146,7 +146,7 @@ def served(environment: dict[str, str], stack: contextlib.ExitStack) -> tuple[Pr
 def started(command: list[str], environment: dict[str, str], stack: contextlib.ExitStack, by: int) -> Process:
     """Start a process that the end of the block ends by a signal (0: by the end of its input), whatever happens."""
     pipe = subprocess.PIPE
-    # without a buffer, so that `select` says whether there is a line
+    # There is no buffer, so that `select` says whether there is a line.
     process = children.start(command, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0)
     stack.callback(ended, process, by)
     return process
@@ -163,7 +163,7 @@ def ended(process: Process, by: int) -> str:
         return process.communicate(timeout=PATIENCE_S)[0].decode()
     except subprocess.TimeoutExpired:
         process.kill()
-    # what it started may keep its output open
+    # A process that it started may keep its output open.
     with contextlib.suppress(subprocess.TimeoutExpired):
         return process.communicate(timeout=ANSWER_S)[0].decode()
     return ""

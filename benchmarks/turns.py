@@ -208,7 +208,7 @@ def work(part: str) -> None:
     gc.disable()
     for _ in sys.stdin:
         print(run(), flush=True)
-    # as at the end of the process
+    # The process ends at once, because a context of ZeroMQ that is collected waits for its sockets.
     os._exit(0)
 
 

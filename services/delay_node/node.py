@@ -14,10 +14,10 @@ from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
-from telenano.timing.clock_offset import Exchange, Offset, OffsetFilter, OffsetState
+from telenano.timing.clock_offset import Exchange, OffsetFilter, OffsetState, clock_report
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
+from telenano.wire.messages import ClockPong, LinkDirection, LinkFate, Message, SessionControl
 from telenano.wire.node_state import FindInput
 from telenano.wire.nodes import LINK
 from telenano.wire.received import Received
@@ -279,21 +279,9 @@ class DelayNode(Node):
             "link/status",
             forward=_direction(self._forward, settings, network),
             backward=_direction(self._backward, settings, network),
-            clock=_clock(self._offset.estimate()),
+            clock=clock_report(self._offset.estimate()),
             **({"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}),
         )
-
-
-def _clock(offset: Offset | None) -> LinkClock:
-    if offset is None:
-        return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-    return LinkClock(
-        valid=True,
-        offset_s=offset.offset_s,
-        uncertainty_s=offset.uncertainty_s,
-        round_trip_s=offset.round_trip_s,
-        exchanges=offset.exchanges,
-    )
 
 
 def _link_fate(fate: Fate) -> LinkFate:

@@ -30,7 +30,7 @@ _SUBSCRIBED = b"\x01session/control"
 # The most subscriptions of an inlet that are read in a turn.
 _MOST_SUBSCRIPTIONS = 256
 _TOPIC, _ANSWERS = b"session/control", b"session/event"
-# of a session/control
+# This is the version of a session/control.
 _SCHEMA_VERSION = 1
 _LINK = f"{LINK}@master"
 

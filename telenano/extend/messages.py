@@ -16,6 +16,7 @@ from telenano.wire import TOPICS as TOPICS
 from telenano.wire import Message as Message
 from telenano.wire import decode as decode
 from telenano.wire import encode as encode
+from telenano.wire.codec import keys_twice as keys_twice
 from telenano.wire.errors import RecordingError as RecordingError
 from telenano.wire.faults import Fault as Fault
 from telenano.wire.faults import faults_of as faults_of

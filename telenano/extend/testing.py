@@ -104,7 +104,7 @@ class NodeBench:
         self._sequence[topic, src] = seq + 1
         model = TOPICS[topic].model
         header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version}
-        return compose(topic, {**header, **fields}, lambda text: None)[0]
+        return compose(topic, {**header, **fields})[0]
 
     def received(self, topic: str, src: str, **fields: Any) -> Received:
         """Return a message of another node as the node would receive it now."""

@@ -142,7 +142,7 @@ def _command(servo: _Servo, x: float) -> float:
 
 @compiled
 def _clip(value: float, limit: float) -> float:
-    # in plain Python half the time of `min` and `max`
+    # In a node this takes half the time of `min` and `max`.
     return limit if value > limit else max(value, -limit)
 
 

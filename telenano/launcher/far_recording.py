@@ -233,7 +233,7 @@ class _LinkEnd:
         """Send a message of the console."""
         now_ns, version = self._participant.clock.now_ns(), SessionControl.version
         header = {"seq": self._seq, "t_ns": now_ns, "src": "console@master", "v": version}
-        _, payload = compose(topic, {**header, **fields}, lambda text: None)
+        _, payload = compose(topic, {**header, **fields})
         self._seq += 1
         self._publisher.send(topic, payload)
 

@@ -1,12 +1,10 @@
 """Check of a recording: whether it is complete, and what precisely is missing where it is not."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
-import msgpack
 from pydantic import BaseModel
 
 from telenano.recording.info import notes_of
@@ -15,7 +13,7 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.reader import Recording
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire import TOPICS
-from telenano.wire.codec import header_check
+from telenano.wire.codec import keys_twice, sound_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import Message
@@ -67,10 +65,10 @@ def verify(paths: Sequence[Path]) -> Verdict:
 class _Stream:
     """The messages of a channel so far: number and time of sending [ns] of the newest, and what is missing.
 
-    `header` is that of a payload which is certainly valid, None for one that is looked at more closely.
+    `topic` is that by which a payload is known to be valid; it is empty where each message is looked at more closely.
     """
 
-    __slots__ = ("ended", "header", "missing", "seq", "src", "t_ns")
+    __slots__ = ("ended", "missing", "seq", "src", "t_ns", "topic")
 
     def __init__(self, channel: RecordedChannel) -> None:
         self.seq: int | None = None
@@ -80,9 +78,7 @@ class _Stream:
         self.missing: dict[tuple[int, int], int] = {}
         self.src = channel.src
         # The last message of a publisher is looked at as well.
-        self.header: Callable[[bytes], tuple[int, int, str] | None] = header_check(
-            "" if channel.topic == END_TOPIC else channel.topic
-        )
+        self.topic = "" if channel.topic == END_TOPIC else channel.topic
 
 
 class _Check:
@@ -120,7 +116,8 @@ class _Check:
                 and seq - 1 == stream.seq
                 and not stream.ended
                 and not self._open_gaps
-                and stream.header(payload) == (seq, publish_ns, stream.src)
+                and stream.topic
+                and sound_header(stream.topic, payload) == (seq, publish_ns, stream.src)
             ):
                 stream.seq, stream.t_ns, last_ns = seq, publish_ns, log_ns
             else:
@@ -179,7 +176,7 @@ class _Check:
             return None
         if not isinstance(decoded, Message):
             return decoded
-        if twice := _keys_twice(message.payload):
+        if twice := keys_twice(message.payload):
             text = f"seq {message.seq}: the key {twice[0]!r} is there twice, of which a reader takes the last"
             self._report("schema", "error", channel.channel_topic, text)
         found = decoded.seq & _SEQUENCE_MASK, decoded.t_ns, decoded.src
@@ -298,15 +295,3 @@ def _between(earlier: Recording, later: Recording, before: _Check, after: _Check
             f"between {earlier.path.name} and this file, {pause_s:.6f} s apart"
         )
         yield Finding(check="gap", level="warning", file=str(later.path), channel=channel.channel_topic, text=text)
-
-
-def _keys_twice(payload: bytes) -> list[str]:
-    """Return the keys that are in a map of a valid message more than once."""
-    twice: list[str] = []
-
-    def note(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        twice.extend(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        return dict(pairs)
-
-    msgpack.unpackb(payload, object_pairs_hook=note)
-    return twice

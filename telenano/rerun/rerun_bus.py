@@ -58,7 +58,7 @@ class RerunBus:
         recorded = None if topic in NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
         header = {"seq": seq, "t_ns": t_ns, "src": src, "v": TOPICS[topic].model.version}
-        message, payload = compose(topic, {**header, **fields}, lambda text: None)
+        message, payload = compose(topic, {**header, **fields})
         if recorded is not None:
             self._compare(message, payload, recorded)
             self.compared[name] = self.compared.get(name, 0) + 1

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from telenano.timing.clock_line import MOST_DRIFT, ClockLine, are_apart, fitted
+from telenano.wire.messages import LinkClock
 
 # Two clocks that are not set drift apart by less between two exchanges of a second.
 STEP_NS = 10_000_000
@@ -164,3 +165,10 @@ class OffsetFilter:
         kept = tuple(blocks)
         upper = [(block.asked_ns, block.high_ns) for block in kept]
         return fitted(upper, [(block.answered_ns, block.low_ns) for block in kept], self._drift)
+
+
+def clock_report(offset: Offset | None) -> LinkClock:
+    """Return what is known of the other clock."""
+    if offset is None:
+        return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
+    return LinkClock(valid=True, **offset._asdict())

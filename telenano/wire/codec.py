@@ -5,10 +5,12 @@ in C decodes and checks, another one checks and encodes; what they refuse is rea
 """
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
+import msgpack
 import msgspec
 from msgspec import Raw
 
@@ -88,7 +90,9 @@ def accept(topic: str, payload: bytes) -> Message:
     return _read(topic, payload)
 
 
-def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]) -> tuple[Message, bytes]:
+def compose(
+    topic: str, fields: Mapping[str, Any], report: Callable[[str], None] = lambda text: None
+) -> tuple[Message, bytes]:
     """Return a message and its bytes, with what is beyond its range, or does not fit into a count, at the nearer end.
 
     What a node says stays in range whatever it computed: to end instead would take the guard of a device with it. A
@@ -181,7 +185,7 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
         if header.v <= form.version and len(payload) <= form.most_bytes:
             return header.seq, header.t_ns, header.src
     except (KeyError, *REFUSALS):
-        # the error below names what is wrong
+        # The error below names what is wrong.
         pass
     _, parts = _opened(topic, payload)
     found = _read_record(topic, _Header, parts, Reading("ignore"))
@@ -197,20 +201,28 @@ def fields_of(message: Record) -> dict[str, Any]:
     return fields
 
 
-def header_check(topic: str) -> Callable[[bytes], tuple[int, int, str] | None]:
-    """Return what finds seq, t_ns and src of a payload that is valid, and just as this codec writes it; else None.
+def sound_header(topic: str, payload: bytes) -> tuple[int, int, str] | None:
+    """Return seq, t_ns and src of a payload that is valid, and just as this codec writes it; else None.
 
     So no key is there twice, of which a reader takes the last.
     """
+    try:
+        message = accept(topic, payload)
+    except WireError:
+        return None
+    return (message.seq, message.t_ns, message.src) if _encode(message) == payload else None
 
-    def header(payload: bytes) -> tuple[int, int, str] | None:
-        try:
-            message = accept(topic, payload)
-        except WireError:
-            return None
-        return (message.seq, message.t_ns, message.src) if _encode(message) == payload else None
 
-    return header
+def keys_twice(payload: bytes) -> list[str]:
+    """Return the keys that a map of a valid message has more than once, of which a reader takes the last."""
+    twice: list[str] = []
+
+    def note(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        twice.extend(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        return dict(pairs)
+
+    msgpack.unpackb(payload, object_pairs_hook=note)
+    return twice
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,10 +253,11 @@ def _form_of(row: Topic) -> _Form:
     most_bytes = MAX_MESSAGE_BYTES if parts & {dict, Ellipsis, Record} else MAX_PLAIN_BYTES
     elements = tuple((name, kind) for name, kind in fields.items() if declared_elements(kind))
     decode_whole = msgspec.msgpack.Decoder(row.model).decode
+    unknown: Literal["ignore", "forbid"] = "ignore"
     if row.model is SessionControl:
-        # who commands is told of every word that is not understood, because half a command is another command
-        return _Form(row.model, row.model.version, decode_whole, MAX_COMMAND_BYTES, False, elements, "forbid")
-    return _Form(row.model, row.model.version, decode_whole, most_bytes, Record in parts, elements, "ignore")
+        # Half a command is another command: its sender gets a refusal that names the word which is not understood.
+        most_bytes, unknown = MAX_COMMAND_BYTES, "forbid"
+    return _Form(row.model, row.model.version, decode_whole, most_bytes, Record in parts, elements, unknown)
 
 
 def _parts(kind: Any) -> Iterator[Any]:
@@ -318,7 +331,7 @@ def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
         raise WireError("malformed", f"{topic}: {text}") from error
     except REFUSALS as error:
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
-    # The version comes before the keys, because adding keys raises it.
+    # The version comes before the keys, because a later one may have others.
     version, src = (_scalar(parts.get(name)) for name in ("v", "src"))
     if type(version) is int and version > form.version:
         sender = repr(src[:64]) if isinstance(src, str) else "an unnamed source"

@@ -26,9 +26,9 @@ REFUSALS = (ValueError, TypeError, OverflowError, RecursionError)
 is_source = re.compile(SOURCE_PATTERN.removesuffix("$")).fullmatch
 # A scalar of more bytes is a text, and no number.
 _MOST_SHOWN_BYTES = 256
-# stands in the place of a part whose fault was reported
+# This stands in the place of a part whose fault was reported.
 _WRONG: Any = object()
-# characters of a value, and of a key that is the sender's text, in a sentence
+# A sentence has at most so many characters of a value, and of a key, which may be the sender's text.
 _MOST_SHOWN = 80
 _MOST_KEY = 100
 

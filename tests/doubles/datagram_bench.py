@@ -32,7 +32,7 @@ class Outlet:
 
     def publish(self, topic: str, **fields: Any) -> Message:
         header = {"seq": len(self.sent), "t_ns": 0, "src": self.src, "v": 1}
-        message, _ = compose(topic, {**header, **fields}, lambda text: None)
+        message, _ = compose(topic, {**header, **fields})
         self.sent.append((topic, message))
         return message
 

@@ -81,7 +81,7 @@ class FuzzedBus:
         self._numbers[topic] = seq + 1
         model = TOPICS[topic].model
         header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": self._key, "v": model.version}
-        message, _ = compose(topic, {**header, **fields}, lambda text: None)
+        message, _ = compose(topic, {**header, **fields})
         self.published += 1
         return message
 

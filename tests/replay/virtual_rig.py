@@ -149,7 +149,7 @@ class VirtualBus:
             # what differs between machines and runs, also in its length, which the rate of a link counts
             fields |= {"pid": 1, "cpu_percent": 0.0, "memory_bytes": 1}
         values = {"seq": seq, "t_ns": t_ns, "src": self.key, "v": model.version, **fields}
-        message, _ = compose(topic, values, lambda text: None)
+        message, _ = compose(topic, values)
         self._rig.carry(topic, message)
         return message
 

@@ -81,5 +81,5 @@ class AssemblyRecorder:
         self._channels[topic] = channel, seq + 1
         t_ns, model = _BEGAN_NS + round(1e9 * self._instrument.time_s), TOPICS[topic].model
         header = {"v": model.version, "src": src, "seq": seq, "t_ns": t_ns}
-        _, payload = compose(topic, {**header, **fields}, lambda text: None)
+        _, payload = compose(topic, {**header, **fields})
         self._writer.write(channel, t_ns, t_ns, seq, payload)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from telenano.extend.messages import TOPICS, Fault, decode, faults_of, required_keys
+from telenano.extend.messages import TOPICS, Fault, decode, faults_of, keys_twice, required_keys
 from telenano_conformance.rules import Account
 
 _S = 1_000_000_000
@@ -134,18 +134,13 @@ class MessageExaminer:
                 account.fail(rule, str(error))
                 return None
         account.hold("size")
-        pairs: list[int] = []
-
-        def note(found: list[tuple[str, Any]]) -> dict[str, Any]:
-            pairs.append(len(found) - len(dict(found)))
-            return dict(found)
-
         try:
-            fields: dict[str, Any] = msgpack.unpackb(payload, use_list=False, object_pairs_hook=note)
+            fields: dict[str, Any] = msgpack.unpackb(payload, use_list=False)
+            twice = keys_twice(payload)
         except ValueError as error:
             account.fail("msgpack", f"{topic}: {error}")
             return None
-        if any(pairs):
+        if twice:
             account.fail("msgpack", f"{topic}: a map has a key twice, of which a reader takes the last")
         else:
             account.hold("msgpack")

@@ -10,11 +10,12 @@ from telenano.runtime.wiring.participant import open_participant
 from telenano.settings.config import flag_overrides
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError
+from telenano.wire.messages import Message
 from telenano.wire.nodes import name_of
 
 # Readers of the endpoint take about so long to notice that it is there.
 _CONNECT_S = 0.5
-_OWN = {"seq", "t_ns", "src", "v"}
+_HEADER = set(Message.__struct_fields__)
 
 
 def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, count: int | None) -> int:
@@ -41,7 +42,7 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
         raise ConfigError(f"{topic}: the fields must be a mapping, such as {{force_n: [0, 0, -0.5]}}")
     declared = msgspec.structs.fields(row.model)
     unknown = sorted(set(given) - {field.name for field in declared})
-    missing = sorted({field.name for field in declared if field.required} - set(given) - _OWN)
+    missing = sorted({field.name for field in declared if field.required} - set(given) - _HEADER)
     if unknown or missing:
         words = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
         raise ConfigError(f"{topic}: {'; '.join(words)}; `telenano topic info {topic}` lists the fields")

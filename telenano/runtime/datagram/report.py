@@ -7,8 +7,8 @@ import numpy as np
 
 from telenano.runtime.datagram.arrivals import ArrivalRecord
 from telenano.runtime.datagram.outgoing import Outgoing
-from telenano.timing.clock_offset import Offset
-from telenano.wire.messages import Array, LinkClock
+from telenano.timing.clock_offset import Offset, clock_report
+from telenano.wire.messages import Array
 
 
 def network_report(
@@ -61,10 +61,3 @@ def network_report(
         "clock": clock_report(offset),
         **{name: Array.from_numpy(column) for name, column in rows.items()},
     }
-
-
-def clock_report(offset: Offset | None) -> LinkClock:
-    """Return what is known of the other clock."""
-    if offset is None:
-        return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-    return LinkClock(valid=True, **offset._asdict())

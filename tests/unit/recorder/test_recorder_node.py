@@ -50,7 +50,7 @@ class QuietBus:
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
         header = {"seq": len(self.published), "t_ns": self.clock.now_ns(), "src": NODE, "v": model.version}
-        message, _ = compose(topic, {**header, **fields}, lambda text: None)
+        message, _ = compose(topic, {**header, **fields})
         self.published.append((topic, message))
         return message
 

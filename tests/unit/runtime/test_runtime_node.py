@@ -53,7 +53,7 @@ class FakeBus:
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
         header = {"seq": len(self.sent), "t_ns": self.clock.now_ns(), "src": "n@s", "v": model.version}
-        message, _ = compose(topic, {**header, **fields}, lambda text: None)
+        message, _ = compose(topic, {**header, **fields})
         self.sent.append(message)
         return message
 
