@@ -5,45 +5,22 @@ to start, and `telenano.wire.nodes` and `telenano.wire.errors` serve programs th
 stop above all.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.wire.codec import (
-        MAX_MESSAGE_BYTES,
-        WireError,
-        accept,
-        compose,
-        decode,
-        decode_header,
-        encode,
-        fields_of,
-        read_header,
-    )
-    from telenano.wire.messages import Message
-    from telenano.wire.topics import TOPICS, Topic
-
-__all__ = [
-    "MAX_MESSAGE_BYTES",
-    "TOPICS",
-    "Message",
-    "Topic",
-    "WireError",
-    "accept",
-    "compose",
-    "decode",
-    "decode_header",
-    "encode",
-    "fields_of",
-    "read_header",
-]
-
-_MODULES = {"Message": "telenano.wire.messages", "TOPICS": "telenano.wire.topics", "Topic": "telenano.wire.topics"}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(_MODULES.get(name, "telenano.wire.codec")), name)
-    globals()[name] = value
-    return value
+    from telenano.wire.codec import MAX_MESSAGE_BYTES as MAX_MESSAGE_BYTES
+    from telenano.wire.codec import WireError as WireError
+    from telenano.wire.codec import accept as accept
+    from telenano.wire.codec import compose as compose
+    from telenano.wire.codec import decode as decode
+    from telenano.wire.codec import decode_header as decode_header
+    from telenano.wire.codec import encode as encode
+    from telenano.wire.codec import fields_of as fields_of
+    from telenano.wire.codec import read_header as read_header
+    from telenano.wire.messages import Message as Message
+    from telenano.wire.topics import TOPICS as TOPICS
+    from telenano.wire.topics import Topic as Topic
+else:
+    __getattr__, __dir__ = face(__name__)

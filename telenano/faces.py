@@ -1,0 +1,60 @@
+"""The public face of a room: what its `__init__` names for type checkers, imported when it is first used.
+
+A room lists its public names once, and the last line makes them importable:
+
+    if TYPE_CHECKING:
+        from telenano.recording.reader import Recording as Recording
+    else:
+        __getattr__, __dir__ = face(__name__)
+
+The modules of a room are imported one by one in this way because most processes need one or two of them, and an
+emergency stop cannot wait for NumPy.
+"""
+
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Any
+
+
+def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` of a room.
+
+    Args:
+        room: The name of its package, whose `__init__` imports the public names under `if TYPE_CHECKING:`.
+    """
+    package = sys.modules[room]
+    modules: dict[str, str] = {}
+
+    def module_of(name: str) -> str | None:
+        # what reads the text is imported with the first name, for processes that use no face
+        if not modules:
+            from pathlib import Path
+
+            modules.update(names_of(Path(str(package.__file__)).read_text(encoding="utf-8")))
+        return modules.get(name)
+
+    def get(name: str) -> Any:
+        # dunder names are asked for by the import system itself, and never belong to a face
+        module = None if name.startswith("__") else module_of(name)
+        if module is None:
+            raise AttributeError(f"module {room!r} has no attribute {name!r}")
+        found = getattr(importlib.import_module(module), name)
+        setattr(package, name, found)
+        return found
+
+    def names() -> list[str]:
+        module_of("")
+        return sorted({*vars(package), *modules})
+
+    return get, names
+
+
+def names_of(source: str) -> dict[str, str]:
+    """Return the names of a face with the module of each, from the text of the room's `__init__`."""
+    import ast
+
+    blocks = [part for part in ast.parse(source).body if isinstance(part, ast.If)]
+    listed = [part for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING" for part in block.body]
+    imports = [part for part in listed if isinstance(part, ast.ImportFrom) and part.module]
+    return {each.name: str(part.module) for part in imports for each in part.names if each.asname == each.name}
