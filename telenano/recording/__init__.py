@@ -1,1 +1,27 @@
 """Recordings as a library: MCAP files written, read, checked, cut and exported; no socket and no process."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.recording.arrays import column_pieces as column_pieces
+    from telenano.recording.arrays import columns as columns
+    from telenano.recording.arrays import last_programme as last_programme
+    from telenano.recording.channel_filter import ALL as ALL
+    from telenano.recording.channel_filter import Selection as Selection
+    from telenano.recording.indexed import IndexedRecording as IndexedRecording
+    from telenano.recording.messages import RecordedChannel as RecordedChannel
+    from telenano.recording.messages import RecordedMessage as RecordedMessage
+    from telenano.recording.multi_file import RecordingSource as RecordingSource
+    from telenano.recording.multi_file import open_recordings as open_recordings
+    from telenano.recording.reader import Recording as Recording
+    from telenano.recording.rewrite import CopyResult as CopyResult
+    from telenano.recording.rewrite import CopyWriter as CopyWriter
+    from telenano.recording.site_clock import Timeline as Timeline
+    from telenano.recording.tolerance import Tolerances as Tolerances
+    from telenano.recording.tolerance import first_difference as first_difference
+    from telenano.recording.writer import FileSettings as FileSettings
+    from telenano.recording.writer import RecordingWriter as RecordingWriter
+else:
+    __getattr__, __dir__ = face(__name__)

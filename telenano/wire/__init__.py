@@ -19,7 +19,29 @@ if TYPE_CHECKING:
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import fields_of as fields_of
     from telenano.wire.codec import read_header as read_header
+    from telenano.wire.errors import ConfigError as ConfigError
+    from telenano.wire.errors import RecordingError as RecordingError
+    from telenano.wire.errors import RefusedError as RefusedError
+    from telenano.wire.errors import ReportError as ReportError
+    from telenano.wire.errors import RigError as RigError
+    from telenano.wire.errors import TelenanoError as TelenanoError
+    from telenano.wire.errors import known_names as known_names
+    from telenano.wire.instrument import AfmProgram as AfmProgram
+    from telenano.wire.messages import AfmScanline as AfmScanline
+    from telenano.wire.messages import AfmState as AfmState
+    from telenano.wire.messages import HapticState as HapticState
+    from telenano.wire.messages import InputHealth as InputHealth
+    from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import NodeHealth as NodeHealth
+    from telenano.wire.messages import Scalar as Scalar
+    from telenano.wire.messages import SessionControl as SessionControl
+    from telenano.wire.network_messages import LinkNetwork as LinkNetwork
+    from telenano.wire.nodes import LINK as LINK
+    from telenano.wire.nodes import VIEW as VIEW
+    from telenano.wire.nodes import name_of as name_of
+    from telenano.wire.received import Received as Received
+    from telenano.wire.sequence import SequenceTracker as SequenceTracker
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

@@ -22,7 +22,7 @@ def plot(
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
     with report_errors(as_json=False):
-        from telenano.cli.output import console
+        from telenano.cli import console
         from telenano_studies.plot import draw, read_traces, save_png
 
         traces = read_traces(file, fields)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from telenano.extend.readers import read_regular
 from telenano.extend.sessions import SessionSeries
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 Series = npt.NDArray[np.float64]
 

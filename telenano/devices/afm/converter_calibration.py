@@ -190,6 +190,6 @@ class InstrumentCalibration(Settings):
         return faults
 
 
-def read_calibration(path: Path) -> InstrumentCalibration:
+def read_stage_calibration(path: Path) -> InstrumentCalibration:
     """Read a calibration file; ConfigError names file and key."""
     return validate(InstrumentCalibration, read_yaml(path), str(path))

@@ -13,7 +13,7 @@ FASTEST_HZ in contact.
 import math
 from typing import NamedTuple
 
-from telenano.afm.part import Part, register
+from telenano.afm import Part, register
 from telenano.extend.samples import AfmSample, PlantInputs, compiled
 
 FASTEST_HZ = 150.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import services.viz_node
-from telenano.laws.config import OWN_LAWS
+from telenano.laws import OWN_LAWS
 from telenano_studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
 from telenano_studies.loops.linear_cells import linear_loop, not_linear
 
