@@ -6,6 +6,7 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.numerics.compiled import compiled_form as compiled_form
+    from telenano.numerics.digests import source_digest as source_digest
     from telenano.numerics.frames import to_site_frame as to_site_frame
     from telenano.numerics.normal_numbers import normal_number as normal_number
 else:

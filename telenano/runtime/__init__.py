@@ -8,6 +8,10 @@ if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
     from telenano.runtime.bus.address_book import load_site as load_site
     from telenano.runtime.datagram.arrivals import SETTLE_NS as SETTLE_NS
+    from telenano.runtime.link_node import TRAIN as TRAIN
+    from telenano.runtime.link_node import DelayNode as DelayNode
+    from telenano.runtime.link_node import DirectionPath as DirectionPath
+    from telenano.runtime.link_node import SiteEndpoint as SiteEndpoint
     from telenano.runtime.loop.commands import Command as Command
     from telenano.runtime.loop.log import StructuredLog as StructuredLog
     from telenano.runtime.loop.node import NodeContext as NodeContext

@@ -20,7 +20,6 @@ import zmq
 
 from services.afm_node.__main__ import build as build_afm_node
 from services.controller.__main__ import half_of_site
-from services.delay_node.node import DelayNode
 from services.haptic_node.__main__ import build as build_haptic_node
 from telenano.afm.config import AfmConfig
 from telenano.extend.testing import VirtualClock
@@ -32,6 +31,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RejectedRecord
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
+from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop

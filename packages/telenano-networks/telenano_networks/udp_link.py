@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
-from services.delay_node.node import DelayNode, DirectionPath, SiteEndpoint
 from telenano.link import Direction, Fate, LinkSettings, Release
-from telenano.runtime import NodeContext
+from telenano.runtime import DelayNode, DirectionPath, NodeContext, SiteEndpoint
 from telenano.timing import NEVER_NS
 from telenano.wire import Received, SessionControl
 

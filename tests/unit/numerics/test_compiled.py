@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from telenano.numerics.source_digest import (
+from telenano.numerics.digests import (
     KEPT_FOLDERS,
     SOURCES,
     _source_files,
@@ -162,7 +162,7 @@ import logging, os, model
 from numba.core import config
 from telenano.numerics import numba_parts
 from telenano.numerics.compiled import compiled, compiled_form
-from telenano.numerics.source_digest import cache_folder
+from telenano.numerics.digests import cache_folder
 
 def run():
     said.clear()

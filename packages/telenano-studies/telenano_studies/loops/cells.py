@@ -49,7 +49,7 @@ from telenano.lockstep import (
     simulate,
     time_to_place_s,
 )
-from telenano.numerics.source_digest import source_digest
+from telenano.numerics import source_digest
 from telenano.settings import Option, Settings, merge, nested, validate
 from telenano.wire import ConfigError, known_names
 from telenano_studies import option_values
