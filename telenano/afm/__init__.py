@@ -33,12 +33,16 @@ if TYPE_CHECKING:
     from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbed import noisy_params as noisy_params
     from telenano.afm.driver import AfmDriver as AfmDriver
+    from telenano.afm.driver import DeviceError as DeviceError
+    from telenano.afm.driver import OwnImage as OwnImage
+    from telenano.afm.driver import OwnLine as OwnLine
     from telenano.afm.driver import Simulation as Simulation
     from telenano.afm.dynamic import NO_NOISE as NO_NOISE
     from telenano.afm.dynamic import advance as advance
     from telenano.afm.dynamic import damping_at as damping_at
     from telenano.afm.dynamic import steady_state as steady_state
     from telenano.afm.dynamic_sim import require_steps as require_steps
+    from telenano.afm.felt import ChannelName as ChannelName
     from telenano.afm.part import AfmSample as AfmSample
     from telenano.afm.part import Part as Part
     from telenano.afm.part import register as register
@@ -64,6 +68,7 @@ if TYPE_CHECKING:
     from telenano.afm.safety import initial_safety_state as initial_safety_state
     from telenano.afm.safety import safety_step as safety_step
     from telenano.afm.sample.surface import height_at as height_at
+    from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
     from telenano.afm.section_config import CantileverConfig as CantileverConfig
     from telenano.afm.section_config import SafetyConfig as SafetyConfig
     from telenano.afm.section_config import TipSampleConfig as TipSampleConfig

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from telenano.link.models.outages import Outages as Outages
     from telenano.link.pipeline import Files as Files
     from telenano.link.pipeline import Pipeline as Pipeline
+    from telenano.link.profiles import profile_named as profile_named
     from telenano.link.random_streams import SMALLEST as SMALLEST
     from telenano.link.random_streams import stream as stream
 else:

@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from telenano.settings.config import merge as merge
     from telenano.settings.config import nested as nested
     from telenano.settings.config import parse_yaml as parse_yaml
+    from telenano.settings.config import refused_code as refused_code
     from telenano.settings.config import validate as validate
     from telenano.settings.device_drivers import missing_driver as missing_driver
+    from telenano.settings.file_readers import FileReader as FileReader
     from telenano.settings.file_readers import read_by_package as read_by_package
     from telenano.settings.option import Option as Option
     from telenano.settings.plugins import all_installed as all_installed

@@ -28,7 +28,6 @@ from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.extend.testing import VirtualClock
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.launcher.processes import StopObserver
@@ -48,6 +47,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.testing import VirtualClock
 from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP

@@ -22,7 +22,6 @@ from services.afm_node.__main__ import build as build_afm_node
 from services.controller.__main__ import half_of_site
 from services.haptic_node.__main__ import build as build_haptic_node
 from telenano.afm.config import AfmConfig
-from telenano.extend.testing import VirtualClock
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
@@ -39,6 +38,7 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings import SITE_DIRECTORY
 from telenano.settings.config import flag_overrides, merge
 from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.testing import VirtualClock
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import TOPICS, Message, WireError, compose, decode, decode_header, encode
 from telenano.wire.messages import InputHealth

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli import print_rows, results_in
-from telenano.extend.commands import ConfigError, JsonOption, flag_overrides, print_json, report_errors, run_ahead
+from telenano.cli import JsonOption, print_json, print_rows, report_errors, results_in, run_ahead
+from telenano.settings import flag_overrides
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
     from telenano_acceptance.take import Guide, Kind, Step, Take, Verdict

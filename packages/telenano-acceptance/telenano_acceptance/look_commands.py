@@ -10,14 +10,13 @@ import typer
 
 from telenano.afm import DRIVERS as INSTRUMENTS
 from telenano.afm import AfmConfig
-from telenano.cli import print_answer
+from telenano.cli import JsonOption, print_answer, report_errors
 from telenano.devices import driver_of_file
-from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, flag_overrides, report_errors
 from telenano.extend.devices import MODE_OFF, DriveCommand
 from telenano.hand import DRIVERS as HANDLES
 from telenano.hand import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings import fault_of_package, missing_driver, validate
-from telenano.wire import known_names
+from telenano.settings import fault_of_package, flag_overrides, missing_driver, validate
+from telenano.wire import ConfigError, TelenanoError, known_names
 
 _PERIOD_S = 1e-3
 _ABILITIES = (

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.extend.commands import JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, print_json, report_errors
 
 _WITHOUT = (
     "A simulated device has no calibration. Of a real one give the files that were in use with --handle and --stage; "

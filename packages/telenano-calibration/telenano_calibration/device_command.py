@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 import yaml
 
-from telenano.extend.commands import ConfigError, command_group, report_errors, write_document
+from telenano.cli import command_group, report_errors, write_document
+from telenano.wire import ConfigError
 from telenano_calibration.stage_command import calibrate_stage
 
 app = command_group()

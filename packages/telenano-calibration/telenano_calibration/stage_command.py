@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from telenano.extend.commands import ConfigError, report_errors, write_document
+from telenano.cli import report_errors, write_document
+from telenano.wire import ConfigError
 
 _PERIOD_S = 1e-3
 

@@ -19,9 +19,9 @@ from telenano.analysis.report import read_session
 from telenano.cli.root import app
 from telenano.devices.afm.converter_calibration import read_stage_calibration
 from telenano.devices.hand.calibration import read_handle_calibration
-from telenano.extend.commands import TelenanoError
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.site_clock import Timeline
+from telenano.wire import TelenanoError
 
 NOW = datetime(2026, 11, 1, tzinfo=UTC).isoformat()
 HANDLE: dict[str, Any] = {

@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from telenano.extend.commands import report_errors, run_ahead, section_of, write_document
-from telenano.extend.controllers import SimulatedAfm
+from telenano.cli import SimulatedAfm, report_errors, run_ahead, section_of, write_document
 
 _STANDARD_GRAVITY_M_PER_S2 = 9.80665
 

@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from telenano.afm import CurveSettings
-from telenano.cli import AfmOption, results_in, validated, with_options
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    ConfigError,
+from telenano.cli import (
+    AfmOption,
     JsonOption,
     SiteFileOption,
-    flag_overrides,
     print_document,
     progress,
     report_errors,
+    results_in,
+    validated,
+    with_options,
 )
-from telenano.settings import validate
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
 from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
 from telenano.signals import received as signal_received
-from telenano.wire import RigError
+from telenano.wire import ConfigError, RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from telenano.cli import RawKeyboard
 from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
+    from telenano.analysis import LiveImage
     from telenano.console import LiveCurve
-    from telenano.extend.images import LiveImage
     from telenano.wire import AfmProgram, Scalar
 
 _BAR = 30

@@ -10,24 +10,20 @@ from telenano.cli import (
     EXIT_FAILED,
     AfmOption,
     ChannelOption,
+    JsonOption,
     SampleOption,
     SampleSetOption,
     SampleSizeOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    report_errors,
     results_in,
     sample_config,
     validated,
     with_options,
 )
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    JsonOption,
-    SiteFileOption,
-    flag_overrides,
-    print_document,
-    progress,
-    report_errors,
-)
-from telenano.settings import validate
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
 from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
 from telenano.signals import received as signal_received
@@ -35,7 +31,7 @@ from telenano.wire import RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
-    from telenano.extend.images import Image
+    from telenano.analysis import Image
     from telenano.wire import Scalar
     from telenano_microscopy.simulated_image import SimulatedImage
 
@@ -81,7 +77,7 @@ def scan(
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
         from telenano.afm import AfmConfig
-        from telenano.extend.images import write_images
+        from telenano.cli import write_images
         from telenano_microscopy.simulated_image import take_image
 
         sample = sample_config(name, size, channel, settings)
@@ -127,7 +123,8 @@ def _scan_live(
     out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
 ) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
-    from telenano.extend.images import LiveImage, images_of_lines, write_images
+    from telenano.analysis import LiveImage, images_of_lines
+    from telenano.cli import write_images
 
     image = LiveImage()
     # The rig decides the values that were not given.
@@ -174,7 +171,7 @@ def _exit_if_interrupted(said: bool, partial: str) -> None:
 
 def _images(found: "SimulatedImage") -> "dict[str, Image]":
     """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
-    from telenano.extend.images import Image, images_of_lines
+    from telenano.analysis import Image, images_of_lines
 
     lines, count = found.lines, found.lines.finished
     images = images_of_lines(lines, count)

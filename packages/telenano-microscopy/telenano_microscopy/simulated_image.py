@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import AfmConfig, FinishedLine, height_at, requested
+from telenano.analysis import LiveImage
 from telenano.devices import line_fields
-from telenano.extend.images import LiveImage
 from telenano.wire import AfmScanline, ConfigError, RefusedError, Scalar
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from telenano.cli import print_rows, results_in
-from telenano.extend.commands import JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, print_json, print_rows, report_errors, results_in
 from telenano.wire import ConfigError
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.tables import read_table
+from telenano.files import read_table
 from telenano.link import fates_of, parse_settings
 from telenano.recording import Recording
 from telenano.wire import ConfigError

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.cli import results_in
-from telenano.extend.commands import JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, print_json, report_errors, results_in
 
 if TYPE_CHECKING:
     import numpy as np

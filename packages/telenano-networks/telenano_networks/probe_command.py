@@ -10,12 +10,20 @@ from typing import Annotated, Any, cast
 import typer
 import yaml
 
-from telenano.cli import open_observer, print_rows, results_in
+from telenano.cli import (
+    JsonOption,
+    SiteFileOption,
+    open_observer,
+    print_json,
+    print_rows,
+    progress,
+    report_errors,
+    results_in,
+)
 from telenano.console import send_control
-from telenano.extend.commands import JsonOption, SiteFileOption, TelenanoError, print_json, progress, report_errors
 from telenano.runtime import RIG_HINT, TRAIN, Command
 from telenano.settings import TWO_SITES_FILE
-from telenano.wire import LINK, LinkNetwork, RigError
+from telenano.wire import LINK, LinkNetwork, RigError, TelenanoError
 from telenano_networks.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
 
 _TOPIC = "link/network"

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import JsonOption, report_errors
+from telenano.cli import JsonOption, report_errors
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import VIEW
 

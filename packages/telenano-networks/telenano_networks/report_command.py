@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli import print_rows
-from telenano.extend.commands import JsonOption, TelenanoError, print_json, report_errors
+from telenano.cli import JsonOption, print_json, print_rows, report_errors
+from telenano.wire import TelenanoError
 
 if TYPE_CHECKING:
     import numpy as np

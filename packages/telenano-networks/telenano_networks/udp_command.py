@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli import fail_incomplete, print_rows
-from telenano.extend.commands import (
+from telenano.cli import (
     DurationOption,
     JsonOption,
     SiteFileOption,
-    TelenanoError,
+    fail_incomplete,
     print_json,
+    print_rows,
     report_errors,
 )
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import TelenanoError
 
 if TYPE_CHECKING:
     from telenano.link import Direction

@@ -78,8 +78,7 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from telenano.analysis import drawn, write_files
-    from telenano.extend.sessions import described
+    from telenano.analysis import described, drawn, write_files
     from telenano_studies.comparison import beside, compare_figure, rows_of
     from telenano_studies.comparison import compare as read
     from telenano_studies.published import paper_points, read_published

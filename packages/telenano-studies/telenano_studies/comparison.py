@@ -12,13 +12,14 @@ from telenano.analysis import (
     REFERENCE,
     FigureOptions,
     Session,
+    SessionSeries,
     lettered,
     read_session,
     scenario_in,
     styled,
     summarise,
 )
-from telenano.extend.sessions import SessionSeries, open_recordings
+from telenano.recording import open_recordings
 from telenano.wire import ConfigError
 from telenano_studies.published import PANELS, Published, nearest
 

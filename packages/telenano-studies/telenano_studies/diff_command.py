@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli import ExcludeOption, JsonOption, TopicsOption
-from telenano.extend.commands import print_json, report_errors
+from telenano.cli import ExcludeOption, JsonOption, TopicsOption, print_json, report_errors
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
 

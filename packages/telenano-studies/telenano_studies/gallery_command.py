@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli import JsonOption, report_errors, results_in
-from telenano.extend.commands import progress
+from telenano.cli import JsonOption, progress, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.pages.gallery import STIFFNESS_N_PER_M, gallery, page_of, write_data
 from telenano_studies.study_results import NO_JOURNAL, print_result

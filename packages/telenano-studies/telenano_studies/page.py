@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from telenano.analysis import KINDS, ON_SCREEN, VERDICTS, FigureOptions, drawn
-from telenano.extend.exports import versions
+from telenano.recording import versions
 from telenano.settings import flatten
 from telenano_studies.table_files import table_files
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import report_errors
+from telenano.cli import report_errors
 
 # A drawing has so many columns and rows where there is no terminal.
 _SIZE = (100, 12)

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.readers import read_regular
-from telenano.extend.sessions import SessionSeries
+from telenano.analysis import SessionSeries
+from telenano.files import read_regular
 from telenano.wire import ConfigError
 
 Series = npt.NDArray[np.float64]

@@ -5,8 +5,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from telenano.cli import EXIT_FAILED, JsonOption, print_json, report_errors, results_folder
-from telenano.extend.commands import progress
+from telenano.cli import EXIT_FAILED, JsonOption, print_json, progress, report_errors, results_folder
 
 # For Fig. 10 and 12 a rig is run.
 PaperFigure = Literal["all", "equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12"]

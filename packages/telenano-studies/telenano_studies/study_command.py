@@ -25,7 +25,7 @@ from telenano.cli import (
     validated,
     with_options,
 )
-from telenano.extend.sessions import profile_named
+from telenano.link import profile_named
 from telenano_studies.gallery_command import gallery_command
 from telenano_studies.loops import advice
 from telenano_studies.loops.advice import Question

@@ -5,7 +5,6 @@ A row is what the servo of the device said, and what was asked of it.
 
 from typing import NamedTuple
 
-from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import Capabilities
 from telenano.hand import (
     FAULTS,
@@ -19,6 +18,7 @@ from telenano.hand import (
     Vector,
     bounds_of,
 )
+from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665

@@ -18,8 +18,8 @@ from telenano.afm import (
     initial_safety_state,
     safety_step,
 )
-from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import AfmDriver, AfmLimits, AfmSample
+from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STATUSES = ("ok", "stale", "lost")

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.extend.commands import ConfigError, run_ahead
+from telenano.cli import run_ahead
 from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from telenano.settings import missing_driver, validate
-from telenano.wire import known_names
+from telenano.wire import ConfigError, known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
 

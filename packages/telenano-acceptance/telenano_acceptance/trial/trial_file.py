@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from telenano.extend.exports import whole_file
-from telenano.extend.readers import open_regular
+from telenano.files import open_regular, whole_file
 from telenano.settings import all_installed
 from telenano.wire import ConfigError
 from telenano_acceptance.handle.checks import HANDLE

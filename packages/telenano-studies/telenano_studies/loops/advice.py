@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from telenano.extend.sessions import profile_named
 from telenano.laws import OWN_LAWS as LAWS
+from telenano.link import profile_named
 from telenano.settings import Option
 from telenano.settings import Settings as StrictSettings
 from telenano.wire import ConfigError

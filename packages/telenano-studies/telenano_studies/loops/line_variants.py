@@ -29,8 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from telenano.extend.sessions import profile_named
-from telenano.link import Outage, Outages, parse_settings, stream
+from telenano.link import Outage, Outages, parse_settings, profile_named, stream
 from telenano.lockstep import Schedule, schedule_of, simulate
 from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settle_s, settle_ticks
