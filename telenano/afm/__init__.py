@@ -57,16 +57,12 @@ if TYPE_CHECKING:
     from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest
     from telenano.afm.programs.settings import requested as requested
     from telenano.afm.programs.tactile import felt_speed_m_per_s as felt_speed_m_per_s
-    from telenano.afm.safety import ACTION_POSITION as ACTION_POSITION
     from telenano.afm.safety import ACTION_RETRACT as ACTION_RETRACT
     from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
-    from telenano.afm.safety import REASON_NAMES as REASON_NAMES
-    from telenano.afm.safety import SafetyInputs as SafetyInputs
     from telenano.afm.safety import SafetyParams as SafetyParams
     from telenano.afm.safety import initial_safety_state as initial_safety_state
-    from telenano.afm.safety import safety_step as safety_step
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
     from telenano.afm.section_config import CantileverConfig as CantileverConfig
@@ -77,5 +73,6 @@ if TYPE_CHECKING:
     from telenano.afm.spring import spring_params as spring_params
     from telenano.afm.step import AfmParams as AfmParams
     from telenano.afm.step import initial_afm_state as initial_afm_state
+    from telenano.afm.tip_guard import TipGuard as TipGuard
 else:
     __getattr__, __dir__ = face(__name__)

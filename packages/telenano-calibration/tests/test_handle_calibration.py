@@ -45,4 +45,4 @@ def test_raw_samples_come_without_a_command_and_are_averaged() -> None:
     assert (point.position, point.force) == (POSITION_ZERO, FORCE_ZERO)
     assert (point.position_error, line.handle.core.mode) == (0.0, 0)
     with pytest.raises(DeviceError, match="sent 4 samples, 20 are needed"):
-        sample_raw(line.driver, 0.004)
+        sample_raw(line.driver, 0.04)

@@ -30,8 +30,7 @@ from telenano.afm import (
     pull_off_indentation_m,
     reduced_modulus_pa,
 )
-from telenano.numerics import compiled_form
-from telenano.numerics import compiled
+from telenano.numerics import compiled, compiled_form
 from telenano.wire import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
 from telenano_microscopy.force_curve import Curve
