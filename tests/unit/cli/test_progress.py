@@ -2,7 +2,7 @@
 
 import pytest
 
-from telenano.cli import progress as module
+from telenano.cli import progress_bar as module
 from telenano.cli.progress_bar import LINE_EVERY_S, progress
 
 
