@@ -26,7 +26,7 @@ import yaml
 from in_memory import InMemory
 from virtual_rig import LINK_NODE, NODES, record_session
 
-from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import LAWS
 from telenano.numerics.compiled import compiled_form, is_step
 from telenano.recording.reader import Recording
 from telenano.recording.tolerance import Tolerances

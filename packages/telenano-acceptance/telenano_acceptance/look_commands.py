@@ -17,7 +17,7 @@ from telenano.extend.devices import MODE_OFF, DriveCommand
 from telenano.hand.config import DRIVERS as HANDLES
 from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from telenano.settings.config import validate
-from telenano.settings.device_drivers import missing_driver
+from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import fault_of_package
 from telenano.wire.errors import known_names
 
@@ -241,7 +241,7 @@ def _driver_of_package(name: str) -> Any:
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()
     found = {**handles.found, **instruments.found}
     if name not in found:
-        why = {**handles.problems, **instruments.problems}.get(name) or missing_driver(name)
+        why = {**handles.problems, **instruments.problems}.get(name) or where_it_is(f"driver {name}")
         raise ConfigError(f"--device {name}: {why or known_names(name, (SIMULATED_IMPEDANCE, *found))}")
     return found[name]
 
