@@ -18,10 +18,13 @@ from telenano.recording.messages import RawChannel as RawChannel
 from telenano.recording.messages import RecordedChannel as RecordedChannel
 from telenano.recording.messages import RecordedMessage as RecordedMessage
 from telenano.recording.provenance import versions as versions
+from telenano.recording.quantities import quantity as quantity
 from telenano.recording.reader import Recording as Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyResult as CopyResult
 from telenano.recording.tables import plain as plain
+from telenano.recording.tables import typed_columns as typed_columns
+from telenano.recording.tables import uniform as uniform
 from telenano.recording.writer import RecordingWriter
 from telenano.wire.schema import json_schema as json_schema
 
