@@ -1,6 +1,8 @@
 """A law of one's own: its two halves as pure steps, and what the laws of this project are built from."""
 
 from telenano.laws import ranges as ranges
+from telenano.laws import virtual_impedance as virtual_impedance
+from telenano.laws.discretisation import decay as decay
 from telenano.laws.law import NO_SIGNAL as NO_SIGNAL
 from telenano.laws.law import EnergyAccount as EnergyAccount
 from telenano.laws.law import HandSample as HandSample

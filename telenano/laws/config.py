@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, create_model, field_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
 from telenano.laws.clamp import ClampConfig, ClampParams
 from telenano.laws.deadband import DeadbandConfig
@@ -15,17 +15,17 @@ from telenano.laws.law import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest
 from telenano.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
-from telenano.laws.smith import SMITH, SmithConfig
 from telenano.laws.tactile import TACTILE, TactileConfig
 from telenano.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from telenano.laws.wave import WAVE, WaveConfig
 from telenano.settings.config import Settings, merge, nested, validate
+from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 
 OWN_LAWS: dict[str, Law] = {
-    law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
+    law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED)
 }
 _KINDS = {type(law.config().to_params(1e-3)): law.name for law in (*OWN_LAWS.values(), TACTILE)}  # type: ignore[attr-defined]
 
@@ -70,14 +70,24 @@ class _OwnSections(Settings):
     model_mediated: ModelMediatedConfig = Field(
         default=ModelMediatedConfig(), description="Parameters of the local surface model"
     )
-    smith: SmithConfig = Field(default=SmithConfig(), description="Parameters of the Smith predictor")
     tactile: TactileConfig = Field(default=TactileConfig(), description="Parameters of tactile feedback")
 
     @field_validator("law", mode="before")
     @classmethod
     def _usable_law(cls, value: Any) -> Any:
         refuse(PACKAGE_LAWS, value)
+        if value not in KNOWN_LAWS and (where := where_it_is(f"law {value}")):
+            raise ValueError(where)
         return value
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_installed_laws(cls, given: Any) -> Any:
+        """Refuse the settings of a law of this project's packages that is not installed, by the package's name."""
+        for key in given if isinstance(given, dict) else ():
+            if key not in cls.model_fields and (where := where_it_is(f"law {key}")):
+                raise ValueError(where)
+        return given
 
     def law_config(self) -> Any:
         """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""

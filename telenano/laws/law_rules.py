@@ -14,6 +14,8 @@ from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
+from telenano.numerics.compiled import compiled_form, is_step
+from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, known_names
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
@@ -55,6 +57,8 @@ def known_law(name: str) -> Law:
     """Return a law by its name; ConfigError names those there are, or what keeps one of a package from use."""
     if name in PACKAGE_LAWS.problems:
         raise ConfigError(PACKAGE_LAWS.problems[name])
+    if name not in LAWS and (where := where_it_is(f"law {name}")):
+        raise ConfigError(where)
     if name not in LAWS:
         raise ConfigError(f"unknown law {name!r}: {known_names(name, LAWS)}; `telenano new law` makes one")
     return LAWS[name]

@@ -1,40 +1,30 @@
-"""Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP for viewers."""
+"""Recordings for other tools: MCAP for viewers, and the formats that packages add."""
 
-import csv
 import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from telenano.files.optional_modules import required_module
-from telenano.files.whole_files import whole_file, whole_folder
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
-from telenano.recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage, file_stem, topic_of
-from telenano.recording.parquet_tables import parquet_tables
-from telenano.recording.quantities import quantity
+from telenano.recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage
 from telenano.recording.reader import Recording
 from telenano.recording.records import RECORDS
 from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
-from telenano.recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of, write_tables
 from telenano.recording.tables import plain
 from telenano.settings import plugins
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import where_it_is
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
-from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
-FORMATS = ("parquet", "csv", "hdf5", "mcap-json")
+FORMATS = ("mcap-json",)
 # What a message becomes: of each new one its channel and payload. It may raise TypeError, ValueError or KeyError.
 Encodes = Callable[[RecordedMessage], Iterable[tuple[RawChannel, bytes]]]
 
@@ -42,11 +32,10 @@ Encodes = Callable[[RecordedMessage], Iterable[tuple[RawChannel, bytes]]]
 def export_recording(source: Path, target: Path, kind: str, selection: Selection = ALL) -> CopyResult:
     """Write the chosen channels of a recording in another format.
 
-    `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json` an
-    MCAP file, in which a topic of several publishers has a channel for each, and messages the time of their sending.
-    Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset (`hdf5`), in the
-    table `columns.csv` (`csv`), in the schema (`mcap-json`). Attachments and metadata of the recording, so scenario,
-    versions and seeds, go along: as files beside the tables (`csv`), else inside. Installed packages add formats.
+    `mcap-json` makes an MCAP file, in which a topic of several publishers has a channel for each, and messages the time
+    of their sending. Units and descriptions are in its schemas, and attachments and metadata of the recording, so
+    scenario, versions and seeds, go along. Installed packages add formats, such as
+    `parquet`.
 
     It has its name only when it is complete, and nothing is left of one that is not.
 
@@ -68,7 +57,7 @@ def export_recording(source: Path, target: Path, kind: str, selection: Selection
         # a stranger's file may have whole numbers that no format holds
         raise RecordingError(f"{target}: cannot be written: {error}") from error
     except OSError as error:
-        # HDF5 has a text of its own, of several lines
+        # the library of HDF5 has a text of its own, of several lines
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise RecordingError(f"{target}: cannot be written: {reason}") from error
 
@@ -76,33 +65,7 @@ def export_recording(source: Path, target: Path, kind: str, selection: Selection
 def _export(recording: Recording, target: Path, kind: str, selection: Selection) -> CopyResult:
     if kind == "mcap-json":
         return write_viewer_mcap(recording, target, selection, _as_json)
-    if kind not in FORMATS:
-        return _written_by_package(_of_package(kind), recording, target, kind, selection)
-    if kind == "hdf5":
-        h5py = required_module("h5py", "hdf5 needs the package h5py", "export")
-        with whole_file(target, replace=False) as file:
-            _, total, damage = write_tables(recording, selection, partial(_hdf5_tables, h5py, recording, file))
-    else:
-        with whole_folder(target) as folder:
-            begin: Callable[[Path], AbstractContextManager[OpenTable]] = _csv_tables
-            if kind == "parquet":
-                absent = "parquet needs the package pyarrow"
-                arrow, parquet = (required_module(name, absent, "export") for name in ("pyarrow", "pyarrow.parquet"))
-                begin = parquet_tables(arrow, parquet, recording)
-            columns, total, damage = write_tables(recording, selection, partial(begin, folder))
-            if kind == "csv":
-                _write_descriptions(folder, columns)
-                _write_origin(folder, recording)
-    skipped = describe_damage((*recording.structural_damage, *damage))
-    return CopyResult(path=str(target), messages=total, skipped=skipped)
-
-
-def _write_descriptions(folder: Path, tables: Mapping[str, Kinds]) -> None:
-    described: list[tuple[str, ...]] = [("channel", "column", "unit", "description")]
-    for name, columns in tables.items():
-        described += [(name, column, *quantity(topic_of(name), column)) for column in columns]
-    with (folder / "columns.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(described)
+    return _written_by_package(_of_package(kind), recording, target, kind, selection)
 
 
 def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
@@ -138,89 +101,6 @@ _TEXT = "_text"
 _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
 
 
-@contextmanager
-def _csv_tables(folder: Path) -> Iterator[OpenTable]:
-    """Write a file for each channel into a folder."""
-    with ExitStack() as files:
-
-        def open_table(name: str, kinds: Kinds) -> Write:
-            path = folder / f"{file_stem(name)}.csv"
-            file = files.enter_context(path.open("w", newline="", encoding="utf-8"))
-            writer = csv.writer(file)
-            writer.writerow(kinds)
-            return partial(_write_csv, writer)
-
-        yield open_table
-
-
-def _write_csv(writer: Any, columns: Columns) -> None:
-    # float repr has all digits
-    writer.writerows(zip(*columns.values(), strict=True))
-
-
-def _write_origin(folder: Path, recording: Recording) -> None:
-    """Write where tables of text are from: scenario, site file and what else is attached, and `metadata.json`."""
-    text = json.dumps(recording.metadata, indent=2, ensure_ascii=False)
-    (folder / "metadata.json").write_text(text + "\n", encoding="utf-8")
-    for name, data in recording.attachments.items():
-        # a recording may come from anybody: no folder but this one
-        path = folder / file_stem(name).replace("\\", "_").lstrip(".")
-        if not path.exists():
-            path.write_bytes(data)
-
-
-@contextmanager
-def _hdf5_tables(h5py: Any, recording: Recording, target: Path) -> Iterator[OpenTable]:
-    """Write a group for each channel into a file."""
-    with h5py.File(target, "w") as file:
-        for name, facts in recording.metadata.items():
-            file.create_group(f"metadata/{name}").attrs.update(facts)
-        for name, data in recording.attachments.items():
-            file[f"attachments/{name}"] = np.void(data)
-
-        def open_table(name: str, kinds: Kinds) -> Write:
-            group = file.create_group(name)
-            group.attrs["topic"] = topic_of(name)
-            for column, found in kinds.items():
-                _create_dataset(h5py, group, column, found)
-                group[column].attrs.update(quantity(topic_of(name), column)._asdict())
-
-            def write(columns: Columns) -> None:
-                for column, values in columns.items():
-                    _append(group[column], kind_of(kinds[column]), values)
-
-            return write
-
-        yield open_table
-
-
-def _create_dataset(h5py: Any, group: Any, name: str, found: set[type]) -> None:
-    kind = kind_of(found)
-    if kind is str:
-        options = {"dtype": h5py.string_dtype()}
-    elif kind is list:
-        options = {"dtype": h5py.vlen_dtype(np.float64)}
-    elif type(None) in found:
-        # nan stands for what is not there
-        options = {"dtype": np.float64}
-    else:
-        options = {"dtype": np.dtype(kind), "compression": "gzip", "shuffle": True}
-    group.create_dataset(name, (0,), maxshape=(None,), **options)
-
-
-def _append(dataset: Any, kind: type, values: list[Any]) -> None:
-    before = len(dataset)
-    dataset.resize((before + len(values),))
-    if kind is str:
-        dataset[before:] = [value or "" for value in values]
-    elif kind is list:
-        for number, value in enumerate(values, before):
-            dataset[number] = np.asarray(value or [], dtype=np.float64)
-    else:
-        array = values if dataset.dtype != np.float64 else [np.nan if value is None else value for value in values]
-        dataset[before:] = np.array(array, dtype=dataset.dtype)
-
-
 class Payload(NamedTuple):
     """How the messages of a channel are written: encoding, schema, and a function of the JSON values of one."""
 
@@ -230,15 +110,15 @@ class Payload(NamedTuple):
 
 
 def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
-    loaded = plugins.load("exports", plugins.function_of, FORMATS)
+    loaded = plugins.load("exports", plugins.function_of, FORMATS, only=kind)
     if kind in loaded.problems:
         raise ConfigError(loaded.problems[kind])
     if kind in loaded.found:
         found: Callable[[Recording, Path, Selection], CopyResult] = loaded.found[kind]
         return found
-    if package := KNOWN_PACKAGES.get(f"export {kind}"):
-        raise ConfigError(f"the format {kind} is in the package {package}: {how_to_add_package(package)}")
-    known = (*FORMATS, *loaded.found)
+    if where := where_it_is(f"format {kind}"):
+        raise ConfigError(where)
+    known = (*FORMATS, *plugins.installed("exports"))
     raise ConfigError(f"{kind!r} is no format{probably_meant(kind, known)}; known are {', '.join(known)}")
 
 
@@ -253,7 +133,7 @@ def _written_by_package(write: Any, recording: Recording, target: Path, kind: st
     # The code of a package may raise anything.
     except Exception as error:  # noqa: BLE001
         fault = plugins.fault_of_package(error) or f"the package {package} failed: {type(error).__name__}: {error}"
-    raise RecordingError(f"{target}: is not exported as {kind}: {fault}; choose one of {', '.join(FORMATS)}")
+    raise RecordingError(f"{target}: is not exported as {kind}: {fault}; choose another format")
 
 
 def write_viewer_mcap(

@@ -55,6 +55,9 @@ class Damage:
     size_bytes: int
     reason: str
 
+    def __str__(self) -> str:
+        return f"byte {self.offset}, {self.size_bytes} bytes: {self.reason}"
+
 
 class Block(NamedTuple):
     """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk.
@@ -92,7 +95,7 @@ class Layout:
 
 def describe_damage(damage: Iterable[Damage]) -> tuple[str, ...]:
     """Return one line of text for each part that could not be used."""
-    return tuple(f"byte {part.offset}, {part.size_bytes} bytes: {part.reason}" for part in damage)
+    return tuple(map(str, damage))
 
 
 class DamagedBlockError(Exception):

@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import Loaded, installed, load
-from telenano.wire.extras import how_to_add_package
 
 
 @dataclass(frozen=True)
@@ -121,12 +120,6 @@ class Drivers:
         return value if value.node == self._node else None
 
 
-def missing_driver(name: object) -> str:
-    """Return which package of this project has a driver and how it is installed; empty where none has."""
-    package = KNOWN_PACKAGES.get(f"driver {name}", "")
-    return f"the driver {name} is in the package {package}: {how_to_add_package(package)}" if package else ""
-
-
 @dataclass(frozen=True)
 class _Name:
     """The rule of the key `driver`."""
@@ -137,7 +130,7 @@ class _Name:
     def _checked(self, value: str) -> str:
         if value in self.own or self.drivers.find(value) is not None:
             return value
-        if hint := missing_driver(value):
+        if hint := where_it_is(f"driver {value}"):
             raise ValueError(hint)
         *known, last = map(repr, self._known())
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(known)} or {last}"})

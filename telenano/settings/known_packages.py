@@ -33,10 +33,20 @@ KNOWN_PACKAGES = {
     "driver hd": "telenano-haptic-devices",
     "driver nanonis": "telenano-afm-controllers",
     "experiment": "telenano-experiments",
-    "export nexus": "telenano-nexus",
-    "export protobuf": "telenano-protobuf",
-    "export ros2": "telenano-ros2",
+    "format csv": "telenano-tables",
+    "format hdf5": "telenano-tables",
+    "format nexus": "telenano-nexus",
+    "format parquet": "telenano-tables",
+    "format protobuf": "telenano-protobuf",
+    "format ros2": "telenano-ros2",
     "inspect": "telenano-afm-files",
+    "law bounded_model": "telenano-laws",
+    "law four_channel": "telenano-laws",
+    "law fractal_impedance": "telenano-laws",
+    "law matched_wave": "telenano-laws",
+    "law smith": "telenano-laws",
+    "law tdpa": "telenano-laws",
+    "law two_layer": "telenano-laws",
     "link fit": "telenano-networks",
     "link probe": "telenano-networks",
     "particles": "telenano-assembly",
@@ -55,3 +65,15 @@ KNOWN_PACKAGES = {
     "task track": "telenano-experiments",
     "topic pub": "telenano-networks",
 }
+
+
+def where_it_is(words: str) -> str:
+    """Return which package of this project has a thing and how it is installed; empty where none has.
+
+    Args:
+        words: The kind of the thing and its name as in `KNOWN_PACKAGES`, such as `driver nanonis` or `law smith`.
+    """
+    from telenano.wire.extras import how_to_add_package
+
+    package = KNOWN_PACKAGES.get(words, "")
+    return f"the {words} is in the package {package}: {how_to_add_package(package)}" if package else ""

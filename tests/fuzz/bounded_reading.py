@@ -73,7 +73,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "bag filter": bag("bag", "filter", "{file}", "--out", "{out}"),
     "bag recover": bag("bag", "recover", "{file}", "--out", "{out}"),
     "bag split": bag("bag", "split", "{file}", "--out", "{folder}/parts", "--interval", "2"),
-    "bag export": bag("bag", "export", "{file}", "--to", "csv", "--out", "{folder}/csv"),
+    "bag export": bag("bag", "export", "{file}", "--to", "mcap-json", "--out", "{folder}/viewer.mcap"),
     "report": bag("report", "{file}", "--out", "{folder}/report"),
     "view": view,
     "index": lambda path, folder: [None for _ in IndexedRecording(path).select()].clear(),

@@ -17,6 +17,12 @@ from telenano.hand import DRIVERS as HANDLES
 from telenano.hand import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from telenano.settings import fault_of_package, flag_overrides, missing_driver, validate
 from telenano.wire import ConfigError, TelenanoError, known_names
+from telenano.hand.config import DRIVERS as HANDLES
+from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from telenano.settings.config import validate
+from telenano.settings.known_packages import where_it_is
+from telenano.settings.plugins import fault_of_package
+from telenano.wire.errors import known_names
 
 _PERIOD_S = 1e-3
 _ABILITIES = (
@@ -236,7 +242,7 @@ def _driver_of_package(name: str) -> Any:
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()
     found = {**handles.found, **instruments.found}
     if name not in found:
-        why = {**handles.problems, **instruments.problems}.get(name) or missing_driver(name)
+        why = {**handles.problems, **instruments.problems}.get(name) or where_it_is(f"driver {name}")
         raise ConfigError(f"--device {name}: {why or known_names(name, (SIMULATED_IMPEDANCE, *found))}")
     return found[name]
 

@@ -8,6 +8,10 @@ from pathlib import Path
 from telenano.laws import LAWS, OWN_LAWS
 from telenano.settings import flag_overrides, flatten
 from telenano.wire import ConfigError, known_names
+from telenano.laws.config import LAWS
+from telenano.laws.law_names import LAW_NAMES
+from telenano.settings.config import flag_overrides, flatten
+from telenano.wire.errors import ConfigError, known_names
 
 _MOST_VALUES = 10_000
 # What is said of a file in the place of numbers.
@@ -15,6 +19,8 @@ _OF_A_LINE = (
     "; of a log of a line `telenano link fit` makes a network, and `study advise` and `study validate` run over it"
     " (--network)"
 )
+# The laws of every comparison: those of telenano, and the predictor of telenano-laws, which this package requires.
+COMPARED_LAWS = (*LAW_NAMES, "smith")
 LONGEST_MS = 10_000.0
 STIFFEST_N_PER_M = 1e5
 
@@ -112,8 +118,8 @@ def frequencies(text: str) -> tuple[float, ...]:
 
 
 def laws(text: str) -> tuple[str, ...]:
-    """Read names of laws; `all` are those of telenano, so that a result does not depend on what else is installed."""
-    return tuple(OWN_LAWS) if text.strip() == "all" else chosen("--law", "law", text, tuple(LAWS))
+    """Read names of laws; `all` are `COMPARED_LAWS`, so that a result does not depend on what else is installed."""
+    return COMPARED_LAWS if text.strip() == "all" else chosen("--law", "law", text, tuple(LAWS))
 
 
 def jitters(text: str) -> tuple[Jitter, ...]:

@@ -9,10 +9,10 @@ from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_
 from telenano_studies.loops.sweep import Journal, Sweep
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
-from telenano_studies.option_values import Jitter
+from telenano_studies.option_values import COMPARED_LAWS, Jitter
 
 from telenano.hand.operator_config import ARMS
-from telenano.laws.config import OWN_LAWS as LAWS
+from telenano.laws.config import LAWS
 from telenano.lockstep import lockstep
 from telenano.wire.errors import ConfigError
 
@@ -63,7 +63,7 @@ def test_result_tells_force_peak_and_what_hand_and_tip_are_apart() -> None:
 
 
 @pytest.mark.grid(law="passivity")
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", COMPARED_LAWS)
 @pytest.mark.parametrize("delay_s", [0.0, 0.2])
 def test_tuned_loop_bears_twice_the_delay(law: str, delay_s: float) -> None:
     settings = dict(tuned(law, 38.0, delay_s))

@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from telenano_studies.option_values import COMPARED_LAWS
 from telenano_studies.pages.gallery import DELAYS_MS, FOLDER, cell_of, page_of, shown
-
-from telenano.laws.config import OWN_LAWS
 
 AGAIN = "run `telenano study gallery --out out/gallery` and copy its gallery.json to services/viz_node/web/gallery"
 
@@ -18,7 +17,7 @@ def document() -> dict[str, object]:
 
 
 def test_every_law_is_shown_at_every_delay(document: dict[str, object]) -> None:
-    assert [law["law"] for law in document["laws"]] == list(OWN_LAWS)
+    assert [law["law"] for law in document["laws"]] == list(COMPARED_LAWS)
     assert document["delays_ms"] == list(DELAYS_MS)
     for law in document["laws"]:
         assert len(law["cells"]) == len(DELAYS_MS)
@@ -30,7 +29,7 @@ def test_every_law_is_shown_at_every_delay(document: dict[str, object]) -> None:
     [
         ("virtual_impedance", 45.0),
         ("virtual_impedance", 50.0),
-        *(pytest.param(law, 120.0, marks=pytest.mark.endurance) for law in OWN_LAWS),
+        *(pytest.param(law, 120.0, marks=pytest.mark.endurance) for law in COMPARED_LAWS),
     ],
 )
 def test_the_shipped_data_are_those_of_today(document: dict[str, object], law: str, delay_ms: float) -> None:

@@ -244,7 +244,7 @@ def export(
     out: OutOption,
     to: Annotated[
         str,
-        typer.Option("--to", metavar="FORMAT", help="parquet, csv (folders), hdf5, mcap-json, or that of a package."),
+        typer.Option("--to", metavar="FORMAT", help="mcap-json, or one of a package: parquet, csv, hdf5."),
     ],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,

@@ -20,7 +20,8 @@ from telenano.afm.section_config import ModbusConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.runtime.loop.node import LOOP_PERIOD_S
 from telenano.settings.config import read_yaml, validate
-from telenano.settings.device_drivers import DeviceDriver, missing_driver
+from telenano.settings.device_drivers import DeviceDriver
+from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.extras import how_to_install
 
@@ -133,7 +134,7 @@ def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseMo
     except ValueError as error:
         raise ConfigError(f"{calibration}: controller: {error}") from error
     if driver is None or driver.calibration is None:
-        hint = missing_driver(kind) or "no driver is installed that has calibration files of this name"
+        hint = where_it_is(f"driver {kind}") or "no driver is installed that has calibration files of this name"
         raise ConfigError(f"{calibration}: controller: {kind}: {hint}")
     return driver, driver.calibration
 

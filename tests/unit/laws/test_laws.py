@@ -55,13 +55,13 @@ def test_table_is_made_of_the_steps_that_a_module_has() -> None:
         uses_waves=True, uses_energy=True, local_loop=True, passive=True, slave_retune=wave.slave_retune,
         fixed_in_contact=("impedance_n_s_per_m",), rest_force=the_hands_force,
     )  # fmt: skip
-    smith = LAWS["smith"]
-    assert (smith.slave_start, smith.slave_receive, smith.slave_send) == (
+    plain = LAWS["virtual_impedance"]
+    assert (plain.slave_start, plain.slave_receive, plain.slave_send) == (
         pass_through.slave_start, pass_through.slave_receive, pass_through.slave_send,
     )  # fmt: skip
-    assert smith.master_energy_account is smith.slave_energy_account is no_energy_account
-    assert not (smith.uses_waves or smith.uses_energy or smith.local_loop or smith.passive)
-    assert smith.link_loop
+    assert plain.master_energy_account is plain.slave_energy_account is no_energy_account
+    assert not (plain.uses_waves or plain.uses_energy or plain.local_loop or plain.passive)
+    assert plain.link_loop
 
 
 def test_a_law_says_whether_it_closes_a_loop_what_it_promises_and_what_it_must_know() -> None:

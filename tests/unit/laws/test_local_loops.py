@@ -131,7 +131,6 @@ def test_the_limits_are_those_that_the_document_derives() -> None:
     assert limits == {
         "virtual_impedance": None,
         "position_force": None,
-        "smith": None,
         "wave": pytest.approx(2.0 * 100.0 / (150.0 * 3.0 * T), rel=1e-12),
         "passivity": pytest.approx(800.0, rel=1e-3),
         "model_mediated": pytest.approx(2.0 * 30.0 / (150.0 * T), rel=1e-12),

@@ -23,10 +23,14 @@ from telenano.link import profile_named
 from telenano.settings import Option
 from telenano.settings import Settings as StrictSettings
 from telenano.wire import ConfigError
+from telenano.extend.sessions import profile_named
+from telenano.settings.config import Settings as StrictSettings
+from telenano.settings.option import Option
+from telenano.wire.errors import ConfigError
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.tuning import Settings, tuned
-from telenano_studies.option_values import LONGEST_MS, STIFFEST_N_PER_M, Jitter, jitters, losses
+from telenano_studies.option_values import COMPARED_LAWS, LONGEST_MS, STIFFEST_N_PER_M, Jitter, jitters, losses
 from telenano_studies.repetitions import Statistic, share, statistic
 
 FREE_PRICE = 0.02
@@ -35,7 +39,7 @@ WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
 _FREE_N_S_PER_M = 100.0
 _LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "tip_sample": 2.0}
 # every law, with the force clamp off and on
-CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in LAWS for clamp in (False, True))
+CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in COMPARED_LAWS for clamp in (False, True))
 
 
 class Question(StrictSettings):

@@ -6,6 +6,7 @@ from typing import get_args
 from telenano.laws import LAW_NAMES
 from telenano_studies.loops.cells import Cell, Environment, Hand
 from telenano_studies.loops.tuning import Settings, tuned
+from telenano_studies.option_values import COMPARED_LAWS
 
 _ROUND_TRIPS_MS = (0.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0)
 # The bus can run these environments.
@@ -32,7 +33,7 @@ def drawn_cells(number: int, seed: int) -> list[Cell]:
 
 
 def _drawn(source: random.Random) -> Cell:
-    law, environment = source.choice(LAW_NAMES), source.choice(_ENVIRONMENTS)
+    law, environment = source.choice(COMPARED_LAWS), source.choice(_ENVIRONMENTS)
     round_trip_ms = source.choice(_ROUND_TRIPS_MS)
     jitter_ms = 0.5 * round_trip_ms * source.choice(_JITTER_SHARES)
     stiffness = source.choice(_STIFFNESSES_N_PER_M)

@@ -14,8 +14,10 @@ import numpy as np
 
 from telenano.laws import OWN_LAWS
 from telenano.serving import web_folder
+import services.viz_node
 from telenano_studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
 from telenano_studies.loops.linear_cells import linear_loop, not_linear
+from telenano_studies.option_values import COMPARED_LAWS
 
 STIFFNESS_N_PER_M = 20.0
 DELAYS_MS = tuple(5.0 * i for i in range(41))
@@ -63,8 +65,8 @@ def gallery(
     stiffness_n_per_m: float = STIFFNESS_N_PER_M, progress: Callable[[int, int], None] = lambda n, of: None
 ) -> dict[str, Any]:
     """Return the document that the gallery draws: conditions, units, and each law at each delay on a spring [N/m]."""
-    laws, total = [], len(OWN_LAWS) * len(DELAYS_MS)
-    for number, law in enumerate(OWN_LAWS):
+    laws, total = [], len(COMPARED_LAWS) * len(DELAYS_MS)
+    for number, law in enumerate(COMPARED_LAWS):
         first, cells = cell_of(law, 0.0, stiffness_n_per_m), []
         for place, delay_ms in enumerate(DELAYS_MS):
             cells.append(shown(cell_of(law, delay_ms, stiffness_n_per_m)))

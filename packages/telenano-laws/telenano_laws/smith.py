@@ -29,14 +29,23 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.laws import virtual_impedance as impedance
-from telenano.laws.discretisation import decay
-from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, port_signal
-from telenano.laws.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
-from telenano.laws.shared import pass_through
-from telenano.laws.shared.virtual_mass import is_retracted, periods_in
-from telenano.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
-from telenano.numerics.compiler import compiled
+from telenano.extend.laws import (
+    HandSample,
+    MasterReference,
+    PortSignal,
+    compiled,
+    decay,
+    law_of,
+    pass_through,
+    periods_in,
+    port_signal,
+    ranges,
+    virtual_mass,
+)
+from telenano.extend.laws import virtual_impedance as impedance
+
+VirtualImpedanceParams = impedance.VirtualImpedanceParams
+is_retracted = virtual_mass.is_retracted
 
 # So many references are kept, one a period. The oldest stands for still older ones, so longer delays are bridged in
 # part.
@@ -57,19 +66,21 @@ class SmithParams(NamedTuple):
     motion_m: float
 
 
-class SmithConfig(ImpedanceConfig):
+class SmithConfig(impedance.ImpedanceConfig):
     """Section `controller.smith`: the virtual impedance's parameters, and the model's."""
 
-    environment_stiffness_n_per_m: StiffnessOrNoneNPerM = Field(
+    environment_stiffness_n_per_m: ranges.StiffnessOrNoneNPerM = Field(
         default=10.0, description="Stiffness of the environment at the tip K_e, or first estimate of it [N/m]"
     )
-    environment_stiffness_max_n_per_m: StiffnessNPerM = Field(default=60.0, description="Largest estimate of K_e [N/m]")
+    environment_stiffness_max_n_per_m: ranges.StiffnessNPerM = Field(
+        default=60.0, description="Largest estimate of K_e [N/m]"
+    )
     estimate: bool = Field(default=True, description="Whether K_e is estimated from what comes back")
-    memory_s: TimeS = Field(default=0.2, description="Time constant of forgetting in the estimate [s]")
-    least_motion_m: LengthM = Field(
+    memory_s: ranges.TimeS = Field(default=0.2, description="Time constant of forgetting in the estimate [s]")
+    least_motion_m: ranges.LengthM = Field(
         default=5e-11, description="Motion of the tip in memory (standard deviation) below which K_e is kept [m]"
     )
-    stiffness_rate_n_per_m_s: StiffnessRateNPerMS = Field(
+    stiffness_rate_n_per_m_s: ranges.StiffnessRateNPerMS = Field(
         default=200.0, description="Fastest change of the K_e in use [N/(m s)]"
     )
 

@@ -1,14 +1,13 @@
 """Tables of a recording of any length, written batch by batch in bounded memory."""
 
 import gc
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from telenano.recording.mcap_scan import Damage
-from telenano.recording.messages import ChannelFilter, RecordedMessage
-from telenano.recording.reader import Recording
-from telenano.recording.tables import TypedColumn, typed_columns, uniform
+from telenano.extend.exports import CopyResult, RecordedMessage, Recording, Selection, typed_columns, uniform
+from telenano.extend.messages import RecordingError
 
 # The rows of a channel are written when there are so many, or so many bytes of them.
 _MOST_ROWS = 2048
@@ -24,24 +23,60 @@ Kinds = dict[str, set[type]]
 Write = Callable[[Columns], None]
 # open the table of a channel, with the columns that it has
 OpenTable = Callable[[str, Kinds], Write]
+# the values of a column, and their types
+TypedColumn = tuple[Sequence[Any], set[type]]
+
+
+class Tables(NamedTuple):
+    """What was written: the columns of each channel, the number of messages, and what could not be read, in words."""
+
+    columns: dict[str, Kinds]
+    messages: int
+    damage: list[str]
+
+
+def copied(target: Path, recording: Recording, tables: Tables) -> CopyResult:
+    """Return what `telenano bag export` prints of the tables of a recording."""
+    skipped = (*map(str, recording.structural_damage), *tables.damage)
+    return CopyResult(path=str(target), messages=tables.messages, skipped=skipped)
+
+
+def file_stem(name: str) -> str:
+    """Return the name of a channel in a form that is valid in a file name."""
+    return name.replace("/", "_")
+
+
+def topic_of(name: str) -> str:
+    """Return the topic of a channel, whose name may have the site of its reception after an `@`."""
+    return name.partition("@")[0]
 
 
 def write_tables(
-    recording: Recording, wanted: ChannelFilter, begin: Callable[[], AbstractContextManager[OpenTable]]
-) -> tuple[dict[str, Kinds], int, list[Damage]]:
+    recording: Recording, wanted: Selection, begin: Callable[[], AbstractContextManager[OpenTable]], target: Path
+) -> Tables:
     """Write a table for each channel; return the columns of each, the number of messages, and what cannot be read.
 
     A table needs the types of all its columns before its first row. They are taken from the first batch of a channel;
     where a later one has others, the recording is read to its end for them, and is then written from its beginning.
 
-    Parameters: begin, called before the first row, and for the second time where the tables are written again.
+    Args:
+        recording: The recording.
+        wanted: Which channels are written.
+        begin: Called before the first row, and for the second time where the tables are written again.
+        target: The file or folder that is named in errors.
+
+    Raises:
+        RecordingError: A number of a stranger's file is larger than the format holds.
     """
     kinds: dict[str, Kinds] = {}
-    with _no_collection():
-        total, damage, widened = _write_once(recording, wanted, begin, kinds)
-        if widened:
-            total, damage, _ = _write_once(recording, wanted, begin, kinds)
-    return kinds, total, damage
+    try:
+        with _no_collection():
+            total, damage, widened = _write_once(recording, wanted, begin, kinds)
+            if widened:
+                total, damage, _ = _write_once(recording, wanted, begin, kinds)
+    except (OverflowError, ValueError) as error:
+        raise RecordingError(f"{target}: cannot be written: {error}") from error
+    return Tables(kinds, total, damage)
 
 
 @contextmanager
@@ -58,16 +93,16 @@ def _no_collection() -> Iterator[None]:
 
 def _write_once(
     recording: Recording,
-    wanted: ChannelFilter,
+    wanted: Selection,
     begin: Callable[[], AbstractContextManager[OpenTable]],
     kinds: dict[str, Kinds],
-) -> tuple[int, list[Damage], bool]:
+) -> tuple[int, list[str], bool]:
     """Write the tables, or only note the types once one is met that a table was not opened with."""
-    damage: list[Damage] = []
+    damage: list[str] = []
     tables: dict[str, Write] = {}
     total, widened = 0, False
     with begin() as open_table:
-        for name, messages in _batches(recording, wanted, damage.append):
+        for name, messages in _batches(recording, wanted, damage):
             columns = typed_columns(messages)
             is_new = _add_kinds(kinds.setdefault(name, {}), columns)
             widened = widened or (is_new and name in tables)
@@ -103,14 +138,12 @@ def _add_kinds(known: Kinds, batch: Mapping[str, TypedColumn]) -> bool:
     return is_new
 
 
-def _batches(
-    recording: Recording, wanted: ChannelFilter, report: Callable[[Damage], None]
-) -> Iterator[tuple[str, list[RecordedMessage]]]:
+def _batches(recording: Recording, wanted: Selection, damage: list[str]) -> Iterator[tuple[str, list[RecordedMessage]]]:
     """Yield channel names and messages: each channel in its order, and no more at once than the memory is to hold."""
     waiting: dict[str, list[RecordedMessage]] = {}
     sizes: dict[str, int] = {}
     together = 0
-    for message in recording.select(wanted, report=report):
+    for message in recording.select(wanted, report=lambda part: damage.append(str(part))):
         name, size = message.channel.channel_topic, len(message.payload)
         batch = waiting.setdefault(name, [])
         batch.append(message)

@@ -7,13 +7,25 @@ large, and a file that has many groups is followed by another one.
 import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from telenano.recording.messages import file_stem, topic_of
-from telenano.recording.quantities import quantity
-from telenano.recording.reader import Recording
-from telenano.recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of
+import pyarrow as arrow
+import pyarrow.parquet as parquet
+
+from telenano.extend.exports import CopyResult, Recording, Selection, quantity, whole_folder
+from telenano_tables.table_batches import (
+    Columns,
+    Kinds,
+    OpenTable,
+    Write,
+    copied,
+    file_stem,
+    kind_of,
+    topic_of,
+    write_tables,
+)
 
 # rows of a group, and of all channels what waits to become one [bytes]
 _MOST_ROWS = 1 << 16
@@ -22,18 +34,21 @@ _MOST_WAITING = 16 << 20
 _MOST_PARTS = 4096
 
 
-def parquet_tables(
-    arrow: Any, parquet: Any, recording: Recording
-) -> Callable[[Path], AbstractContextManager[OpenTable]]:
-    """Return what writes a file for each channel into a folder, with the recording's metadata and attachments.
+def export_parquet(recording: Recording, target: Path, selection: Selection) -> CopyResult:
+    """Write a folder with a file for each channel, each with the recording's metadata and attachments.
 
     The first file of a channel is `NAME.parquet`, and what comes after some five million rows is in `NAME.2.parquet`.
 
-    Args:
-        arrow: The module `pyarrow`.
-        parquet: The module `pyarrow.parquet`.
-        recording: The recording whose tables they are.
+    Raises:
+        RecordingError: A value is beyond what a column holds.
+        OSError: The folder exists, or cannot be written.
     """
+    with whole_folder(target) as folder:
+        tables = write_tables(recording, selection, partial(_parquet_tables(recording), folder), target)
+    return copied(target, recording, tables)
+
+
+def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextManager[OpenTable]]:
     origin = {f"telenano.{name}": json.dumps(facts) for name, facts in recording.metadata.items()}
     origin |= {f"telenano.{name}": data.decode(errors="replace") for name, data in recording.attachments.items()}
     types = {int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_(), str: arrow.string()}
@@ -65,7 +80,7 @@ def parquet_tables(
 
         def open_table(name: str, kinds: Kinds) -> Write:
             schema = schema_of(topic_of(name), kinds)
-            table = waiting[name] = _Table(arrow, parquet, folder / file_stem(name), schema)
+            table = waiting[name] = _Table(folder / file_stem(name), schema)
 
             def write(columns: Columns) -> None:
                 table.add(columns)
@@ -91,11 +106,9 @@ def parquet_tables(
 class _Table:
     """The files of a channel, and the rows that wait for the next row group."""
 
-    def __init__(self, arrow: Any, parquet: Any, stem: Path, schema: Any) -> None:
+    def __init__(self, stem: Path, schema: Any) -> None:
         self.rows = 0
         self.size_bytes = 0
-        self._arrow = arrow
-        self._parquet = parquet
         self._stem = stem
         self._schema = schema
         # a dictionary of numbers that differ takes three times as long, and more room
@@ -107,7 +120,7 @@ class _Table:
         self._open()
 
     def add(self, columns: Columns) -> None:
-        table = self._arrow.table(columns, schema=self._schema)
+        table = arrow.table(columns, schema=self._schema)
         self._waiting.append(table)
         self.rows += table.num_rows
         self.size_bytes += table.nbytes
@@ -118,7 +131,7 @@ class _Table:
             return
         if self._parts >= _MOST_PARTS:
             self._open()
-        self._writer.write_table(self._arrow.concat_tables(self._waiting))
+        self._writer.write_table(arrow.concat_tables(self._waiting))
         self._parts += len(self._schema)
         self._waiting.clear()
         self.rows = self.size_bytes = 0
@@ -132,6 +145,6 @@ class _Table:
         self._files += 1
         self._parts = 0
         path = self._stem.with_name(f"{self._stem.name}{f'.{self._files}' if self._files > 1 else ''}.parquet")
-        self._writer = self._parquet.ParquetWriter(
+        self._writer = parquet.ParquetWriter(
             path, self._schema, compression="zstd", use_dictionary=self._texts or False
         )

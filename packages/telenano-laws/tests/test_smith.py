@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from telenano.laws.law import NO_SIGNAL, HandSample
-from telenano.laws.smith import (
+from law_loop import loop as run_loop
+from telenano_laws.smith import (
     HISTORY,
     Estimate,
     SmithConfig,
@@ -18,6 +17,8 @@ from telenano.laws.smith import (
     reference_then,
     retune,
 )
+
+from telenano.extend.laws import NO_SIGNAL, HandSample
 
 T = 1e-3
 PARAMS = SmithConfig().to_params(T)
@@ -36,9 +37,7 @@ def undelayed() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("forward", "backward"), [(10, 0), (0, 30), (100, 150)])
-def test_exact_model_gives_the_undelayed_loop_shifted(
-    run_loop: Any, undelayed: dict[str, Any], forward: int, backward: int
-) -> None:
+def test_exact_model_gives_the_undelayed_loop_shifted(undelayed: dict[str, Any], forward: int, backward: int) -> None:
     if not undelayed:
         undelayed["run"] = run_loop("smith", lambda n: 1.0 if n >= 1200 else 0.01, spring, 3000, **EXACT)
     direct = undelayed["run"]
@@ -53,7 +52,7 @@ def test_exact_model_gives_the_undelayed_loop_shifted(
     assert np.abs(tip_late - tip).max() < 1e-5 * np.ptp(tip)
 
 
-def test_wrong_model_brings_the_delay_back(run_loop: Any) -> None:
+def test_wrong_model_brings_the_delay_back() -> None:
     # K_e = 0 is the virtual impedance alone: past its margin of 45.5 ms it grows, with 60 % of K it does not
     growth = []
     for stiffness in (0.0, 12.0):
@@ -65,7 +64,7 @@ def test_wrong_model_brings_the_delay_back(run_loop: Any) -> None:
 
 
 @pytest.mark.parametrize("stiffness", [5.0, 20.0, 38.0])
-def test_stiffness_is_estimated_from_what_returns(run_loop: Any, stiffness: float) -> None:
+def test_stiffness_is_estimated_from_what_returns(stiffness: float) -> None:
     run = run_loop(
         "smith",
         lambda n: 1.0 + 0.5 * np.sin(0.02 * n),
@@ -77,7 +76,7 @@ def test_stiffness_is_estimated_from_what_returns(run_loop: Any, stiffness: floa
     assert run.masters[-1].estimate.stiffness_n_per_m == pytest.approx(stiffness, rel=1e-3, abs=0.0)
 
 
-def test_jitter_and_loss_do_not_disturb_an_exact_model(run_loop: Any) -> None:
+def test_jitter_and_loss_do_not_disturb_an_exact_model() -> None:
     rng = np.random.default_rng(3)
     fate = rng.integers(-2, 60, size=(2, 3000)).clip(-1)
     run = run_loop(

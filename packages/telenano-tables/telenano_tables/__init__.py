@@ -1,0 +1,1 @@
+"""Recordings as tables: Parquet, CSV and HDF5, in bounded memory."""
