@@ -48,10 +48,15 @@ if TYPE_CHECKING:
     from telenano.afm.part import register as register
     from telenano.afm.particles.push import KINETIC as KINETIC
     from telenano.afm.particles.push import RADIUS as RADIUS
+    from telenano.afm.particles.settings import ParticlesConfig as ParticlesConfig
+    from telenano.afm.particles.tip_shape import TipShape as TipShape
+    from telenano.afm.particles.tip_shape import tip_shape as tip_shape
     from telenano.afm.particles.tip_shape import touch_distance_m as touch_distance_m
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
     from telenano.afm.programs.program import FinishedLine as FinishedLine
     from telenano.afm.programs.program import Wanted as Wanted
+    from telenano.afm.programs.push import AT_GOAL as AT_GOAL
+    from telenano.afm.programs.push import PushSettings as PushSettings
     from telenano.afm.programs.runner import Report as Report
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
     from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest
@@ -64,6 +69,7 @@ if TYPE_CHECKING:
     from telenano.afm.safety import SafetyParams as SafetyParams
     from telenano.afm.safety import initial_safety_state as initial_safety_state
     from telenano.afm.sample.surface import height_at as height_at
+    from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
     from telenano.afm.section_config import CantileverConfig as CantileverConfig
     from telenano.afm.section_config import SafetyConfig as SafetyConfig

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from telenano.cli.options import command_group as command_group
     from telenano.cli.options import table_formats as table_formats
     from telenano.cli.output import console as console
+    from telenano.cli.output import fail as fail
     from telenano.cli.output import fail_incomplete as fail_incomplete
     from telenano.cli.output import print_answer as print_answer
     from telenano.cli.output import print_document as print_document
@@ -50,5 +51,6 @@ if TYPE_CHECKING:
     from telenano.cli.sample_options import sample_config as sample_config
     from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
     from telenano.cli.simulated_instrument import simulated_afm as simulated_afm
+    from telenano.cli.tables import rows_table as rows_table
 else:
     __getattr__, __dir__ = face(__name__)

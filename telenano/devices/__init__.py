@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from telenano.devices.afm.guarded import Stage as Stage
     from telenano.devices.afm.guarded import Step as Step
     from telenano.devices.afm.guarded import line_fields as line_fields
+    from telenano.devices.afm.guarded import particle_fields as particle_fields
     from telenano.devices.afm.instrument import calibration_of_file as calibration_of_file
     from telenano.devices.afm.instrument import driver_of as driver_of
     from telenano.devices.afm.instrument import driver_of_file as driver_of_file

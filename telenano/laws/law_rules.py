@@ -14,7 +14,6 @@ from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
-from telenano.numerics.compiled import compiled_form, is_step
 from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, known_names
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.lockstep.across import steering_force_n as steering_force_n
     from telenano.lockstep.link import BACKWARD_TOPIC as BACKWARD_TOPIC
     from telenano.lockstep.link import FORWARD_TOPIC as FORWARD_TOPIC
     from telenano.lockstep.link import Schedule as Schedule
@@ -19,11 +20,16 @@ if TYPE_CHECKING:
     from telenano.lockstep.lockstep import build_rig as build_rig
     from telenano.lockstep.lockstep import simulate as simulate
     from telenano.lockstep.lockstep import time_to_place_s as time_to_place_s
+    from telenano.lockstep.push_hand import Hand as Hand
+    from telenano.lockstep.push_hand import Push as Push
+    from telenano.lockstep.push_hand import hand_moves as hand_moves
+    from telenano.lockstep.push_hand import new_hand as new_hand
     from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
     from telenano.lockstep.simulation import instrument_of as instrument_of
     from telenano.lockstep.simulation import instrument_params as instrument_params
     from telenano.lockstep.simulation import known_of as known_of
     from telenano.lockstep.simulation import programme_of as programme_of
+    from telenano.lockstep.simulation import simulate_document as simulate_document
     from telenano.lockstep.simulation import simulate_scenario as simulate_scenario
 else:
     __getattr__, __dir__ = face(__name__)

@@ -15,14 +15,8 @@ from telenano.devices import driver_of_file
 from telenano.extend.devices import MODE_OFF, DriveCommand
 from telenano.hand import DRIVERS as HANDLES
 from telenano.hand import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings import fault_of_package, flag_overrides, missing_driver, validate
+from telenano.settings import fault_of_package, flag_overrides, validate, where_it_is
 from telenano.wire import ConfigError, TelenanoError, known_names
-from telenano.hand.config import DRIVERS as HANDLES
-from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings.config import validate
-from telenano.settings.known_packages import where_it_is
-from telenano.settings.plugins import fault_of_package
-from telenano.wire.errors import known_names
 
 _PERIOD_S = 1e-3
 _ABILITIES = (

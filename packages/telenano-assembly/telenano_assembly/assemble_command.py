@@ -9,17 +9,22 @@ import typer
 from rich.console import Console
 from telenano_microscopy.program_view import LiveOption
 
-from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import print_document, report_errors
-from telenano.cli.progress_bar import progress
-from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
-from telenano.files.whole_files import whole_file
-from telenano.settings import DEFAULT_SITE_FILE
-from telenano.settings.config import flag_overrides, merge, validate
-from telenano.wire.errors import ConfigError
+from telenano.cli import (
+    AfmOption,
+    ChannelOption,
+    JsonOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    report_errors,
+    results_in,
+)
+from telenano.files import whole_file
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, merge, validate
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.afm.config import AfmConfig
+    from telenano.afm import AfmConfig
     from telenano_assembly.find import Found
     from telenano_assembly.plan import Point
     from telenano_assembly.run import ProgramBench
@@ -45,8 +50,7 @@ def particles(
 ) -> None:
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
-        from telenano.afm.particles.tip_shape import tip_shape
-        from telenano.afm.sample.surface_files import read_surface
+        from telenano.afm import read_surface, tip_shape
         from telenano_assembly.find import find_particles
 
         surface = read_surface(file, channel, None if size is None else size * 1e-9, may_lack=True)
@@ -169,7 +173,7 @@ def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":
     from telenano_microscopy.particle_bench import DISTURBED, bench
 
-    from telenano.afm.config import AfmConfig
+    from telenano.afm import AfmConfig
 
     given = flag_overrides(overrides)
     has_places = "places" in given.get("sample", {}).get("particles", {})

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig
 from telenano.analysis import LiveImage
-from telenano.console.live_program import run_program
-from telenano.wire.errors import RigError
-from telenano.wire.instrument import AfmProgram
-from telenano.wire.messages import Scalar
+from telenano.console import run_program
+from telenano.wire import AfmProgram, RigError, Scalar
 from telenano_assembly.run import ProgramBench
 
 Array = npt.NDArray[np.float64]

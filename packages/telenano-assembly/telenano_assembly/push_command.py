@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
-from telenano.afm.programs.push import AT_GOAL, PushSettings
-from telenano.cli import JsonOption, SiteFileOption, print_document, progress, report_errors
-from telenano.cli.model_options import validated, with_options
-from telenano.cli.sample_options import AfmOption
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides
-from telenano.settings.config import merge, validate
-from telenano.wire import ConfigError
-from telenano.wire.errors import RigError
+from telenano.afm import AT_GOAL, PushSettings
+from telenano.cli import (
+    AfmOption,
+    JsonOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    report_errors,
+    validated,
+    with_options,
+)
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, merge, validate
+from telenano.wire import ConfigError, RigError
 
 if TYPE_CHECKING:
-    from telenano.wire.messages import Scalar
+    from telenano.wire import Scalar
 
 _REACH_M = 1e-3
 _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
@@ -85,8 +90,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     from telenano_microscopy.particle_bench import DISTURBED, bench
     from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-    from telenano.afm.config import AfmConfig
-    from telenano.afm.programs.settings import requested
+    from telenano.afm import AfmConfig, requested
 
     given = flag_overrides(overrides)
     lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}

@@ -5,11 +5,10 @@ from typing import Any
 
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from telenano.afm.programs.runner import Report
-from telenano.devices.afm.guarded import Step, line_fields, particle_fields
-from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.wire import TOPICS, compose
-from telenano.wire.instrument import MOST_TEXT
+from telenano.afm import Report
+from telenano.devices import Step, line_fields, particle_fields
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.wire import MOST_TEXT, TOPICS, compose
 
 NAME = "assembly.mcap"
 _INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"

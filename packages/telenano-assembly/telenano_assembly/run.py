@@ -14,12 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.particles.tip_shape import tip_shape, touch_distance_m
-from telenano.afm.programs.settings import requested
-from telenano.devices.afm.guarded import Step
-from telenano.wire.messages import Scalar
+from telenano.afm import AfmConfig, ParticlesConfig, requested, tip_shape, touch_distance_m
+from telenano.devices import Step
+from telenano.wire import Scalar
 from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places
 from telenano_assembly.plan import Point, Task, UnreachableError, planned, require_room

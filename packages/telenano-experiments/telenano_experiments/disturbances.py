@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.wire.topics import deadline_of
+from telenano.wire import deadline_of
 
 Times = npt.NDArray[np.float64]
 # A node reports twice a second; one that said nothing for so long was not there.

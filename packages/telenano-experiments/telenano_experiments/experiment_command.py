@@ -8,11 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import fail, print_answer, print_document, print_json, print_rows, report_errors
-from telenano.files.whole_files import whole_file
-from telenano.settings.config import read_yaml
-from telenano.wire.errors import ConfigError
+from telenano.cli import (
+    JsonOption,
+    command_group,
+    fail,
+    print_answer,
+    print_document,
+    print_json,
+    print_rows,
+    report_errors,
+)
+from telenano.files import whole_file
+from telenano.settings import read_yaml
+from telenano.wire import ConfigError
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plan_command import plan as plan_for_power
 from telenano_experiments.plans import find_experiment

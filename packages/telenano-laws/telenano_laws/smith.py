@@ -33,7 +33,6 @@ from telenano.extend.laws import (
     HandSample,
     MasterReference,
     PortSignal,
-    compiled,
     decay,
     law_of,
     pass_through,
@@ -43,6 +42,7 @@ from telenano.extend.laws import (
     virtual_mass,
 )
 from telenano.extend.laws import virtual_impedance as impedance
+from telenano.numerics import compiled
 
 VirtualImpedanceParams = impedance.VirtualImpedanceParams
 is_retracted = virtual_mass.is_retracted

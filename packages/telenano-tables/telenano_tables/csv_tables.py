@@ -8,7 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from telenano.extend.exports import CopyResult, Recording, Selection, quantity, whole_folder
+from telenano.files import whole_folder
+from telenano.recording import CopyResult, Recording, Selection, quantity
 from telenano_tables.table_batches import Columns, Kinds, OpenTable, Write, copied, file_stem, topic_of, write_tables
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from telenano.extend.exports import CopyResult, Recording, Selection, quantity, whole_file
+from telenano.files import whole_file
+from telenano.recording import CopyResult, Recording, Selection, quantity
 from telenano_tables.table_batches import Columns, Kinds, OpenTable, Write, copied, kind_of, topic_of, write_tables
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import pyarrow as arrow
 import pyarrow.parquet as parquet
 
-from telenano.extend.exports import CopyResult, Recording, Selection, quantity, whole_folder
+from telenano.files import whole_folder
+from telenano.recording import CopyResult, Recording, Selection, quantity
 from telenano_tables.table_batches import (
     Columns,
     Kinds,

@@ -6,8 +6,8 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.extend.exports import CopyResult, RecordedMessage, Recording, Selection, typed_columns, uniform
-from telenano.extend.messages import RecordingError
+from telenano.recording import CopyResult, RecordedMessage, Recording, Selection, typed_columns, uniform
+from telenano.wire import RecordingError
 
 # The rows of a channel are written when there are so many, or so many bytes of them.
 _MOST_ROWS = 2048

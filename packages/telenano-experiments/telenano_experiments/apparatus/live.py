@@ -14,21 +14,28 @@ from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
-from telenano.console.command_client import send_control
-from telenano.console.coupling import couple_anew
-from telenano.console.lease import EXPERIMENT
-from telenano.console.lease_register import Hold, holding
-from telenano.hand.config import HapticConfig
-from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings, changed, network_name
-from telenano.recording.reader import Recording
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.loop.commands import Command, CommandName
-from telenano.runtime.wiring.observer import Observer
+from telenano.console import EXPERIMENT, Hold, couple_anew, holding, send_control
+from telenano.hand import HapticConfig
+from telenano.laws import ControllerConfig
+from telenano.link import LinkSettings, changed, network_name
+from telenano.recording import Recording
+from telenano.runtime import Command, CommandName, Observer, load_site
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire.errors import RecordingError, RigError
-from telenano.wire.messages import AfmState, HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
-from telenano.wire.nodes import HAND, LINK, RECORDER, TIP
+from telenano.wire import (
+    HAND,
+    LINK,
+    RECORDER,
+    TIP,
+    AfmState,
+    HapticState,
+    LinkDelay,
+    LinkStatus,
+    Message,
+    NodeHealth,
+    RecordingError,
+    RigError,
+    Scalar,
+)
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
 from telenano_experiments.apparatus.marks import END, Marks, code_of
 from telenano_experiments.apparatus.page_hand import PageHand

@@ -11,11 +11,10 @@ from typing import Any
 
 import yaml
 
-from telenano.launcher.rigs import running_rigs
-from telenano.runtime.bus.local_endpoint import RIG_VARIABLE
-from telenano.signals import children
-from telenano.signals.interrupts import kept_from_children
-from telenano.wire.errors import RigError
+from telenano.launcher import running_rigs
+from telenano.runtime import RIG_VARIABLE
+from telenano.signals import children, kept_from_children
+from telenano.wire import RigError
 
 # A rig is ready within half a minute also where its models have to be compiled first.
 _READY_S = 120.0

@@ -14,11 +14,10 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 from telenano_studies.loops.cells import Cell, Environment, sources
 
-from telenano.laws.config import LAWS
-from telenano.link.config import LinkSettings, parse_settings
-from telenano.link.profiles import PROFILES, refusal_of
-from telenano.settings.config import Settings
-from telenano.wire.errors import ConfigError, known_names
+from telenano.laws import LAWS
+from telenano.link import PROFILES, LinkSettings, parse_settings, refusal_of
+from telenano.settings import Settings
+from telenano.wire import ConfigError, known_names
 
 VERSION = 2
 

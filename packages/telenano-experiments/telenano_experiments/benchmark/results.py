@@ -12,8 +12,8 @@ import statistics
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from telenano.analysis.intervals import wilson
-from telenano.link.profiles import PROFILES
+from telenano.analysis import wilson
+from telenano.link import PROFILES
 from telenano_experiments.benchmark.plan import TASKS, VERSION, Plan
 from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded
 

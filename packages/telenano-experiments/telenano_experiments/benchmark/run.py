@@ -13,12 +13,11 @@ import numpy as np
 from telenano_studies.loops.cells import CellResult, Scales, judged, scales_of, settle_ticks
 from telenano_studies.loops.sweep import Kind
 
-from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
-from telenano.hand.config import HapticConfig
-from telenano.link.config import EVEN, network_name
-from telenano.lockstep.link import Schedule, schedule_of
-from telenano.lockstep.lockstep import Series, Trajectory, build_rig, simulate
-from telenano.settings.config import validate
+from telenano.afm import MODE_FOLLOW, MODE_HOLD
+from telenano.hand import HapticConfig
+from telenano.link import EVEN, network_name
+from telenano.lockstep import Schedule, Series, Trajectory, build_rig, schedule_of, simulate
+from telenano.settings import validate
 from telenano_experiments.benchmark.etvo import Offsets, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 

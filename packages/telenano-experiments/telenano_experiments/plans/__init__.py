@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from telenano.wire.errors import ConfigError, probably_meant
+from telenano.wire import ConfigError, probably_meant
 
 FOLDER = Path(__file__).resolve().parent
 

@@ -19,7 +19,7 @@ from telenano.extend.tasks import (
     common_of,
     tip_of,
 )
-from telenano.wire.experiment_messages import Question
+from telenano.wire import Question
 
 ANSWER, FIRST, SECOND = "stiffer", "first", "second"
 

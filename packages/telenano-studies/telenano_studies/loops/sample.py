@@ -3,7 +3,6 @@
 import random
 from typing import get_args
 
-from telenano.laws import LAW_NAMES
 from telenano_studies.loops.cells import Cell, Environment, Hand
 from telenano_studies.loops.tuning import Settings, tuned
 from telenano_studies.option_values import COMPARED_LAWS

@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.laws import OWN_LAWS
 from telenano.serving import web_folder
-import services.viz_node
 from telenano_studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
 from telenano_studies.loops.linear_cells import linear_loop, not_linear
 from telenano_studies.option_values import COMPARED_LAWS
