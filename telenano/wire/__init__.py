@@ -19,7 +19,16 @@ if TYPE_CHECKING:
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import fields_of as fields_of
     from telenano.wire.codec import read_header as read_header
+    from telenano.wire.faults import made as made
+    from telenano.wire.messages import Array as Array
+    from telenano.wire.messages import Count as Count
+    from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import Name as Name
+    from telenano.wire.messages import Record as Record
+    from telenano.wire.messages import about as about
+    from telenano.wire.ranges import DurationS as DurationS
+    from telenano.wire.ranges import Range as Range
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

@@ -4,8 +4,8 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.tasks import choice, scale
-from telenano.wire.experiment_messages import Question
+from telenano_experiments.extend import choice, scale
+from telenano_experiments.messages import Question
 
 CONSENT_TEXT = (
     "You take part of your own will, and may end it at any time without giving a reason: say so, or close the page. "

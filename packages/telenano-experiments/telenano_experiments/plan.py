@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from telenano.extend.tasks import Task
 from telenano.launcher.plan import anchored, check_sections
 from telenano.settings import find_scenario
 from telenano.settings.config import flatten, merge, nested, read_yaml, validate
@@ -18,6 +17,7 @@ from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.messages import Scalar
 from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry
+from telenano_experiments.extend import Task
 from telenano_experiments.orders import (
     MOST_PERMUTED,
     Balance,

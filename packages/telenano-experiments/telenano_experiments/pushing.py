@@ -14,7 +14,6 @@ from telenano_studies.loops.push_study import SPEED_M_PER_S
 from telenano.afm.config import AfmConfig
 from telenano.afm.particles.push import KINETIC, RADIUS
 from telenano.afm.particles.tip_shape import touch_distance_m
-from telenano.extend.tasks import Course
 from telenano.hand.config import HapticConfig
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.laws.config import ControllerConfig
@@ -23,6 +22,7 @@ from telenano.lockstep.push_hand import Hand, Push, new_hand
 from telenano.lockstep.simulation import instrument_params
 from telenano.settings.config import validate
 from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from telenano.extend.tasks import (
+from telenano_experiments.extend import (
     COMMON,
     Interval,
     Judged,
@@ -19,7 +19,7 @@ from telenano.extend.tasks import (
     common_of,
     tip_of,
 )
-from telenano.wire.experiment_messages import Question
+from telenano_experiments.messages import Question
 
 ANSWER, FIRST, SECOND = "stiffer", "first", "second"
 
