@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from telenano_experiments.messages import ANSWER, CUE, TRIAL
 
-from telenano.wire import Topic, decode, decode_header, encode
+from telenano.extend.messages import decode, encode
+from telenano.wire import Topic, decode_header
 
 HERE = Path(__file__).parent
 VECTORS = json.loads((HERE / "golden_messages.json").read_text(encoding="utf-8"))
