@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from telenano.recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
-from telenano.wire import TOPICS
+from telenano.settings.package_topics import row_of
 from telenano.wire.errors import RecordingError
 
 _NS = 1e9
@@ -164,7 +164,7 @@ class Playback:
 
 def is_state(channel: RecordedChannel) -> bool:
     """Return whether the newest message of a channel replaces the ones before it."""
-    row = TOPICS.get(channel.topic)
+    row = row_of(channel.topic)
     return row is not None and row.delivery == "latest"
 
 

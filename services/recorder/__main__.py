@@ -49,11 +49,14 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     def wanted(topic: str, node: str) -> bool:
         is_near = not is_shared or book.machine_of(node) == wiring.network.machine
         # Events say where a node's messages ended, and are few.
-        is_brought = site_of(node) != site and TOPICS[topic].bridged == "backward" and topic != END_TOPIC
+        # a topic of a package, which the table may not have yet, does not cross the link
+        is_bridged = topic in TOPICS and TOPICS[topic].bridged == "backward"
+        is_brought = site_of(node) != site and is_bridged and topic != END_TOPIC
         is_left = is_bulk(topic) or is_brought or topic.startswith(("clock/", "link/"))
         return config.subscribes(topic, site_of(node)) and (is_near or not is_left)
 
-    return [*connect(wiring, sites, wanted), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
+    inlets = [Listener("estop", inlet) for inlet in wiring.estop_inlet()]
+    return [*connect(wiring, sites, wanted, unknown=True), *inlets]
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

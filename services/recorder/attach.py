@@ -47,7 +47,9 @@ def run_record(
     book, signals = load_site(site_file), StopSignals()
     with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
         clock = participant.clock
-        listeners = connect(participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)))
+        listeners = connect(
+            participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)), unknown=True
+        )
         intake = begin_recording(OBSERVER, clock, config, site_file, scenario_file)
         publisher = NullPublisher(clock, OBSERVER)
         bus = RecorderBus(publisher, listeners, intake, clock, signals.descriptor, participant.network)

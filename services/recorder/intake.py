@@ -16,6 +16,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
 from telenano.runtime.bus.bus import split_frames
+from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
 from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
 from telenano.wire.ends import END_TOPIC, read_end
@@ -24,6 +25,7 @@ from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import START_ORDER, name_of, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import MOST_COUNTED, Arrival
+from telenano.wire.topics import keep_unknown
 
 # messages on these topics are decoded, of all others only the header is read
 _DECODED = frozenset(("node/health", "session/control", END_TOPIC))
@@ -118,6 +120,8 @@ class Intake:
             topic = _TOPIC_OF.get(frames[0]) if len(frames) == 2 else None
             if topic is None:
                 topic, _ = split_frames(frames)
+                if row_of(topic) is None:
+                    keep_unknown(topic)
             payload = frames[1]
             seq, t_ns, src = read_header(topic, payload)
             if (permit := listener.subscriber.permit) is not None:

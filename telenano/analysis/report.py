@@ -54,9 +54,10 @@ from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.site_clock import Timeline
 from telenano.settings.config import parse_yaml, validate
+from telenano.settings.package_topics import row_of
 from telenano.settings.scenario import Scenario
 from telenano.timing import loop_age
-from telenano.wire import TOPICS, extras
+from telenano.wire import extras
 from telenano.wire.errors import RecordingError, ReportError
 from telenano.wire.nodes import HAND as HAND_NODE
 from telenano.wire.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
@@ -628,7 +629,7 @@ def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: floa
     """
     shares = {}
     for name, count in sent.items():
-        topic = TOPICS.get(name.partition("@")[0])
+        topic = row_of(name.partition("@")[0])
         if topic is not None and topic.rate_hz is not None and "*" not in topic.publishers:
             # Both ends of the session may fall between two messages.
             rate_hz = loop_rate_hz if topic.rate_hz == _DECLARED_LOOP_HZ else topic.rate_hz

@@ -60,9 +60,10 @@ def _values(part: dict[str, Any]) -> list[str]:
 
 def topic_names(incomplete: str) -> list[str]:
     """Return the topics that begin so, and their copies that left the link."""
+    from telenano.settings.package_topics import topics_by_name
     from telenano.wire import TOPICS
 
-    names = list(TOPICS)
+    names = [*TOPICS, *topics_by_name()]
     copies = {"forward": ("slave",), "backward": ("master",), "both": ("slave", "master"), None: ()}
     names += [f"{name}@{site}" for name, row in TOPICS.items() for site in copies[row.bridged]]
     return [name for name in names if name.startswith(incomplete)]

@@ -11,7 +11,6 @@ from telenano.console.live_recording import LiveRecording
 from telenano.recording.messages import RecordedMessage
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
-from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 
 # 8000 messages a second of a rig would be more than a viewer draws.
@@ -49,7 +48,7 @@ class Rate:
         return True
 
 
-def live_rig(site_file: Path, topics: Collection[str] = TOPICS) -> LiveRecording:
+def live_rig(site_file: Path, topics: Collection[str] | None = None) -> LiveRecording:
     """Return a context with the messages of the rig of a site file; ConfigError where that cannot be used."""
     return LiveRecording(load_site(site_file), topics)
 

@@ -13,7 +13,7 @@ from telenano.recording.writer import channel_topic
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.participant import OBSERVER, SITES, Participant, open_participant
 from telenano.wire import TOPICS
-from telenano.wire.nodes import site_of
+from telenano.wire.nodes import is_visitor, site_of
 
 _WAIT_MS = 100
 
@@ -24,15 +24,22 @@ def connect(
     wanted: Callable[[str, str], bool] = lambda topic, node: True,
     *,
     shared: bool = False,
+    unknown: bool = False,
 ) -> list[Listener]:
     """Subscribe at each node at `sites` to every recorded topic that it publishes.
 
     `wanted(topic, node)` selects among them: what is not subscribed to is not even sent. With `shared` the nodes may be
-    read once for all observers.
+    read once for all observers. With `unknown` also to what visitors publish on topics that nothing here declares, such
+    as those of a package that is not installed.
     """
     readers = participant.observe(
-        lambda topic, node: TOPICS[topic].recorded and wanted(topic, node), sites, shared=shared
+        lambda topic, node: (topic not in TOPICS or TOPICS[topic].recorded) and wanted(topic, node),
+        sites,
+        shared=shared,
     )
+    for node, reader in readers.items() if unknown else ():
+        if is_visitor(node):
+            reader.socket.subscribe(b"")
     return [Listener(node, reader) for node, reader in readers.items()]
 
 
@@ -42,15 +49,17 @@ class LiveRecording:
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
     """
 
-    def __init__(self, book: AddressBook, topics: Collection[str] = TOPICS) -> None:
-        """Listen for some topics as this machine; ConfigError when it lacks a key that the rig demands."""
+    def __init__(self, book: AddressBook, topics: Collection[str] | None = None) -> None:
+        """Listen for some topics, or all, as this machine; ConfigError when it lacks a key that the rig demands."""
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
         self.book = book
         # The time of a reception is so far ahead of the monotonic clock [ns].
         self.epoch_offset_ns = participant.clock.epoch_offset_ns
-        self._listeners = connect(participant, wanted=lambda topic, node: topic in topics, shared=True)
+        self._listeners = connect(
+            participant, wanted=lambda topic, node: topics is None or topic in topics, shared=True
+        )
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:

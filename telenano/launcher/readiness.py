@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
-from telenano.wire import TOPICS
 from telenano.wire.messages import NodeHealth
 
 READY_DEADLINE_S = 60.0
@@ -97,5 +97,5 @@ def input_ages_s(health: NodeHealth) -> dict[tuple[str, str], float]:
 
 def _rate_hz(topic: str) -> float:
     """Return the declared rate [Hz]; 0 for topics sent on change, and for those that this version does not know."""
-    row = TOPICS.get(topic)
+    row = row_of(topic)
     return row.rate_hz or 0.0 if row else 0.0

@@ -7,8 +7,8 @@ import msgspec
 
 from telenano.launcher.readiness import oldest_input_s, unmet
 from telenano.runtime.wiring.observer import RIG_HINT, Observer
+from telenano.settings.package_topics import row_of
 from telenano.timing.loop_age import STAGES, LoopAge
-from telenano.wire import TOPICS
 from telenano.wire.errors import RigError
 from telenano.wire.messages import (
     AfmState,
@@ -130,7 +130,7 @@ def stalled_inputs(first: NodeHealth, newest: NodeHealth) -> list[str]:
 
 
 def _stale(topic: str, silence_s: float) -> bool:
-    row = TOPICS.get(topic)
+    row = row_of(topic)
     return row is not None and row.deadline_s is not None and silence_s > row.deadline_s
 
 

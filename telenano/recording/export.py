@@ -19,6 +19,8 @@ from telenano.recording.tables import plain
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
 from telenano.wire import TOPICS
+from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.package_topics import row_of
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
 from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
@@ -207,7 +209,7 @@ def _as_json(topic: str) -> Payload:
 
 def model_of(topic: str) -> type[Record] | None:
     """Return the model of the messages of a topic, None where this version does not know it."""
-    return RECORDS.get(topic) or (TOPICS[topic].model if topic in TOPICS else None)
+    return RECORDS.get(topic) or (row.model if (row := row_of(topic)) else None)
 
 
 def viewer_schema(model: type[Record]) -> dict[str, Any]:

@@ -114,6 +114,9 @@ class RecordedMessage(NamedTuple):
                 from telenano.wire.faults import made
 
                 return made(RECORDS[self.topic], self.fields())
+            # it finds the topics that installed packages declare
+            from telenano.settings import package_topics  # noqa: F401
+
             return wire.decode(self.topic, self.payload)
         except ValueError as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error

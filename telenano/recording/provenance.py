@@ -13,7 +13,7 @@ from telenano.files.yaml_text import LARGEST_BYTES
 from telenano.recording.mcap_scan import FORMAT
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
-from telenano.settings.plugins import in_scenarios
+from telenano.settings.plugins import in_scenarios, installed
 from telenano.signals import children
 from telenano.wire import TOPICS
 from telenano.wire.errors import RecordingError
@@ -33,7 +33,10 @@ def versions() -> dict[str, str]:
 
 def plugin_facts() -> dict[str, str]:
     """Return package, version and digest of what a scenario can name of installed packages, by `kind.name`."""
-    return {f"{row.kind}.{row.name}": " ".join(row.facts().values()) for row in in_scenarios()}
+    return {
+        f"{row.kind}.{row.name}": " ".join(row.facts().values())
+        for row in (*in_scenarios(), *installed("topics").values())
+    }
 
 
 def write_provenance(

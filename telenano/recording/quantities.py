@@ -8,7 +8,7 @@ from typing import NamedTuple
 import msgspec
 
 from telenano.recording.records import RECORDS
-from telenano.wire import TOPICS
+from telenano.settings.package_topics import row_of
 from telenano.wire.messages import Record
 from telenano.wire.schema import records_in
 
@@ -39,7 +39,7 @@ def _without_index(column: str) -> str:
 
 @cache
 def _quantities(topic: str) -> dict[str, Quantity]:
-    model = RECORDS.get(topic) or (TOPICS[topic].model if topic in TOPICS else None)
+    model = RECORDS.get(topic) or (row.model if (row := row_of(topic)) else None)
     found = {name: Quantity(*facts) for name, facts in _RECORD.items()}
     return found if model is None else found | dict(_of_model(model, ""))
 

@@ -20,7 +20,7 @@ _LARGE = ("node/journal", "afm/scanline")
 
 def is_bulk(topic: str) -> bool:
     """Return whether a topic takes so much of a network between two machines that it is recorded where it is sent."""
-    return (TOPICS[topic].rate_hz or 0.0) >= _BULK_HZ or topic in _LARGE
+    return topic in _LARGE or (topic in TOPICS and (TOPICS[topic].rate_hz or 0.0) >= _BULK_HZ)
 
 
 class RecorderConfig(FileSettings):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from telenano.recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import ClockShift, is_of_slave, read_site_clock
-from telenano.wire import TOPICS
+from telenano.settings.package_topics import row_of
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import LinkFates
@@ -291,7 +291,7 @@ class _Fates:
 
 
 def _is_fast(topic: str) -> bool:
-    row = TOPICS.get(topic)
+    row = row_of(topic)
     return row is not None and (row.rate_hz or 0.0) >= _FAST_HZ
 
 

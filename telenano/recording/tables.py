@@ -35,14 +35,14 @@ def plain(message: RecordedMessage) -> dict[str, Any]:
     try:
         return json_fields(message.decode())
     except RecordingError:
-        return {key: _plain(value) for key, value in message.fields().items()}
+        return {key: json_value(value) for key, value in message.fields().items()}
 
 
 def json_fields(record: Record) -> dict[str, Any]:
     """Return the fields of a record as JSON values: arrays as lists of numbers, bytes as base64."""
     # Most fields of most messages are scalars, for which a call takes most of the time.
     return {
-        key: value if type(value) in _SCALAR_OR_NONE else _plain(value)
+        key: value if type(value) in _SCALAR_OR_NONE else json_value(value)
         for key, value in msgspec.structs.asdict(record).items()
     }
 
@@ -149,7 +149,7 @@ def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
     elif value is None or isinstance(value, _SCALARS):
         found[name] = value
     else:
-        found[name] = json.dumps(_plain(value))
+        found[name] = json.dumps(json_value(value))
 
 
 def uniform(values: Sequence[Any], kinds: Set[type] | None = None) -> list[Any]:
@@ -165,7 +165,8 @@ def uniform(values: Sequence[Any], kinds: Set[type] | None = None) -> list[Any]:
     return [None if value is None else json.dumps(value) for value in values]
 
 
-def _plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
+    """Return a value of a message as JSON holds it."""
     if type(value) in _SCALAR_OR_NONE:
         return value
     if isinstance(value, Array):
@@ -173,9 +174,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Record):
         return json_fields(value)
     if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
+        return {str(key): json_value(inner) for key, inner in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
+        return [json_value(item) for item in value]
     if isinstance(value, bytes):
         return base64.b64encode(value).decode()
     return value if np.isscalar(value) else str(value)

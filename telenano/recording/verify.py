@@ -1,5 +1,6 @@
 """Check of a recording: whether it is complete, and what precisely is missing where it is not."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -12,11 +13,14 @@ from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.reader import Recording
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
-from telenano.wire import TOPICS
+from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.package_topics import row_of
 from telenano.wire.codec import keys_twice, sound_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
+from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import Message
+from telenano.wire.topics import NAME
 
 Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
 Level = Literal["error", "warning", "info"]
@@ -97,6 +101,8 @@ class _Check:
         # by channel and source, those after which no message came
         self._open_gaps: dict[tuple[str, str], tuple[int, int, int]] = {}
         self._reported: dict[tuple[str, str], int] = {}
+        # by topic, the messages whose model is not known
+        self._unknown: Counter[str] = Counter()
 
     def run(self) -> list[Finding]:
         damage: list[Damage] = list(self._recording.structural_damage)
@@ -132,6 +138,7 @@ class _Check:
             if gap is not None and newest.seq is not None and gap[0] == newest.seq + 1:
                 self._end_channel(channel, gap[1] + 1, gap[2])
         self._report_gaps()
+        self._report_unknown()
         for note in notes_of((self._recording.metadata,)):
             self._report("end", "error", "", note)
         if not self._recording.closed:
@@ -159,8 +166,10 @@ class _Check:
             if topic == GAP_TOPIC and record is not None:
                 self._add_gap_record(record, log_ns)
         else:
-            if topic in TOPICS:
+            if row_of(topic) is not None:
                 self._check_schema(message)
+            elif NAME.fullmatch(topic):
+                self._unknown[topic] += 1
             self._check_sequence(message, stream)
             if topic == END_TOPIC and channel.via == "direct":
                 self._check_end(message)
@@ -262,6 +271,14 @@ class _Check:
                 # what an impaired link drops is the experiment
                 level: Level = "info" if channel.via == "link" and not at_end else "warning"
                 self._report("gap", level, channel.channel_topic, text)
+
+    def _report_unknown(self) -> None:
+        """Report the topics of packages that are not installed, whose messages are kept as they came."""
+        for topic, count in self._unknown.items():
+            package = KNOWN_PACKAGES.get(f"topic {topic}")
+            advice = f"; install {package}: `{how_to_add_package(package)}`" if package else ""
+            text = f"{count} messages of a topic that no installed package declares: only their headers were checked"
+            self._report("schema", "info", topic, text + advice)
 
     def _end_text(self) -> str:
         interval = self._recording.metadata.get("recording", {}).get("recorder flush_interval_s")

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from telenano.recording.info import END_NAME
 from telenano.recording.mcap_messages import Compression, MessageWriter
 from telenano.recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.settings.package_topics import row_of
 from telenano.wire import TOPICS, fields_of
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import Record
@@ -68,7 +69,7 @@ class RecordingWriter:
         # device and inode of the file; None for what is not a file that was created here
         self._identity: tuple[int, int] | None = None
         self._sync = settings.sync_to_disk
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[type[Record], int] = {}
         self._own_channels: dict[str, int] = {}
         self._own_counts = dict.fromkeys(RECORDS, 0)
         self._mcap = MessageWriter(stream, settings.chunk_size_bytes, settings.compression)
@@ -99,7 +100,7 @@ class RecordingWriter:
 
     def channel(self, topic: str, src: str, site: str) -> int:
         """Return the new channel of what `src` (node@site) sends on a topic, as received at `site`."""
-        row = TOPICS[topic]
+        row = row_of(topic) or TOPICS[topic]
         metadata = {
             "topic": topic,
             "site": site,
@@ -185,10 +186,10 @@ class RecordingWriter:
 
     def _register(self, topic: str, model: type[Record], metadata: dict[str, str]) -> int:
         with self._guarded():
-            name = model.__name__
-            if name not in self._schemas:
-                self._schemas[name] = self._mcap.register_schema(name, "jsonschema", _schema_of(model))
-            return self._mcap.register_channel(topic, "msgpack", self._schemas[name], metadata)
+            if model not in self._schemas:
+                schema = _schema_of(model)
+                self._schemas[model] = self._mcap.register_schema(model.__name__, "jsonschema", schema)
+            return self._mcap.register_channel(topic, "msgpack", self._schemas[model], metadata)
 
     def _sync_and_measure(self) -> None:
         if self._sync:

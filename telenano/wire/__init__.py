@@ -61,6 +61,16 @@ if TYPE_CHECKING:
     from telenano.wire.received import Received as Received
     from telenano.wire.schema import json_schema as json_schema
     from telenano.wire.sequence import SequenceTracker as SequenceTracker
+    from telenano.wire.faults import made as made
+    from telenano.wire.messages import Array as Array
+    from telenano.wire.messages import Count as Count
+    from telenano.wire.messages import Facts as Facts
+    from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import Name as Name
+    from telenano.wire.messages import Record as Record
+    from telenano.wire.messages import about as about
+    from telenano.wire.ranges import DurationS as DurationS
+    from telenano.wire.ranges import Range as Range
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
     from telenano.wire.topics import deadline_of as deadline_of

@@ -28,7 +28,7 @@ from telenano.wire.faults import (
     source_fault,
 )
 from telenano.wire.messages import Message, Record, SessionControl
-from telenano.wire.topics import TOPICS, Topic
+from telenano.wire.topics import TOPICS, Topic, row_of
 
 MAX_MESSAGE_BYTES = 1 << 20
 # The limit is for a message without maps, lists and arrays of data inside; the longest golden vector has 500 bytes.
@@ -62,7 +62,7 @@ def encode(message: Message) -> bytes:
         payload = _encode(message)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError("malformed", f"{type(message).__name__} cannot be sent: {error}") from error
-    if len(payload) > MAX_PLAIN_BYTES and len(payload) > (most := MOST_BYTES[type(message)]):
+    if len(payload) > MAX_PLAIN_BYTES and len(payload) > (most := MOST_BYTES.get(type(message), MAX_MESSAGE_BYTES)):
         raise WireError("oversized", _size_text(type(message).__name__, len(payload), most))
     return payload
 
@@ -106,7 +106,8 @@ def compose(
     Raises:
         WireError: The fields do not make a valid message, NaN included, or one that is larger than `encode` allows.
     """
-    form = _FORMS[topic]
+    if (form := _FORMS.get(topic) or _form(topic)) is None:
+        raise KeyError(topic)
     try:
         if form.nested:
             # A record that was made before is not looked at when it is taken into a message, but here.
@@ -275,6 +276,15 @@ _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
 MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 
+def _form(topic: str) -> _Form | None:
+    """Return the form of a topic, also of one that a package declares; None for one that is unknown."""
+    form = _FORMS.get(topic)
+    if form is None and (row := row_of(topic)) is not None:
+        form = _FORMS[topic] = _form_of(row)
+        MOST_BYTES[row.model] = form.most_bytes
+    return form
+
+
 def _number_of(value: Any) -> Any:
     """Return a number of numpy as the number that it is."""
     if hasattr(value, "tolist"):
@@ -318,7 +328,7 @@ def _read_record(topic: str, model: type[S], parts: Mapping[str, Any], how: Read
 
 
 def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
-    form = _FORMS.get(topic)
+    form = _form(topic)
     if form is None:
         raise WireError("topic", f"unknown topic {topic[:80]!r}, known topics are {', '.join(TOPICS)}")
     if len(payload) > form.most_bytes:

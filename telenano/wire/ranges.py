@@ -63,7 +63,6 @@ QUATERNION = Range("component of a unit quaternion", -1.0, 1.0, "", "that of a r
 CHANNEL = Range(
     "measured channel", -1e9, 1e9, "its SI unit", "the greatest rate, as of a frequency shift; others are less"
 )
-SCALE = Range("value of a scale", -1e9, 1e9, "", "the answer to a question for a number, such as an amount of money")
 
 RANGES = (
     POSITION,
@@ -81,7 +80,6 @@ RANGES = (
     VOLTAGE,
     QUATERNION,
     CHANNEL,
-    SCALE,
 )
 
 PositionM = Annotated[float, POSITION.of_value()]
@@ -98,7 +96,6 @@ Percent = Annotated[float, PERCENTAGE.of_value()]
 VoltageV = Annotated[float, VOLTAGE.of_value()]
 QuaternionPart = Annotated[float, QUATERNION.of_value()]
 ChannelValue = Annotated[float, CHANNEL.of_value()]
-ScaleValue = Annotated[float, SCALE.of_value()]
 
 PositionVector = tuple[PositionM, PositionM, PositionM]
 WayVector = tuple[WayM, WayM, WayM]

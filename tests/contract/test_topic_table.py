@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from wire_contract import FOLDER, range_table, schema_of, topic_table
 
-from telenano.wire import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
+from telenano.wire import TOPICS, Topic, instrument, journal_messages, messages, network_messages
 from telenano.wire.codec import MAX_MESSAGE_BYTES, MOST_BYTES, Reason
 from telenano.wire.messages import MAX_KEYS, Message, Record
 from telenano.wire.ranges import RANGES
@@ -57,22 +57,10 @@ UNITLESS = {
     "gaps": "gaps",
     "restarts": "restarts",
     "overruns": "deadlines",
-    "least": "value of a scale",
-    "most": "value of a scale",
-    "step": "value of a scale",
-    "band": "SI unit of the target",
-    "done": "trials",
-    "total": "trials",
-    "trials": "trials",
-    "index": "number of a trial",
-    "session": "number of a session",
-    "block": "number of a block",
-    "attempt": "number of an attempt",
-    "seed": "seed",
 }
 
 ROWS = list(TOPICS.values())
-_DECLARED = (messages, instrument, network_messages, journal_messages, experiment_messages)
+_DECLARED = (messages, instrument, network_messages, journal_messages)
 _MODULES = tuple(module.__name__ for module in _DECLARED)
 SPEC = (FOLDER / "SPEC.md").read_text(encoding="utf-8")
 

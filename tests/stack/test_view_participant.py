@@ -23,6 +23,7 @@ from page_walks import step
 from stack_rig import Rig
 from telenano_experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
+from telenano_experiments.extend import choice
 from telenano_experiments.journal import read as read_journal
 from telenano_experiments.recorded_trial import RecordedTrial
 from telenano_experiments.tasks import TASKS
@@ -30,7 +31,6 @@ from telenano_experiments.types import Trial
 
 from telenano.afm.particles.settings import ParticlesConfig
 from telenano.afm.programs.push import AT_GOAL
-from telenano.extend.tasks import choice
 from telenano.recording.reader import Recording
 from telenano.settings import DEFAULT_SITE_FILE
 

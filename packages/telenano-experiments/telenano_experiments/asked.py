@@ -6,6 +6,8 @@ import msgspec
 
 from telenano.extend.tasks import choice, scale
 from telenano.wire import Question
+from telenano_experiments.extend import choice, scale
+from telenano_experiments.messages import Question
 
 CONSENT_TEXT = (
     "You take part of your own will, and may end it at any time without giving a reason: say so, or close the page. "

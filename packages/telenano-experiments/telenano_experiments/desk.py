@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 from telenano.extend.tasks import TrialData
 from telenano.wire import Question
 from telenano_experiments.bus import Answer, ExperimentBus
+from telenano_experiments.extend import TrialData
+from telenano_experiments.messages import Question
 from telenano_experiments.operators import Simulated
 from telenano_experiments.plan import PICTURE_DELAY, Plan, parameters_of
 from telenano_experiments.types import Trial, TrialOutcome

@@ -18,6 +18,18 @@ from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
 from telenano.lockstep import Hand, Push, instrument_params, new_hand
 from telenano.settings import LoadedScenario, Scenario, validate
+from telenano.afm.config import AfmConfig
+from telenano.afm.particles.push import KINETIC, RADIUS
+from telenano.afm.particles.tip_shape import touch_distance_m
+from telenano.hand.config import HapticConfig
+from telenano.hand.lateral_hand import LateralHandConfig
+from telenano.laws.config import ControllerConfig
+from telenano.link.config import LinkSettings
+from telenano.lockstep.push_hand import Hand, Push, new_hand
+from telenano.lockstep.simulation import instrument_params
+from telenano.settings.config import validate
+from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.

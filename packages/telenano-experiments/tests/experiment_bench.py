@@ -10,9 +10,8 @@ from telenano_experiments import tasks
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
 from telenano_experiments.apparatus.lockstep import empty
 from telenano_experiments.desk import Desk
+from telenano_experiments.extend import Judged, Measure, Parameters, Plain, Task, TrialData
 from telenano_experiments.plan import Plan, load_plan
-
-from telenano.extend.tasks import Judged, Measure, Parameters, Plain, Task, TrialData
 
 
 class Tiny(Parameters):

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from telenano_experiments.asked import CONSENT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
+from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
 
 from services.viz_node.commander import RigHand
-from telenano.extend.tasks import Course
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings import DEFAULT_SITE_FILE

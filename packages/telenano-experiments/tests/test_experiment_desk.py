@@ -9,13 +9,13 @@ import pytest
 from experiment_bench import TASKS, Bench, plan_of
 from telenano_experiments.bus import Answer
 from telenano_experiments.desk import PersonDesk
+from telenano_experiments.extend import choice
 from telenano_experiments.journal import Journal
+from telenano_experiments.messages import Question
 from telenano_experiments.people import People
 from test_experiment_runner import run, trials_in
 
-from telenano.extend.tasks import choice
 from telenano.wire.errors import ConfigError
-from telenano.wire.experiment_messages import Question
 
 
 class Bus:

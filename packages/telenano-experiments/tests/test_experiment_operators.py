@@ -9,12 +9,12 @@ import pytest
 import yaml
 from experiment_bench import task_named
 from telenano_experiments.asked import NASA_TLX
+from telenano_experiments.extend import TrialData
 from telenano_experiments.operators import SLOPE_OF_WAVE, Simulated, round_trip_s
 from telenano_experiments.plan import load_plan
 from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
-from telenano.extend.tasks import TrialData
 from telenano.hand.config import HapticConfig
 from telenano.settings.config import nested, validate
 from telenano.wire.errors import ConfigError

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from experiment_bench import task_named
 from telenano_experiments.apparatus.base import joined
+from telenano_experiments.extend import Plain, Series, TrialData, held_from
 from telenano_experiments.tasks import TASKS, checked
 from telenano_experiments.tasks.discriminate_stiffness import ANSWER, comparison_is_first
 from telenano_experiments.tasks.push_particle import PLACE_M, goal_of
@@ -14,7 +15,6 @@ from telenano_experiments.tasks.track import lag_s, sum_of_sines
 from telenano_experiments.types import particle_table
 
 from telenano.afm.config import AfmConfig
-from telenano.extend.tasks import Plain, Series, TrialData, held_from
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
 from telenano.recording.column_table import ColumnTable

@@ -25,6 +25,7 @@ from telenano.doctor.checks import Finding
 from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.launcher.processors import held, shared_folder
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.package_topics import installed_topics, row_of
 from telenano.settings.plugins import (
     KINDS,
     all_installed,
@@ -162,6 +163,8 @@ def extensions() -> list[Finding]:
         drivers.all()
     for kind in KINDS:
         load(kind, lambda _, value: value)
+    for topic in installed_topics():
+        row_of(topic)
     scenario_files()
     name, texts = "laws and devices", known_problems()
     if not texts:

@@ -21,7 +21,7 @@ from telenano.cli.options import (
 from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
 from telenano.launcher.scenario_keys import value_at
 from telenano.recording.quantities import quantity
-from telenano.recording.tables import json_fields
+from telenano.recording.tables import json_fields, json_value
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import (
     RIG_HINT,
@@ -33,8 +33,9 @@ from telenano.runtime.wiring.observer import (
     require_rig,
 )
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TOPICS
+from telenano.wire import TOPICS, Message, decode_header
 from telenano.wire.errors import RigError
+from telenano.wire.received import Received
 
 _LIST_S = 1.5
 _SILENCE_S = 4.0
@@ -73,7 +74,7 @@ def echo(
         with contextlib.suppress(KeyboardInterrupt):
             for received in messages_of(observer, topic, duration, count):
                 received_any = True
-                fields = _chosen(json_fields(received.message), field)
+                fields = _chosen(_fields(received), field)
                 if as_json:
                     collected.append(fields)
                 else:
@@ -82,6 +83,13 @@ def echo(
             raise RigError(f"{topic}: no message was received: {RIG_HINT}")
     if as_json:
         print_json({"topic": topic, "messages": collected})
+
+
+def _fields(received: Received) -> dict[str, Any]:
+    """Return the fields of a message, those as they came of one whose package is not installed."""
+    if type(received.message) is Message:
+        return {key: json_value(value) for key, value in decode_header(received.topic, received.payload)[1].items()}
+    return json_fields(received.message)
 
 
 def _chosen(fields: dict[str, Any], names: list[str] | None) -> dict[str, Any]:
@@ -135,7 +143,7 @@ def hz(
 @contextlib.contextmanager
 def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
     """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
-    wanted = (known_name(topic)[0],) if topic else None
+    wanted = (known_name(topic, unknown=True)[0],) if topic else None
     book = load_site(site_file)
     require_rig(book, site_file)
     with contextlib.closing(Observer(book, wanted) if wanted else Observer(book)) as observer:

@@ -19,6 +19,7 @@ from telenano.runtime.bus.local_endpoint import (
     local_endpoint,
 )
 from telenano.settings.config import Settings, read_yaml, validate
+from telenano.settings.package_topics import row_of
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import LINK, name_of, site_of
@@ -259,7 +260,7 @@ class AddressBook(Settings):
         """
         plan: dict[str, list[str]] = {}
         for name in topics:
-            for publisher in self._reachable_publishers(reader, TOPICS[name]):
+            for publisher in self._reachable_publishers(reader, row_of(name) or TOPICS[name]):
                 if publisher != reader:
                     plan.setdefault(publisher, []).append(name)
         return plan

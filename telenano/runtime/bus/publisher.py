@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import zmq
 
 from telenano.runtime.bus.endpoint_lock import EndpointLock
+from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
 from telenano.wire import TOPICS, compose
 from telenano.wire.ends import END_TOPIC, end_data
@@ -23,7 +24,6 @@ _LARGEST_SUBSCRIPTION = 4096
 SNDMORE = int(zmq.SNDMORE)
 # This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
 FIRST_THREAD = 1
-_VERSIONS = {name: row.model.version for name, row in TOPICS.items()}
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
 # A few samples of the link's datagrams are also sent under their topic with one of these before it, by turns, and a
 # reader has a connection for each (datagram/sparse.py).
@@ -58,7 +58,7 @@ class _NumberingPublisher(ABC):
             WireError: The fields do not make a valid message, or one that is too large.
         """
         seq = self._sequence.get(topic, 0)
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": _VERSIONS[topic]}
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": _version_of(topic)}
         message, payload = compose(topic, {**header, **fields}, self.on_limited)
         self.send(topic, payload)
         self._sequence[topic] = seq + 1
@@ -140,6 +140,13 @@ class ZmqPublisher(_NumberingPublisher):
         """Close the socket and let the endpoint go."""
         self.socket.close()
         self._lock.release()
+
+
+def _version_of(topic: str) -> int:
+    row = row_of(topic)
+    if row is None:
+        raise KeyError(topic)
+    return row.model.version
 
 
 def publish_end(publisher: Publisher, node: str, forwarded: Mapping[tuple[str, str], int] | None = None) -> None:

@@ -15,11 +15,13 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.local_endpoint import local_endpoint
 from telenano.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.settings.package_topics import installed_topics, problem_with, row_of
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 from telenano.wire.nodes import is_visitor, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import SequenceTracker
+from telenano.wire.topics import keep_unknown
 
 # Users see this hint when nothing is received.
 RIG_HINT = "is `telenano up` running with this site file?"
@@ -35,12 +37,17 @@ class ObservedMessage:
     received: Received
 
 
-def known_name(name: str) -> tuple[str, str | None]:
-    """Split topic or topic@site; ConfigError lists the topics that there are."""
+def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
+    """Split topic or topic@site; ConfigError lists the topics that there are.
+
+    With `unknown` it may be one that nothing installed declares, if it is not like another: messages keep their bytes.
+    """
     topic, _, site = name.partition("@")
-    if topic not in TOPICS:
+    meant = probably_meant(topic, TOPICS)
+    if row_of(topic) is None and not (unknown and not meant and keep_unknown(topic)):
         known = f"known are {', '.join(TOPICS)}, with @site for what left the link"
-        raise ConfigError(f"unknown topic {name!r}: {known}{probably_meant(topic, TOPICS)}")
+        reason = problem_with(topic) or f"{known}{meant}"
+        raise ConfigError(f"unknown topic {name!r}: {reason}")
     if site and TOPICS[topic].bridged is None:
         raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")
     return topic, site or None
@@ -49,8 +56,8 @@ def known_name(name: str) -> tuple[str, str | None]:
 class Observer:
     """One connection to every socket of the rig, so that original and copy are counted apart."""
 
-    def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS, *, shared: bool = True) -> None:
-        """Connect for some topics, or for all, as the machine that this process runs on.
+    def __init__(self, book: AddressBook, wanted: Collection[str] | None = None, *, shared: bool = True) -> None:
+        """Connect for some topics, or for all where `wanted` is None, as the machine that this process runs on.
 
         With `shared` the nodes are read through the process that does that once for all observers, where a rig has it.
 
@@ -61,7 +68,7 @@ class Observer:
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self.subscribers = participant.observe(lambda topic, node: topic in wanted, shared=shared)
+        self.subscribers = participant.observe(lambda topic, node: wanted is None or topic in wanted, shared=shared)
         self._poller = zmq.Poller()
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)
@@ -123,6 +130,8 @@ def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
         key = (observed.name, observed.received.message.src)
         counts[key] = counts.get(key, 0) + 1
     rows = [_topic_row(name, src, count) for (name, src), count in counts.items()]
+    for name in installed_topics():
+        row_of(name)
     silent = [name for name in TOPICS if not any(row["topic"] == name for row in rows)]
     rows += [_topic_row(name, ", ".join(TOPICS[name].publishers), 0) for name in silent]
     return sorted(rows, key=lambda row: (list(TOPICS).index(row["topic"].partition("@")[0]), row["topic"], row["src"]))

@@ -1,6 +1,7 @@
 """How a process takes part in the bus: what it opens there, the loop that it runs, and how both end."""
 
 import contextlib
+import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, instal
 from telenano.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
 from telenano.runtime.security.keyring import Keyring, this_machine
 from telenano.runtime.wiring.transport import Transport, open_context
+from telenano.settings.package_topics import topics_by_name
 from telenano.timing.clock import Clock, SystemClock
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.extras import how_to_install
@@ -77,12 +79,17 @@ class Participant:
     ) -> dict[str, Subscriber]:
         """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of it.
 
-        With `shared` it may be the socket of the process that reads the node once for all observers.
+        With `shared` it may be the socket of the process that reads the node once for all observers. Topics of
+        installed packages that this process has not met yet are asked for at every one of these nodes.
         """
         topics_of = self.book.observed(self.network.machine, sites)
         plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
         plan = {node: topics for node, topics in plan.items() if topics}
-        return dict(zip(plan, self.subscribers(plan, apart=True, shared=shared), strict=True))
+        found = dict(zip(plan, self.subscribers(plan, apart=True, shared=shared), strict=True))
+        for node, topic in itertools.product(found, topics_by_name()):
+            if wanted(topic, node):
+                found[node].socket.subscribe(topic.encode())
+        return found
 
     def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
         """Open the bus of an ordinary node: its own endpoint and connections for its inputs.

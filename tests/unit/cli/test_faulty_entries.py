@@ -77,6 +77,8 @@ ASKED = {
     "images": [],
     "readers": ["sample --out written --sample a.{0}"],
     "steps": ["doctor"],
+    "topics": ["topic info wind/{0}"],
+    "panels": ["doctor"],
 }
 PROGRAM = """
 import contextlib, io, json, sys
@@ -130,6 +132,8 @@ def install(site: Path) -> None:
     entries = {kind: dict(TARGETS) for kind in KINDS}
     for kind, target in CALLED.items():
         entries[kind]["failing"] = target
+    # the name of a topic is two words
+    entries["topics"] = {f"wind_{fault}": target for fault, target in TARGETS.items()}
     entries["exports"]["unfinished"] = "hollow.failing:unfinished"
     entries["commands"] = {"rows": "hollow.rows:ROWS", **{f"table_{name}": to for name, to in TARGETS.items()}}
     groups = (
@@ -163,7 +167,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     ("line", "fault"),
     [
         (line, fault)
-        for kind, lines in ASKED.items() if kind not in ("checks", "steps")
+        for kind, lines in ASKED.items() if kind not in ("checks", "panels", "steps")
         for line in lines for fault in faults_of(kind)
     ],
 )  # fmt: skip

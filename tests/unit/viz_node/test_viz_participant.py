@@ -19,6 +19,7 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
+from telenano_experiments.messages import Question
 from wire_contract import examples
 
 from services.viz_node import hub as hubs
@@ -31,7 +32,6 @@ from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
 from telenano.serving.access import Access
 from telenano.wire import TOPICS, fields_of
-from telenano.wire.experiment_messages import Question
 from telenano.wire.messages import Array, Message
 
 TOKEN = "participant-token-01"

@@ -6,6 +6,8 @@ from pydantic import BaseModel
 
 from telenano.extend.tasks import Measure, Task
 from telenano.settings import load
+from telenano.settings.plugins import load
+from telenano_experiments.extend import Measure, Task
 from telenano_experiments.tasks.detect_contact import DETECT_CONTACT
 from telenano_experiments.tasks.discriminate_stiffness import DISCRIMINATE_STIFFNESS
 from telenano_experiments.tasks.follow_profile import FOLLOW_PROFILE
@@ -38,11 +40,11 @@ def checked(name: str, value: Any) -> Task:
     """Return the task that an entry of a package is; TypeError or ValueError says what is wrong with it."""
     absent = [method for method in _METHODS if not callable(getattr(value, method, None))]
     if absent:
-        raise TypeError(f"a task has {', '.join(absent)} as well: begin with telenano.extend.tasks.Plain")
+        raise TypeError(f"a task has {', '.join(absent)} as well: begin with telenano_experiments.extend.Plain")
     if value.name != name:
         raise ValueError(f"calls itself {value.name}")
     if not (isinstance(value.parameters, type) and issubclass(value.parameters, BaseModel)):
-        raise TypeError("parameters must be a class of settings, telenano.extend.tasks.Parameters")
+        raise TypeError("parameters must be a class of settings, telenano_experiments.extend.Parameters")
     if not value.measures or not all(isinstance(measure, Measure) for measure in value.measures):
         raise TypeError("measures must be a tuple of Measure(name, unit, description)")
     return value  # type: ignore[no-any-return]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from telenano.extend.tasks import Course, Series
+from telenano_experiments.extend import Course, Series
 
 
 def steady_force(force_n: float, duration_s: float) -> Course:

@@ -7,6 +7,8 @@ from pydantic import Field
 
 from telenano.extend.tasks import COMMON, Judged, Measure, Parameters, Plain, TrialData, choice, common_of, tip_of
 from telenano.wire import Question
+from telenano_experiments.extend import COMMON, Judged, Measure, Parameters, Plain, TrialData, choice, common_of, tip_of
+from telenano_experiments.messages import Question
 
 # The name of the answer that is given during the trial, by a button of the page.
 CONTACT = "contact"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from telenano.extend.tasks import (
+from telenano_experiments.extend import (
     COMMON,
     Interval,
     Judged,
@@ -20,6 +20,7 @@ from telenano.extend.tasks import (
     tip_of,
 )
 from telenano.wire import Question
+from telenano_experiments.messages import Question
 
 ANSWER, FIRST, SECOND = "stiffer", "first", "second"
 

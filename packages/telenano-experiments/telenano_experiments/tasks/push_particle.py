@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from telenano.extend.tasks import COMMON, Course, Judged, Measure, Parameters, Plain, TrialData, common_of
+from telenano_experiments.extend import COMMON, Course, Judged, Measure, Parameters, Plain, TrialData, common_of
 
 
 class PushParticle(Parameters):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from telenano.extend.tasks import (
+from telenano_experiments.extend import (
     COMMON,
     Course,
     Judged,

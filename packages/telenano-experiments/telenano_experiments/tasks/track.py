@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from telenano.extend.tasks import (
+from telenano_experiments.extend import (
     COMMON,
     Course,
     Judged,

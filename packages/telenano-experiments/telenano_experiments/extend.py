@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict
 from pydantic import Field as Field
 
 from telenano.recording.column_table import ColumnTable
-from telenano.wire.experiment_messages import Question
-from telenano.wire.faults import made
+from telenano.wire import made
+from telenano_experiments.messages import Question
 
 Series = npt.NDArray[np.float64]
 Judged = dict[str, float | bool | None]

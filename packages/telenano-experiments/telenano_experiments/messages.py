@@ -1,17 +1,21 @@
-"""The messages of an experiment: what a participant sees, what is answered, and the trial with its condition."""
+"""The messages of an experiment: what a participant sees, what is answered, and the trial with its condition.
+
+Their topics are entry points of this package (`telenano.topics`). A recording of them opens and plays without it.
+"""
 
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from telenano.wire.messages import Array, Count, Facts, Message, Name, Record, about
-from telenano.wire.ranges import DurationS, ScaleValue
+from telenano.wire import Array, Count, DurationS, Facts, Message, Name, Range, Record, Topic, about
 
 MOST_QUESTIONS = 16
 _NAME = r"^[a-z][a-z0-9_]{0,31}$"
 _ID = r"^[A-Za-z0-9_-]{1,64}$"
 Label = Annotated[str, Meta(max_length=128)]
 Paragraph = Annotated[str, Meta(max_length=1024)]
+SCALE = Range("value of a scale", -1e9, 1e9, "", "the answer to a question for a number, such as an amount of money")
+ScaleValue = Annotated[float, SCALE.of_value()]
 
 
 class Question(Record):
@@ -90,3 +94,9 @@ class ExperimentTrial(Message):
     ]
     text: Annotated[Paragraph, about("The same in words, such as what disturbed it")]
     picture_delay_s: Annotated[DurationS, about("Delay of the picture on a participant's page [s]")]
+
+
+# A participant's page is told of the first alone; the second is what it answers.
+CUE = Topic("experiment/cue", ExperimentCue, ("experiment",), "lossless", None, None, None)
+ANSWER = Topic("experiment/answer", ExperimentAnswer, ("view",), "lossless", None, None, None)
+TRIAL = Topic("experiment/trial", ExperimentTrial, ("experiment",), "lossless", None, None, None)

@@ -1,0 +1,47 @@
+"""A package that a stranger could have written, put where Python finds it: files, and entry points by group."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+
+def install(site: Path, name: str, files: Mapping[str, str], entries: Mapping[str, Mapping[str, str]]) -> None:
+    """Put a package in a folder of packages.
+
+    Args:
+        site: The folder, which `environment` puts on the path of Python.
+        name: The name of the package, which is also that of its module.
+        files: The text of each file in the package.
+        entries: By kind of entry (`telenano.KIND`) the target of each name.
+    """
+    for file, text in files.items():
+        (site / name / file).parent.mkdir(parents=True, exist_ok=True)
+        (site / name / file).write_text(text)
+    facts = site / f"{name}-1.2.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+    groups = (
+        f"[telenano.{kind}]\n" + "".join(f"{entry} = {target}\n" for entry, target in rows.items())
+        for kind, rows in entries.items()
+    )
+    (facts / "entry_points.txt").write_text("".join(groups))
+
+
+def environment(site: Path, **more: str) -> dict[str, str]:
+    """Return the environment of a process that has the packages of a folder."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path[1:]]), "COLUMNS": "500"} | more
+
+
+def run(script: str, site: Path, *arguments: str, **more: str) -> str:
+    """Return what a script prints in a process that has the packages of a folder."""
+    done = subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        capture_output=True,
+        text=True,
+        env=environment(site, **more),
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
