@@ -18,8 +18,6 @@ from telenano.recording.sender_time import SenderClock, SenderOrder
 from telenano.recording.tables import plain
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
-from telenano.wire import TOPICS
-from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.package_topics import row_of
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
 from telenano.wire.messages import Record

@@ -30,26 +30,29 @@ if TYPE_CHECKING:
     from telenano.wire.errors import probably_meant as probably_meant
     from telenano.wire.examples import example as example
     from telenano.wire.examples import required_keys as required_keys
-    from telenano.wire.experiment_messages import MOST_QUESTIONS as MOST_QUESTIONS
-    from telenano.wire.experiment_messages import ExperimentAnswer as ExperimentAnswer
-    from telenano.wire.experiment_messages import Question as Question
     from telenano.wire.faults import Fault as Fault
     from telenano.wire.faults import faults_of as faults_of
+    from telenano.wire.faults import made as made
     from telenano.wire.instrument import MOST_TEXT as MOST_TEXT
     from telenano.wire.instrument import AfmProgram as AfmProgram
     from telenano.wire.messages import AfmScanline as AfmScanline
     from telenano.wire.messages import AfmState as AfmState
     from telenano.wire.messages import Array as Array
+    from telenano.wire.messages import Count as Count
+    from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
     from telenano.wire.messages import InputHealth as InputHealth
     from telenano.wire.messages import LinkDelay as LinkDelay
     from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import LinkStatus as LinkStatus
     from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import Name as Name
     from telenano.wire.messages import NodeHealth as NodeHealth
+    from telenano.wire.messages import Record as Record
     from telenano.wire.messages import Scalar as Scalar
     from telenano.wire.messages import SessionControl as SessionControl
     from telenano.wire.messages import TeleopBackward as TeleopBackward
+    from telenano.wire.messages import about as about
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
     from telenano.wire.nodes import EXPERIMENT as EXPERIMENT
     from telenano.wire.nodes import HAND as HAND
@@ -58,19 +61,11 @@ if TYPE_CHECKING:
     from telenano.wire.nodes import TIP as TIP
     from telenano.wire.nodes import VIEW as VIEW
     from telenano.wire.nodes import name_of as name_of
+    from telenano.wire.ranges import DurationS as DurationS
+    from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
     from telenano.wire.schema import json_schema as json_schema
     from telenano.wire.sequence import SequenceTracker as SequenceTracker
-    from telenano.wire.faults import made as made
-    from telenano.wire.messages import Array as Array
-    from telenano.wire.messages import Count as Count
-    from telenano.wire.messages import Facts as Facts
-    from telenano.wire.messages import Message as Message
-    from telenano.wire.messages import Name as Name
-    from telenano.wire.messages import Record as Record
-    from telenano.wire.messages import about as about
-    from telenano.wire.ranges import DurationS as DurationS
-    from telenano.wire.ranges import Range as Range
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
     from telenano.wire.topics import deadline_of as deadline_of

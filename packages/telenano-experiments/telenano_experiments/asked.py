@@ -4,8 +4,6 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.tasks import choice, scale
-from telenano.wire import Question
 from telenano_experiments.extend import choice, scale
 from telenano_experiments.messages import Question
 

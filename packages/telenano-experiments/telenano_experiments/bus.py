@@ -11,15 +11,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import zmq
 
-from telenano.extend.tasks import Course
 from telenano.runtime import load_site, open_participant, publish_end
-from telenano.wire import EXPERIMENT, MOST_QUESTIONS, VIEW, Array, ConfigError, ExperimentAnswer, Question, Scalar
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.bus.publisher import publish_end
-from telenano.runtime.wiring.participant import open_participant
-from telenano.wire.errors import ConfigError
-from telenano.wire.messages import Array, Scalar
-from telenano.wire.nodes import EXPERIMENT, VIEW
+from telenano.wire import EXPERIMENT, VIEW, Array, ConfigError, Scalar
 from telenano_experiments.extend import Course
 from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Question
 from telenano_experiments.types import Trial

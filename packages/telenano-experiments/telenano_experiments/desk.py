@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.extend.tasks import TrialData
-from telenano.wire import Question
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.extend import TrialData
 from telenano_experiments.messages import Question

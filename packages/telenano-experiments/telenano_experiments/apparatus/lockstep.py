@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.tasks import TrialData
 from telenano.recording import ColumnTable
-from telenano.recording.column_table import ColumnTable
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
 from telenano_experiments.extend import TrialData
 from telenano_experiments.types import particle_table

@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from telenano.extend.tasks import COMMON, Judged, Measure, Parameters, Plain, TrialData, choice, common_of, tip_of
-from telenano.wire import Question
 from telenano_experiments.extend import COMMON, Judged, Measure, Parameters, Plain, TrialData, choice, common_of, tip_of
 from telenano_experiments.messages import Question
 

@@ -19,7 +19,6 @@ from telenano_experiments.extend import (
     common_of,
     tip_of,
 )
-from telenano.wire import Question
 from telenano_experiments.messages import Question
 
 ANSWER, FIRST, SECOND = "stiffer", "first", "second"
