@@ -1,1 +1,11 @@
 """The supervisor of a rig, or of one site of it."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.launcher.run import FAR_LIST as FAR_LIST
+    from telenano.launcher.run import own_recordings as own_recordings
+else:
+    __getattr__, __dir__ = face(__name__)

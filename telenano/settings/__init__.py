@@ -1,9 +1,17 @@
 """The sites, scenarios and networks that come with the project, and the way from a name to their files."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from telenano.faces import face
 from telenano.settings.plugins import scenario_files
 from telenano.wire.errors import ConfigError, probably_meant
+
+if TYPE_CHECKING:
+    from telenano.settings.config import Settings as Settings
+    from telenano.settings.config import validate as validate
+else:
+    __getattr__, __dir__ = face(__name__)
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"

@@ -1,1 +1,19 @@
 """Clocks and ages: how old a sample is, how far two clocks are apart, when a message is played out."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.timing.clock import NEVER_NS as NEVER_NS
+    from telenano.timing.clock import Clock as Clock
+    from telenano.timing.clock_line import Bound as Bound
+    from telenano.timing.clock_line import fitted as fitted
+    from telenano.timing.clock_offset import STEP_NS as STEP_NS
+    from telenano.timing.clock_offset import Exchange as Exchange
+    from telenano.timing.clock_offset import Offset as Offset
+    from telenano.timing.clock_offset import OffsetFilter as OffsetFilter
+    from telenano.timing.clock_offset import clock_report as clock_report
+    from telenano.timing.play_out import PlayOut as PlayOut
+else:
+    __getattr__, __dir__ = face(__name__)
