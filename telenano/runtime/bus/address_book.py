@@ -20,7 +20,6 @@ from telenano.runtime.bus.local_endpoint import (
 )
 from telenano.runtime.bus.transports import AUTO, check_link
 from telenano.settings.config import M, Settings, read_yaml, validate
-from telenano.settings.plugins import NAME
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import LINK, name_of, site_of
@@ -73,7 +72,6 @@ class LinkSection(Settings):
 
     transport: str = Field(
         default=AUTO,
-        pattern=NAME.pattern,
         description="stream: over TCP; auto: by datagrams where the package that has them is installed, and over TCP "
         "while none arrives; else the name of a transport, such as datagram",
     )
