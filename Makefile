@@ -9,12 +9,12 @@ BIN := $(VENV)/bin
 OUT ?= out/fig12
 # the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in docker-compose.yml
 # Each image with its lock, and the packages of the project that go in as well.
-IMAGES := haptic_node:node:telenano-haptic-devices controller:node delay_node:node \
-  afm_node:node:telenano-afm-controllers recorder:node session:rig:telenano-afm-controllers viz_node:rig \
+IMAGES := haptic_node:node:telenano-haptic-devices controller:node:telenano-wide-area delay_node:node:telenano-wide-area \
+  afm_node:node:telenano-afm-controllers recorder:node session:rig:telenano-afm-controllers,telenano-wide-area viz_node:rig \
   study:study:telenano-laws,telenano-studies,telenano-microscopy
 # The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
-NODE := haptic afm controller delay
-RIG := launcher view haptic afm controller delay
+NODE := haptic afm
+RIG := launcher view haptic afm
 STUDY := studies dask
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))

@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 import zmq
 from link import ANSWER, SIGNAL
+from telenano_wide_area.relay.protocol import RELAY, split_host_port
+from telenano_wide_area.relay.server import Relay
+from telenano_wide_area.relay.site_end import SiteEnd
 
-from services.relay.server import Relay
-from telenano.runtime.bus.address_book import RELAY, AddressBook, LinkTransport
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage, shallow_idle
-from telenano.runtime.relay.protocol import split_host_port
-from telenano.runtime.relay.site_end import SiteEnd
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
 from telenano.runtime.wiring.participant import Participant
@@ -53,9 +53,9 @@ def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
     nodes = {node: f"tcp://127.0.0.1:{port}" for node, port in zip((MASTER, SLAVE), ports, strict=True)}
     if way == "relayed":
         # two ends on one machine would find the way past the relay at once
-        link = LinkTransport(transport="datagram", direct=False)
+        link = {"transport": "datagram", "direct": False}
         return AddressBook(nodes=nodes, link=link, relay=f"127.0.0.1:{free_port()}")
-    link = LinkTransport(transport="datagram" if way == "datagram" else "stream")
+    link = {"transport": "datagram" if way == "datagram" else "stream"}
     return AddressBook(nodes=nodes, insecure=way == "plain", link=link)
 
 

@@ -29,13 +29,12 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)
     listeners = [listener for plan in connections for listener in wiring.subscribers(plan)]
-    ends = wiring.datagrams(to_slave, to_master, listeners)
-    bus = wiring.bus_of(to_master, [*listeners, *ends, *wiring.estop_inlet()])
+    ends = wiring.link_ends(to_slave, to_master, listeners)
+    bus = wiring.bus_of(to_master, [*listeners, *ends.readers, *wiring.estop_inlet()])
     try:
         folder, apart = wiring.scenario_file.parent, wiring.book.spans_machines
-        train = getattr(ends[0], "send_train", None) if ends else None
         context = wiring.context(bus)
-        node = DelayNode(context, settings, to_slave, to_master, folder, spans_machines=apart, send_train=train)
+        node = DelayNode(context, settings, to_slave, to_master, folder, spans_machines=apart, send_train=ends.measure)
     except ConfigError as error:
         raise ConfigError(f"{wiring.scenario_file}: delay_node: {error}") from error
     return node, bus

@@ -55,14 +55,13 @@ _ABOUT = {
     "new": "Make a package with a law, device, sample or program.",
     "sample": "Make or read a surface as a round tip sees it.",
     "keys": "Make, show and list the keys that identify machines.",
-    "relay": "Run a relay between two sites that can only dial out.",
     "device": "List, probe and watch real devices; emulate some.",
     "doctor": "Check whether this machine can run a rig.",
 }
 _GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "sample", "keys", "device")
 _MODULES = {name: f"telenano.cli.commands.{name}" for name in _ABOUT}
 # A command that is a process of the rig lies with that process.
-_PROCESSES = (("record", "recorder"), ("relay", "relay"), ("replay", "player"), ("view", "viz_node"))
+_PROCESSES = (("record", "recorder"), ("replay", "player"), ("view", "viz_node"))
 _MODULES |= {name: f"{module_of(process)}.command" for name, process in _PROCESSES}
 LAZY_COMMANDS = {
     name: LazyCommand(_MODULES[name], "app" if name in _GROUPS else name, about) for name, about in _ABOUT.items()

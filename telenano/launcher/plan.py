@@ -17,12 +17,15 @@ from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.link.config import EVEN, LinkSettings, changes_text, network_name
 from telenano.link.pipeline import read_files
 from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
 from telenano.wire.errors import ConfigError, RigError, known_names
+from telenano.wire.extras import how_to_add_package
 from telenano.wire.nodes import (
     FAR_RECORDER,
     LAUNCHER,
@@ -266,6 +269,10 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         page=request.page and request.site != "slave",
         given=given,
     )
+    if plan.fetches and not fetching().fetch:
+        package = KNOWN_PACKAGES["bag fetch"]
+        text = f"to fetch is in the package {package}: {how_to_add_package(package)}; `stream` needs none"
+        raise ConfigError(f"{loaded.origin}: recorder.far: {text}")
     existing = [path for path in plan.existing_outputs() if plan.attach or path.suffix == ".mcap"]
     if existing and not request.overwrite:
         raise ConfigError(f"{existing[0]} exists already: give another --out, or --overwrite to replace it")
@@ -342,7 +349,8 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
         if request.site is not None:
             # Each of two launchers has a recorder of its own site, where the site file has a place for it.
-            flags["recorder"]["far"] = (document.get("recorder") or {}).get("far", "fetch")
+            far = "fetch" if fetching().fetch else "stream"
+            flags["recorder"]["far"] = (document.get("recorder") or {}).get("far", far)
     if refused := refused_laws(str((document.get("afm_node") or {}).get("driver", "simulated"))):
         # Both halves refuse a law that is asked for later by the same words as a plan does.
         flags["controller"] = {"refused_laws": refused}

@@ -49,10 +49,11 @@ class StopObserver:
 
 
 class Inherited(NamedTuple):
-    """What one process is given beside its command line: variables of its environment, and open descriptors."""
+    """What one process is given: variables of its environment, open descriptors, and the module of one of a package."""
 
     environment: Mapping[str, str] = {}
     descriptors: tuple[int, ...] = ()
+    module: str = ""
 
 
 class Children(Protocol):
@@ -209,11 +210,11 @@ def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> d
     return {**kept, **threads, EPOCH_OFFSET_VARIABLE: str(epoch_offset_ns)}
 
 
-def node_command(node: str, site_file: Path, scenario_file: Path) -> list[str]:
-    """Return the command line that runs `node@site` as a child of this process."""
+def node_command(node: str, site_file: Path, scenario_file: Path, module: str = "") -> list[str]:
+    """Return the command line that runs `node@site` as a child of this process, by a module of a package if given."""
     name, _, site = node.partition("@")
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
-    return [sys.executable, "-m", module_of(name), *files, "--site", site, "--with-parent"]
+    return [sys.executable, "-m", module or module_of(name), *files, "--site", site, "--with-parent"]
 
 
 def _readable(line: str) -> str:

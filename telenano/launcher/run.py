@@ -1,6 +1,7 @@
 """`telenano up`: from a sound plan to a recording, a figure and a summary."""
 
 import contextlib
+import json
 import logging
 import re
 import shlex
@@ -12,7 +13,6 @@ from typing import IO, Any
 
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
 from telenano.launcher.external_recording import ExternalRecording, readable_here
-from telenano.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
 from telenano.launcher.plan import RECORDING_NAME, Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
@@ -23,7 +23,7 @@ from telenano.launcher.watchdog import ProcFiles, Watchdog
 from telenano.recording.disk_watch import free_bytes
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.runtime.bus.address_book import RELAY
+from telenano.runtime.bus import transports
 from telenano.runtime.bus.bus import ZmqBus
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
@@ -34,6 +34,8 @@ from telenano.wire.errors import RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 
 Observer = Callable[[RigNode], None]
+# In the folder of a session: which files the other site recorded.
+FAR_LIST = "far.json"
 # A recording of a minute has so much: its report takes seconds.
 _LONG_BYTES = 20_000_000
 # A whole rig records so much in a second, by compression; the figures are measured, with a margin of a fifth.
@@ -126,7 +128,9 @@ def run_rig(
             show(f"warning: {warning}")
         log_directory = plan.out / "logs"
         nodes = (*plan.nodes, *beside)
-        commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in nodes}
+        modules = {node: inherited.module for node, inherited in beside.items()}
+        files = plan.site_file, plan.scenario_file
+        commands = {node: node_command(node, *files, modules.get(node, "")) for node in nodes}
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
         children = NodeProcesses(
@@ -146,7 +150,10 @@ def run_rig(
 
 def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
     """Return what runs beside the nodes of a site that reaches the other one through a relay."""
-    return {f"{RELAY}@{plan.site}": Inherited()} if plan.book.relay and plan.nodes and plan.site else {}
+    if not (plan.book.relay and plan.nodes and plan.site):
+        return {}
+    module = transports.named(plan.book.link.transport).beside
+    return {f"{module.rpartition('.')[2]}@{plan.site}": Inherited(module=module)}
 
 
 def forget_stops(plan: Plan) -> None:
@@ -159,7 +166,8 @@ def forget_stops(plan: Plan) -> None:
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
     """Make the node that supervises the processes of a plan, and conducts the session unless another site does."""
     if plan.site == "slave":
-        return SiteNode(context, supervisor, plan.out)
+        sender = transports.fetching().sender
+        return SiteNode(context, supervisor, plan.out, transports.imported(sender) if sender else None)
     return SessionNode(
         context,
         supervisor,
@@ -172,6 +180,15 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
         far=ExternalRecording(context.clock, FAR_RECORDER) if plan.fetches else None,
         on_far=lambda files: note_files(plan.out, files),
     )
+
+
+def note_files(folder: Path, files: Sequence[str]) -> None:
+    """Keep in the folder of a session which files the other site records it to, if any."""
+    text = json.dumps({"files": [Path(name).name for name in files]})
+    # A full disk is not the end of a session.
+    with contextlib.suppress(OSError):
+        if files:
+            (folder / FAR_LIST).write_text(text + "\n", encoding="utf-8")
 
 
 def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
@@ -255,13 +272,13 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     """
     if not (plan.fetches and outcome.ran and outcome.recordings):
         return outcome
-    if not (plan.out / LIST_NAME).exists():
+    if not (plan.out / FAR_LIST).exists():
         text = "the slave's site did not record the session: what it sends fast is missing"
         return replace(outcome, missing=(*outcome.missing, text))
     again = f"`telenano bag fetch {plan.out} --site-file {plan.site_file}` goes on"
     try:
-        sites = Sites(outcome.recordings, noted_files(plan.out))
-        whole = fetch_and_merge(plan.book, plan.out, sites, plan.fetch_kbit_per_s, show)
+        fetch = transports.imported(transports.fetching().fetch)
+        whole = fetch(plan.book, plan.out, outcome.recordings, plan.fetch_kbit_per_s, show)
     except TelenanoError as error:
         return replace(outcome, missing=(*outcome.missing, f"the slave's recording was not fetched: {error}; {again}"))
     except KeyboardInterrupt:

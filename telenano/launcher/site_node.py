@@ -1,15 +1,17 @@
 """The site of the slave, whose nodes are kept running for a session that is conducted at the master's."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from telenano.launcher.liveness import LivenessMonitor
-from telenano.launcher.piece_sender import PieceSender
 from telenano.launcher.readiness import READY_DEADLINE_S, unmet
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.node import NodeContext
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import RefusedError
+from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import ClockPing, SessionControl
 from telenano.wire.nodes import LINK, TIP
 from telenano.wire.received import Received
@@ -25,11 +27,25 @@ class SiteNode(RigNode):
     inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping", "session/control")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
 
-    def __init__(self, context: NodeContext, supervisor: Supervisor, folder: Path) -> None:
-        """Prepare the site, whose recorder records to a folder; `supervisor` has the nodes of this launcher."""
+    def __init__(
+        self,
+        context: NodeContext,
+        supervisor: Supervisor,
+        folder: Path,
+        sender: Callable[[Path, Callable[..., Any]], Any] | None = None,
+    ) -> None:
+        """Prepare the site.
+
+        Args:
+            context: The context of the node.
+            supervisor: Has the nodes of this launcher.
+            folder: The folder that the recorder of this site records to.
+            sender: Makes what sends the recording (`telenano.extend.transports.MakeSender`); None where no package
+                has one.
+        """
         liveness = LivenessMonitor(context.clock, (f"{LINK}@slave",), "master")
         super().__init__(context, supervisor, liveness, (), "slave")
-        self._pieces = PieceSender(folder, self.publish)
+        self._pieces = None if sender is None else sender(folder, self.publish)
         self._deadline_ns = context.clock.monotonic_ns() + round(READY_DEADLINE_S * 1e9)
 
     def waiting(self) -> dict[str, str]:
@@ -54,7 +70,8 @@ class SiteNode(RigNode):
 
     def on_deadline(self, now_ns: int) -> None:
         super().on_deadline(now_ns)
-        self._pieces.send_due(now_ns)
+        if self._pieces is not None:
+            self._pieces.send_due(now_ns)
 
     def on_control(self, control: SessionControl) -> str:
         """Send a part of the recording of this site; RefusedError says what is wrong with the command."""
@@ -62,10 +79,15 @@ class SiteNode(RigNode):
             return super().on_control(control)
         if not control.parameters:
             raise RefusedError("set needs what is to be sent: recording.file, .offset, .bytes and .kbit_per_s")
-        return self._pieces.request(control.parameters, self.clock.monotonic_ns())
+        if self._pieces is None:
+            package = KNOWN_PACKAGES["bag fetch"]
+            raise RefusedError(f"to send the recording is in the package {package}: {how_to_add_package(package)}")
+        said: str = self._pieces.request(control.parameters, self.clock.monotonic_ns())
+        return said
 
     def make_safe(self) -> None:
-        self._pieces.close()
+        if self._pieces is not None:
+            self._pieces.close()
         super().make_safe()
 
     def _hints(self, *nodes: str) -> str:

@@ -41,5 +41,7 @@ if TYPE_CHECKING:
     from telenano.recording.tolerance import first_difference as first_difference
     from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
+    from telenano.recording.reader import Recording as Recording
+    from telenano.recording.site_merge import merge_sites as merge_sites
 else:
     __getattr__, __dir__ = face(__name__)

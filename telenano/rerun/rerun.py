@@ -26,6 +26,7 @@ from telenano.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node
 from telenano.runtime.wiring.main import Wiring, node_kind
+from telenano.runtime.wiring.participant import LinkEnds
 from telenano.settings.config import flag_overrides, merge, parse_yaml, validate
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.timing.clock import TurnClock
@@ -287,9 +288,9 @@ class _RerunWiring(Wiring):
         """Return none: the re-run hands the messages over itself."""
         return []
 
-    def datagrams(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> list[Reader]:
+    def link_ends(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> LinkEnds:
         """Return none, as for all inputs."""
-        return []
+        return LinkEnds()
 
     def estop_inlet(self) -> list[Subscriber]:
         """Return none, as for all inputs."""

@@ -27,5 +27,22 @@ if TYPE_CHECKING:
     from telenano.runtime.wiring.participant import StopSignals as StopSignals
     from telenano.runtime.wiring.participant import open_participant as open_participant
     from telenano.runtime.wiring.participant import run_loop as run_loop
+    from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
+    from telenano.runtime.bus.bus import Reader as Reader
+    from telenano.runtime.bus.bus import Subscriber as Subscriber
+    from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
+    from telenano.runtime.bus.transports import LinkTransport as LinkTransport
+    from telenano.runtime.loop.commands import Command as Command
+    from telenano.runtime.loop.commands import CommandClient as CommandClient
+    from telenano.runtime.loop.log import StructuredLog as StructuredLog
+    from telenano.runtime.security.access_control import AccessControl as AccessControl
+    from telenano.runtime.security.keyring import KeyPair as KeyPair
+    from telenano.runtime.security.keyring import Keyring as Keyring
+    from telenano.runtime.wiring.main import beside_the_loop as beside_the_loop
+    from telenano.runtime.wiring.main import run_beside as run_beside
+    from telenano.runtime.wiring.participant import LinkEnds as LinkEnds
+    from telenano.runtime.wiring.participant import Participant as Participant
+    from telenano.runtime.wiring.participant import open_participant as open_participant
+    from telenano.runtime.wiring.transport import Transport as Transport
 else:
     __getattr__, __dir__ = face(__name__)

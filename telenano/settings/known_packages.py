@@ -4,6 +4,7 @@
 KNOWN_PACKAGES = {
     "assemble": "telenano-assembly",
     "bag diff": "telenano-studies",
+    "bag fetch": "telenano-wide-area",
     "bag plot": "telenano-studies",
     "bag recalibrate": "telenano-calibration",
     "benchmark": "telenano-experiments",
@@ -52,6 +53,7 @@ KNOWN_PACKAGES = {
     "particles": "telenano-assembly",
     "push": "telenano-assembly",
     "reader other": "telenano-afm-files",
+    "relay": "telenano-wide-area",
     "reproduce": "telenano-studies",
     "sample import": "telenano-afm-files",
     "sample info": "telenano-afm-files",
@@ -67,7 +69,10 @@ KNOWN_PACKAGES = {
     "topic experiment/cue": "telenano-experiments",
     "topic experiment/trial": "telenano-experiments",
     "topic pub": "telenano-networks",
+    "transport datagram": "telenano-wide-area",
 }
+# what `link.transport: auto` of a site file takes where it is installed
+KNOWN_TRANSPORT = "datagram"
 
 
 def where_it_is(words: str) -> str:

@@ -25,7 +25,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 # What scenarios and experiments name, and so what a run depends on.
 SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "programs", "tasks", "scenarios")
-KINDS = (*SCENARIO_KINDS, "commands", "checks", "exports", "images", "panels", "readers", "steps", "topics")
+KINDS = (
+    *SCENARIO_KINDS,
+    *("commands", "checks", "exports", "images", "panels", "readers", "steps", "topics", "transports"),
+)
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")

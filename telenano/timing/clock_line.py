@@ -1,7 +1,7 @@
 """The straight line of what another clock is ahead, from the fastest messages of both ways.
 
 It is the one estimate of clocks: of the last seconds on a link (`telenano.timing.clock_offset`), of a line whose
-queues are sought (`telenano.runtime.datagram.line`), and of the parts of a recording
+queues are sought before a line between two machines, and of the parts of a recording
 (`telenano.recording.clock_course`).
 
 A message sent at t1 by this clock and received at t2 by the other one took t2 - t1 by two clocks, its way plus what the

@@ -66,6 +66,23 @@ if TYPE_CHECKING:
     from telenano.wire.received import Received as Received
     from telenano.wire.schema import json_schema as json_schema
     from telenano.wire.sequence import SequenceTracker as SequenceTracker
+    from telenano.wire.errors import EndpointError as EndpointError
+    from telenano.wire.errors import RecordingError as RecordingError
+    from telenano.wire.errors import RefusedError as RefusedError
+    from telenano.wire.errors import RigError as RigError
+    from telenano.wire.errors import TelenanoError as TelenanoError
+    from telenano.wire.messages import Array as Array
+    from telenano.wire.messages import InputHealth as InputHealth
+    from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import Scalar as Scalar
+    from telenano.wire.messages import SessionEvent as SessionEvent
+    from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
+    from telenano.wire.network_messages import LinkKey as LinkKey
+    from telenano.wire.network_messages import RecordingPiece as RecordingPiece
+    from telenano.wire.nodes import FAR_END as FAR_END
+    from telenano.wire.nodes import LINK as LINK
+    from telenano.wire.received import Received as Received
+    from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
     from telenano.wire.topics import deadline_of as deadline_of

@@ -5,6 +5,9 @@ from typing import Annotated, Literal
 from telenano.wire.messages import Array, Count, Counts, LinkClock, Message, about
 from telenano.wire.ranges import DurationS
 
+# After this a datagram that a newer one overtook is settled as lost; one that still arrives is late after all.
+SETTLE_NS = 1_000_000_000
+
 
 class LinkKey(Message):
     """The public key of one end of the link between two machines, for the keys of its datagrams, and what it received.

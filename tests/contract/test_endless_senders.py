@@ -20,10 +20,10 @@ from telenano_conformance import examination
 from telenano_experiments.bus import ExperimentBus
 from telenano_haptic_devices import haply
 from telenano_networks import udp_ports
+from telenano_wide_area.relay import forwarder
 from test_files_and_loops import ROOT, TABLES
 
 from services.player import node as player
-from services.relay import forwarder
 from services.viz_node import live
 from telenano.afm.driver import DeviceError
 from telenano.console import command_client, emergency_stop
@@ -245,7 +245,7 @@ LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     "telenano/devices/hand/servo_process.py: ProcessLink.open": answer_of_a_servo,
     "services/player/node.py: ReplayPublisher.read_subscriptions": player_subscriptions,
     "telenano/console/live_recording.py: LiveRecording.messages": messages_for_a_recorder,
-    "services/relay/forwarder.py: Forwarder._read": datagrams_at_a_relay,
+    "packages/telenano-wide-area/telenano_wide_area/relay/forwarder.py: Forwarder._read": datagrams_at_a_relay,
     "telenano/runtime/security/zap_authenticator.py: ZapAuthenticator._answer": handshakes,
     "telenano/files/limited_child.py: _watched": silent_child,
     "telenano/runtime/wiring/observer.py: Observer.listen": messages_of_a_rig,
@@ -263,8 +263,8 @@ ELSEWHERE = {
     "telenano/runtime/bus/bus.py: Subscriber.receive_raw": (
         "tests/unit/runtime/test_runtime_bus.py", "test_a_flood_is_taken_a_bounded_part_at_a_time"
     ),
-    "telenano/runtime/datagram/end.py: DatagramEnd._take": (
-        "tests/unit/runtime/test_runtime_datagram.py",
+    "packages/telenano-wide-area/telenano_wide_area/datagram/end.py: DatagramEnd._take": (
+        "packages/telenano-wide-area/tests/test_datagram_ends.py",
         "test_a_flood_of_what_no_key_fits_is_counted_and_ends_no_datagrams",
     ),
     "telenano/runtime/loop/healthcheck.py: receive_health": (

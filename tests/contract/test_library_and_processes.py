@@ -60,7 +60,7 @@ def test_only_the_table_of_nodes_names_a_process() -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "names"), [('f"services.{name}"', True), ('"services.relay.command"', True), ('"the services"', False)]
+    ("line", "names"), [('f"services.{name}"', True), ('"services.recorder.command"', True), ('"the services"', False)]
 )
 def test_a_name_of_a_process_is_found(line: str, names: bool, tmp_path: Path) -> None:
     (tmp_path / "module.py").write_text(f"A = {line}\n")

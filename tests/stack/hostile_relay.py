@@ -4,9 +4,9 @@ import random
 import sys
 from typing import Any
 
-from services.relay import server
-from services.relay.forwarder import Forwarder
-from telenano.runtime.relay.protocol import MAGIC
+from telenano_wide_area.relay import server
+from telenano_wide_area.relay.forwarder import Forwarder
+from telenano_wide_area.relay.protocol import MAGIC
 
 Address = tuple[Any, ...]
 # shares of the datagrams, and how many others overtake one that is held back

@@ -134,9 +134,6 @@ def test_the_library_reads_a_recording_and_simulates_without_any_extra(
 ALONE = {
     "haptic": "device list",
     "afm": "-c import telenano.devices.afm.modbus_driver",
-    "controller": "-c import telenano.runtime.datagram.sealing, services.controller.__main__",
-    "delay": "-c import telenano.runtime.datagram.sealing, services.delay_node.__main__",
-    "relay": "-c import services.relay.__main__",
     "recorder": "-c import services.recorder.__main__",
     "instrument": "sample --sample dots --out dots",
     "export": "-c import pandas, xarray, telenano; telenano.simulate(law='wave').df('afm/state')",

@@ -9,7 +9,7 @@ from stack_rig import judged
 from two_sites import TwoSites, needs_namespaces
 
 from telenano.analysis.report import write_report
-from telenano.recording.merge_sites import merge_sites
+from telenano.recording.site_merge import merge_sites
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(300)]

@@ -12,10 +12,9 @@ from pydantic import BaseModel
 
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import CountOption, ExcludeOption, JsonOption, SiteFileOption, TopicsOption, command_group
+from telenano.cli.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
 from telenano.recording.channel_filter import Selection
-from telenano.settings import TWO_SITES_FILE
 from telenano.wire.errors import RecordingError, known_names
 
 if TYPE_CHECKING:
@@ -152,41 +151,10 @@ def merge(
 ) -> None:
     """Merge recordings in the order of time."""
     with report_errors(as_json):
-        from telenano.recording.merge_sites import merge_sites
         from telenano.recording.rewrite import merge_recordings
+        from telenano.recording.site_merge import merge_sites
 
         _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
-
-
-@app.command()
-def fetch(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a session, as at the master.")],
-    site_file: SiteFileOption = TWO_SITES_FILE,
-    files: Annotated[
-        list[str] | None,
-        typer.Option("--file", metavar="NAME", help="Part of the recording there, instead of those that DIR names."),
-    ] = None,
-    kbit_per_s: Annotated[
-        float | None,
-        typer.Option("--kbit-per-s", min=64.0, max=1e6, metavar="R", help="Most that is fetched; 1000 beside a rig."),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
-    with report_errors(as_json):
-        # The launcher needs POSIX, and the other commands work without it.
-        from telenano.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
-        from telenano.launcher.run import own_recordings
-        from telenano.recording.multi_file import open_recordings
-        from telenano.runtime.bus.address_book import load_site
-
-        names = noted_files(folder) if files is None else checked_names(files, "--file")
-        own, faults = own_recordings(folder)
-        if not own:
-            raise RecordingError(f"{folder}: has no recording of the master's site: {'; '.join(faults) or 'no file'}")
-        show = (lambda text: None) if as_json else (lambda text: typer.echo(text, err=True))
-        whole = fetch_and_merge(load_site(site_file), folder, Sites(own, names), kbit_per_s, show)
-        _print_model(open_recordings([whole]).info(), as_json)
 
 
 @app.command()

@@ -8,9 +8,9 @@ import socket
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from telenano.runtime.bus.local_endpoint import (
     estop_endpoint,
@@ -20,6 +20,8 @@ from telenano.runtime.bus.local_endpoint import (
 )
 from telenano.settings.config import Settings, read_yaml, validate
 from telenano.settings.package_topics import row_of
+from telenano.runtime.bus.transports import AUTO, check_link
+from telenano.settings.config import M, Settings, read_yaml, validate
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import LINK, name_of, site_of
@@ -29,8 +31,6 @@ from telenano.wire.topics import TOPICS, Topic
 LINK_MACHINE = "master"
 BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
 HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
-# the machine of the relay, by which its key is listed
-RELAY = "relay"
 # With a relay nodes of other machines are reached at addresses of this machine, one for each machine, and nodes bind
 # another one: both sites can be tried on one machine.
 _RELAYED, _RELAYED_BIND = "127.77.0.", "127.0.0.1"
@@ -67,32 +67,20 @@ class NodeEntry(Settings):
         return self
 
 
-class LinkTransport(Settings):
-    """How what a reader wants the newest of crosses between two machines."""
+class LinkSection(Settings):
+    """How the link crosses between two machines; the other keys are those of its transport, which a package brings."""
 
-    transport: Literal["auto", "datagram", "stream"] = Field(
-        default="auto",
-        description="datagram: over UDP; stream: over the TCP connections, as everything else; auto: over UDP, and "
-        "over TCP while no datagram arrives",
+    model_config = ConfigDict(extra="allow")
+
+    transport: str = Field(
+        default=AUTO,
+        description="stream: over TCP; auto: by datagrams where the package that has them is installed, and over TCP "
+        "while none arrives; else the name of a transport, such as datagram",
     )
-    port: int | None = Field(
-        default=None, ge=1, le=65535, description="UDP port at the master; that of delay_node@slave, if not given"
-    )
-    repeats: int | None = Field(
-        default=None, ge=0, le=4, description="Older samples that each datagram repeats; by the loss seen, if not given"
-    )
-    play_out: bool = Field(
-        default=False,
-        description="Hold what arrives to a delay that hardly varies, for laws that want one; every sample is older",
-    )
-    direct: bool = Field(
-        default=True,
-        description="With a relay: try to reach the other site past it, whose address each site then learns; else all "
-        "datagrams go through the relay",
-    )
-    budget_kbit_per_s: float = Field(
-        default=6000.0, ge=100.0, le=1e6, description="Most that each end sends in datagrams, network headers included"
-    )
+
+    def read(self, model: type[M]) -> M:
+        """Return the section as the model of a transport; ConfigError names the key at fault."""
+        return validate(model, {"transport": self.transport, **(self.model_extra or {})}, "site file", "link")
 
 
 def _as_entry(value: object) -> object:
@@ -123,7 +111,7 @@ class AddressBook(Settings):
     nodes: dict[NodeKey, Annotated[NodeEntry, BeforeValidator(_as_entry)]] = Field(
         description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
     )
-    link: LinkTransport = Field(default=LinkTransport(), description="How the link crosses between two machines")
+    link: LinkSection = Field(default=LinkSection(), description="How the link crosses between two machines")
     relay: str | None = Field(
         default_factory=lambda: os.environ.get(RELAY_VARIABLE) or None,
         description="host:port of a relay (`telenano relay`) between machines that can only dial out, in the place of "
@@ -311,15 +299,11 @@ class AddressBook(Settings):
 
 def load_site(path: Path) -> AddressBook:
     """Read a site file; ConfigError names file and key."""
-    return validate(AddressBook, read_yaml(path), str(path))
-
-
-def split_tcp(endpoint: str) -> tuple[str, int]:
-    """Return host and port of `tcp://host:port`, an IPv6 address without its brackets; ValueError for anything else."""
-    match = _TCP.fullmatch(endpoint)
-    if match is None:
-        raise ValueError(f"{endpoint} is not of the form tcp://host:port")
-    return match.group(1).strip("[]"), int(match.group(2))
+    book = validate(AddressBook, read_yaml(path), str(path))
+    if book.spans_machines:
+        relayed = book.relay is not None
+        check_link(book.link.transport, book.link.model_extra or {}, str(path), relayed=relayed)
+    return book
 
 
 def is_relayed(endpoint: str) -> bool:

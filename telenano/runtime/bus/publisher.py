@@ -25,9 +25,6 @@ SNDMORE = int(zmq.SNDMORE)
 # This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
 FIRST_THREAD = 1
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
-# A few samples of the link's datagrams are also sent under their topic with one of these before it, by turns, and a
-# reader has a connection for each (datagram/sparse.py).
-SPARSE = (b"sparse/", b"sparse2/")
 # A node that ends goes on sending for so long to a reader that is behind, its recorder above all. It stays within the
 # grace that a supervisor gives.
 LINGER_S = 20.0
@@ -104,7 +101,7 @@ class ZmqPublisher(_NumberingPublisher):
         # have.
         self.send_frame = super(zmq.Socket, self.socket).send
         # It is called first with topic and bytes of each message, some of which cross to another machine on this other
-        # way, and returns one of SPARSE for the few of those that are sent so as well.
+        # way, and returns what goes before the topic of the few of those that are sent by this socket once more.
         self.carry: Callable[[str, bytes], bytes | None] | None = None
         # Whether the thread that carries a message has this processor before the next one is taken up.
         self.yields = False

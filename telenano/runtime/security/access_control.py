@@ -1,6 +1,5 @@
 """Access control: the key of this machine, the list of allowed keys as last read, and what each machine may do."""
 
-from telenano.runtime.bus.address_book import RELAY
 from telenano.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
 from telenano.wire.errors import ConfigError
 
@@ -87,14 +86,3 @@ class AccessControl:
 
     def _expired_keys(self) -> list[str]:
         return [entry.public_key for entry in self._allowed.keys if self._has_expired(entry)]
-
-
-def relay_key(access: AccessControl) -> bytes:
-    """Return the public key of the relay; ConfigError names the command that lists it."""
-    key = access.server_key(RELAY) if "relay" in access.roles(RELAY) else None
-    if key is None:
-        raise ConfigError(
-            f"{access.why_not(RELAY)} with the role relay: run `telenano keys allow {RELAY} KEY --role relay`, with "
-            "the KEY that `telenano relay` shows where it runs"
-        )
-    return key

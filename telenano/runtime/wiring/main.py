@@ -17,6 +17,7 @@ from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
 from telenano.runtime.loop.realtime import (
+    ahead_of_others,
     apply_realtime,
     behind_others,
     ordinary_scheduling,
@@ -24,7 +25,13 @@ from telenano.runtime.loop.realtime import (
     use_huge_pages,
 )
 from telenano.runtime.security.private_files import check_rig_name
-from telenano.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import (
+    SITES,
+    Participant,
+    StopSignals,
+    open_participant,
+    run_loop,
+)
 from telenano.settings import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from telenano.settings.plugins import fault_of_package
 from telenano.settings.scenario import RealtimeConfig, load_scenario
@@ -111,6 +118,34 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     parser.add_argument("--rig", metavar="NAME", help=about)
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
     return parser.parse_args(arguments, namespace=NodeArguments())
+
+
+def run_beside(name: str, serve: Callable[[Path, str, StructuredLog], None], arguments: Sequence[str] | None) -> int:
+    """Run a process beside the nodes of a site until it ends; return the exit code, 2 when it could not start.
+
+    Args:
+        name: Its name in logs.
+        serve: Called with the site file, the site and the log.
+        arguments: The command line; None for that of this process.
+    """
+    given = parse_arguments(name, SITES, arguments)
+    log = StructuredLog(f"{name}@{given.site}")
+    if given.with_parent:
+        die_with_parent(signal.SIGTERM)
+    beside_the_loop()
+    try:
+        serve(given.site_file, given.site, log)
+    except TelenanoError as error:
+        log.error(str(error))
+        return EXIT_BAD_START
+    return 0
+
+
+def beside_the_loop() -> None:
+    """Prepare a process that has to keep up with the loop: log, descriptors, and a priority above ordinary ones."""
+    configure_logging()
+    raise_file_limit()
+    ahead_of_others()
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:

@@ -6,12 +6,14 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
+from telenano.runtime.bus.transports import STREAM, imported, named
 from telenano.runtime.loop.hang_guard import HangGuard
 from telenano.runtime.loop.log import RateLimitedLog, StructuredLog
 from telenano.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
@@ -22,13 +24,27 @@ from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.settings.package_topics import topics_by_name
 from telenano.timing.clock import Clock, SystemClock
 from telenano.wire.errors import ConfigError, EndpointError
-from telenano.wire.extras import how_to_install
 from telenano.wire.nodes import DEVICES, FAR_END, site_of
 
 SITES = ("master", "slave")
 # A participant that only listens has this name, which is in no site file.
 OBSERVER = "record@master"
 NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
+
+
+class LinkEnds(NamedTuple):
+    """What a transport opens in one of the two processes that the link ends in, all of it by default nothing.
+
+    Attributes:
+        readers: What the loop of the process reads as it reads its subscribers.
+        carry: Called with topic and bytes of every message that the process publishes. It sends those that cross
+            otherwise than by TCP, and returns what goes before the topic of one that is sent by TCP once more.
+        measure: Measures what the line carries, and returns whether it could.
+    """
+
+    readers: Sequence[Reader] = ()
+    carry: Callable[[str, bytes], bytes | None] | None = None
+    measure: Callable[[], bool] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,30 +117,27 @@ class Participant:
         # The publisher is opened first, because it may fail, and nothing is open yet.
         publisher = self.bind(self.key)
         subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
-        ends = self.datagrams(publisher, publisher, subscribers) if self.key == FAR_END else []
-        return self.bus_of(publisher, [*subscribers, *ends, *(self.estop_inlet() if self.key in DEVICES else ())])
+        ends = self.link_ends(publisher, publisher, subscribers) if self.key == FAR_END else LinkEnds()
+        return self.bus_of(
+            publisher, [*subscribers, *ends.readers, *(self.estop_inlet() if self.key in DEVICES else ())]
+        )
 
-    def datagrams(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> list[Reader]:
-        """Open this end of the link's datagrams, for what `outgoing` sends and one of `readers` receives.
+    def link_ends(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> LinkEnds:
+        """Open this end of the link's transport, for what `outgoing` sends and one of `readers` receives.
 
         There is none, and everything crosses over TCP, in a rig on one machine and where the site file asks for it.
         """
-        if not self.book.spans_machines or self.book.link.transport == "stream":
-            return []
-        # The library that seals datagrams is loaded in these two processes only.
+        name = self.book.link.transport
+        if not self.book.spans_machines or name == STREAM:
+            return LinkEnds()
         try:
-            from telenano.runtime.wiring.link_end import open_end
-        except ImportError:
-            self.log.warning(
-                "the link sends no datagrams, everything crosses over TCP: `cryptography` is not installed: "
-                + how_to_install("controller,delay")
-            )
-            return []
-        try:
-            return open_end(self.key, self.network, outgoing, reports, readers)
+            # What a transport needs is loaded in these two processes only.
+            ends: LinkEnds = imported(named(name).ends)(self.key, self.network, outgoing, reports, readers)
         except (OSError, ValueError, ConfigError) as error:
             self.log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
-            return []
+            return LinkEnds()
+        outgoing.carry = ends.carry
+        return ends
 
     def estop_inlet(self) -> list[Subscriber]:
         """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""

@@ -11,10 +11,10 @@ if "services.controller" in sys.orig_argv:
 
     from fuzz_datagrams import Datagrams
     from fuzz_frames import Frames, stream
+    from telenano_wide_area.datagram.body import DATAGRAMS_OF
+    from telenano_wide_area.datagram.end import DatagramEnd
 
     from telenano.runtime.bus.publisher import ZmqPublisher
-    from telenano.runtime.datagram.body import DATAGRAMS_OF
-    from telenano.runtime.datagram.end import DatagramEnd
     from telenano.wire import TOPICS
 
     # A frame for so many messages: the link's bytes are counted, and what is genuine should still get through.

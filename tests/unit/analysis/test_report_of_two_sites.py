@@ -12,10 +12,10 @@ from telenano_studies.plot import read_traces
 import telenano
 from telenano.analysis.report import write_report
 from telenano.cli.output import clock_warning
-from telenano.recording.merge_sites import merge_sites
 from telenano.recording.reader import Recording
 from telenano.recording.sender_time import SenderClock
 from telenano.recording.site_clock import read_site_clock
+from telenano.recording.site_merge import merge_sites
 
 # what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
 FIGURES = ("verdict", "stable", "reason", "hold_ratio", "contact_x_cm", "release_force_nn", "greatest_pull_nn")

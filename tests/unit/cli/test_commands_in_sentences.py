@@ -30,7 +30,7 @@ ORIGINS = {
     "telenano/launcher/run.py: plan.site_file": NAMED,
     "telenano/launcher/session.py: arm": OWN,
     "services/player/plan.py: others": NAMED,
-    "telenano/runtime/security/access_control.py: RELAY": OWN,
+    "packages/telenano-wide-area/telenano_wide_area/relay/protocol.py: RELAY": OWN,
     "telenano/runtime/security/keyring.py: name": NAMED,
     "telenano/runtime/security/keyring.py: option": OWN,
     "telenano/runtime/security/peer_connections.py: own.machine": NAMED,

@@ -15,7 +15,6 @@ from telenano.wire import extras
         ("pymodbus", "afm"),
         ("starlette", "view"),
         ("gwyfile", "instrument"),
-        ("cryptography", "delay"),
         ("never_heard_of", "rig"),
     ],
 )

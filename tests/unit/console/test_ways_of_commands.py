@@ -19,7 +19,10 @@ WAYS = {
         "telenano/launcher/session.py",
         "CommandClient",
     ): "the session itself: it arms at its beginning and stops at its end",
-    ("telenano/launcher/far_recording.py", "CommandClient"): "a recorder that is asked for its file, and nothing moves",
+    (
+        "packages/telenano-wide-area/telenano_wide_area/far_recording.py",
+        "CommandClient",
+    ): "a recorder that is asked for its file, and nothing moves",
     ("services/viz_node/commander.py", "send_control by"): "the hub's desk",
     ("services/viz_node/commander.py", "arm_devices by"): "the hub's desk",
     ("telenano/cli/commands/session.py", "arm_devices"): HOLDS,

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 from wire_contract import examples
 
-from telenano.recording.merge_sites import merge_sites, slave_clock
 from telenano.recording.reader import Recording
+from telenano.recording.site_merge import merge_sites, slave_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.wire import TOPICS, encode
 from telenano.wire.errors import RecordingError

@@ -1,0 +1,9 @@
+"""The commands of this package, which telenano lists without importing what they need."""
+
+COMMANDS = {
+    "bag fetch": (
+        "telenano_wide_area.fetch_command:fetch",
+        "Fetch what the slave's site recorded of a session, and merge it with DIR.",
+    ),
+    "relay": ("telenano_wide_area.relay.command:relay", "Run a relay between two sites that can only dial out."),
+}

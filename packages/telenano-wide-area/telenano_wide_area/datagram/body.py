@@ -1,0 +1,159 @@
+"""What is inside a sealed datagram: a report to the sender of the other direction, and samples, the newest first.
+
+Samples are deflated with a dictionary of what every sample has: 60 to 110 bytes instead of 250 to 300. A short report
+is the time of sending alone, with its highest bit set.
+"""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgpack
+
+from telenano.wire import TOPICS
+from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES
+from telenano_wide_area.sealed import RejectedError
+
+# The order is that of their numbers on the wire, so new topics are added at the end.
+DATAGRAM_TOPICS = ("teleop/forward", "teleop/backward", "law/status")
+DATAGRAMS_OF = {
+    way: tuple(topic for topic in DATAGRAM_TOPICS if TOPICS[topic].bridged == way) for way in ("forward", "backward")
+}
+NUMBERS = {topic: number for number, topic in enumerate(DATAGRAM_TOPICS)}
+_FRAMES = tuple(topic.encode() for topic in DATAGRAM_TOPICS)
+REPORT, SHORT_REPORT = struct.Struct("!QQQQQ"), struct.Struct("!Q")
+SAMPLE = struct.Struct("!BH")
+# Times [ns] and counts below this (the year 2116) leave room in 64 bits for the difference of any two of them.
+BOUND = 2**62
+_SHORT = 2**63
+# A datagram has so much room for samples.
+MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
+# These stand where a sample does and carry nothing: a train, of which the sender measures how fast the line carries it;
+# a train that is to be answered with one.
+TRAIN, ASKING_TRAIN = 0xFE, 0xFD
+# This one carries what the line carries that the other end sends over [bit/s].
+CARRIES = 0xFC
+# Raw deflate with a window of 4 KiB, which costs little memory and is more than any sample has.
+_WINDOW_BITS = -12
+_MOST_INFLATED = 4096
+
+
+def _dictionary() -> bytes:
+    """Return what samples have in common; these bytes are part of the wire format, and follow no model."""
+    head = {"hand_seq": 0, "hand_t_ns": 0, "seq": 0, "t_ns": 0, "src": ""}
+    law = "virtual_impedance model_mediated position_force smith tactile wave passivity"
+    zeros = [0.0, 0.0, 0.0]
+    kinetic = {"position_m": zeros, "velocity_m_per_s": zeros, "force_n": zeros, "wave_sqrt_w": None, "energy_j": 0.0}
+    status = {
+        **{"seq": 0, "t_ns": 0, "src": "controller@slave", "v": 1, "law": "", "switching": False},
+        **{"port_energy_j": 0.0, "port_power_w": 0.0, "net_valid": True, "net_energy_j": 0.0, "left_j": 0.0},
+        **{"dissipated_j": 0.0, "passive": True, "saved_percent": 0.0, "round_trip_s": 0.0},
+    }
+    forward = {**head, "src": "controller@master", "v": 1, "law": law, "active": True, **kinetic, "wave_sqrt_w": zeros}
+    tip = {"separation_m": 0.0, "separation_valid": True, "in_contact": True}
+    backward = {**head, "src": "controller@slave", "v": 1, "law": "passivity", "active": True, **kinetic, **tip}
+    return b"".join(bytes(msgpack.packb(fields)) for fields in (status, forward, backward))
+
+
+DICTIONARY = _dictionary()
+
+
+class Report(NamedTuple):
+    """What a datagram says beside its samples.
+
+    `sent_ns`: when it was sent, by its sender's clock; `heard_sent_ns`, `heard_ns`: of the newest datagram of the other
+    direction its own `sent_ns`, and when it arrived, by this sender's clock (0: none did); `expected`, `arrived`: how
+    many datagrams of the other direction had been sent up to the newest that arrived, and how many had arrived.
+    """
+
+    sent_ns: int
+    heard_sent_ns: int
+    heard_ns: int
+    expected: int
+    arrived: int
+
+
+class Body(NamedTuple):
+    """A body: its report, its samples (topic, payload), the marks that stand among them (`TRAIN` and others).
+
+    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say; `carried`, what
+    it found that the line to here carries, 0 while that is not full.
+    """
+
+    report: Report
+    samples: Sequence[tuple[bytes, bytes]]
+    marks: Sequence[int]
+    carries: int = 0
+    carried: int = 0
+
+
+def short_report(sent_ns: int) -> bytes:
+    """Return a report that says only when it was sent [ns]."""
+    return SHORT_REPORT.pack(_SHORT | sent_ns)
+
+
+def packed(topic: str, payload: bytes) -> bytes:
+    """Return a sample as it stands in a body."""
+    deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, 9, zlib.Z_DEFAULT_STRATEGY, DICTIONARY)
+    deflated = deflate.compress(payload) + deflate.flush()
+    return SAMPLE.pack(NUMBERS[topic], len(deflated)) + deflated
+
+
+def mark(number: int, content: bytes = b"") -> bytes:
+    """Return a mark as it stands in a body, with its content, or with padding."""
+    return SAMPLE.pack(number, len(content)) + content
+
+
+def _inflated(data: bytes) -> bytes:
+    inflate = zlib.decompressobj(_WINDOW_BITS, DICTIONARY)
+    try:
+        payload = inflate.decompress(data, _MOST_INFLATED)
+    except zlib.error:
+        raise RejectedError("malformed") from None
+    if not inflate.eof or inflate.unused_data:
+        # It is cut short, becomes longer than any sample, or has something behind it.
+        raise RejectedError("malformed")
+    return payload
+
+
+def parse(body: bytes) -> Body:
+    """Return what is in a body.
+
+    Raises:
+        RejectedError: It is no body (`malformed`), or its report has a time (`time`) or a count (`count`) that no
+            sender can have. An authentic sender may be wrong as well, and its figures are summed up here.
+    """
+    if is_short := len(body) >= SHORT_REPORT.size and body[0] >= 0x80:
+        report = Report(SHORT_REPORT.unpack_from(body)[0] - _SHORT, 0, 0, 0, 0)
+    elif len(body) >= REPORT.size:
+        report = Report(*REPORT.unpack_from(body))
+    else:
+        raise RejectedError("malformed")
+    if max(report.sent_ns, report.heard_sent_ns, report.heard_ns) >= BOUND:
+        raise RejectedError("time")
+    if not report.arrived <= report.expected < BOUND:
+        raise RejectedError("count")
+    samples: list[tuple[bytes, bytes]] = []
+    marks: list[int] = []
+    carries = carried = 0
+    place = SHORT_REPORT.size if is_short else REPORT.size
+    while place < len(body):
+        if place + SAMPLE.size > len(body):
+            raise RejectedError("malformed")
+        number, length = SAMPLE.unpack_from(body, place)
+        place += SAMPLE.size + length
+        if place > len(body):
+            raise RejectedError("malformed")
+        if number >= CARRIES:
+            marks.append(number)
+            content = body[place - length : place]
+            if number == CARRIES:
+                carries, carried = int.from_bytes(content[:8], "big"), int.from_bytes(content[8:16], "big")
+                if max(carries, carried) >= BOUND:
+                    raise RejectedError("count")
+            continue
+        if number >= len(DATAGRAM_TOPICS):
+            raise RejectedError("malformed")
+        samples.append((_FRAMES[number], _inflated(body[place - length : place])))
+    return Body(report, samples, marks, carries, carried)

@@ -1,0 +1,572 @@
+"""One end of the link between two machines: sends the newest samples as sealed datagrams, and takes those that arrive.
+
+It stands beside the subscriber that receives the same topics over TCP, and hands it what arrives: decoding, roles of
+the other machine and tracking of numbers are the same on both ways (`reception.py` chooses).
+The loop of the node calls it like a subscriber; nothing here runs in a thread, and each call does a bounded amount.
+"""
+
+import contextlib
+import errno
+import heapq
+import itertools
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal, cast
+
+from telenano.runtime import ConnectionEvent, Subscriber
+from telenano.timing import NEVER_NS, Clock, Exchange, OffsetFilter, PlayOut
+from telenano.wire import InputHealth, LinkKey, Message, Received
+from telenano_wide_area.datagram.agreement import Agreement
+from telenano_wide_area.datagram.arrivals import ArrivalRecord
+from telenano_wide_area.datagram.body import (
+    ASKING_TRAIN,
+    CARRIES,
+    DATAGRAMS_OF,
+    REPORT,
+    SHORT_REPORT,
+    Body,
+    Report,
+    mark,
+    parse,
+    short_report,
+)
+from telenano_wide_area.datagram.incoming import Incoming
+from telenano_wide_area.datagram.outgoing import Outgoing
+from telenano_wide_area.datagram.pacing import NETWORK_BYTES, Repeats
+from telenano_wide_area.datagram.place import Address, Outlets, Place
+from telenano_wide_area.datagram.reception import Reception, Way
+from telenano_wide_area.datagram.report import network_report
+from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
+from telenano_wide_area.datagram.sparse import SparseSamples, Taken, carried_by_tcp
+from telenano_wide_area.datagram.touch import Touch
+from telenano_wide_area.relay.path import RelayPath
+from telenano_wide_area.sealed import RejectedError
+from telenano_wide_area.settings import DatagramSettings
+
+# The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
+_BATCH = 64
+_MAINTAIN_NS = 50_000_000
+_REPORT_NS = 500_000_000
+# Due work waits for so long for a turn in which nothing has arrived; a node that is asked in every turn has many of
+# those.
+_PUT_OFF_NS = 20_000_000
+# A process that took no turn for the first time stood still. What waited for it says nothing of the line until it has
+# taken all of that, for the second time at most: one that is slower is a queue itself.
+_STOOD_STILL_NS, _BEHIND_NS = 2 * _MAINTAIN_NS, 2_000_000_000
+# After so long without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent, to
+# find out when they arrive again.
+_UNHEARD_NS = 1_000_000_000
+# Datagrams are blocked if none arrives and the other end says over TCP that it has sent so many since the newest.
+_BLOCKED = 5
+_BETWEEN = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
+# The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
+# datagrams flow and are answered. An end that is started again falls silent first.
+_OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
+# seconds of exchanges of time stamps in view
+_CLOCK_WINDOW = 64
+# The line is measured so often at the start, because a process that stands still makes it seem narrow.
+_TRAINS, _FURTHER_TRAINS = 9, 6
+# What else crosses a line at the start may make it seem to carry less than this [bit/s]: then it is measured further.
+_NARROW = 600_000
+# payloads of the other end that a repetition is compared with
+_REMEMBERED = 16
+_RECEIVE_BUFFER_BYTES = 1 << 20
+
+
+class DatagramEnd:
+    """The datagrams of one process; the other end runs on `machine`."""
+
+    # It is called in each turn, for the work that is due here.
+    shared = True
+    topics: Sequence[str] = ()
+
+    def __init__(
+        self,
+        clock: Clock,
+        place: Place,
+        settings: DatagramSettings,
+        subscriber: Subscriber,
+        outlets: Outlets,
+        *,
+        machine: str,
+        is_master: bool,
+        is_allowed: Callable[[], bool] = lambda: True,
+        is_connected: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Open the socket; OSError where it cannot be bound.
+
+        Args:
+            clock: The clock of the node.
+            place: The addresses of both ends.
+            settings: The settings of the transport.
+            subscriber: Receives the same topics over TCP, and the public keys of the other end.
+            outlets: Publish what arrives.
+            machine: The name of the other machine.
+            is_master: Whether this is the end at the master's site.
+            is_allowed: Whether the key of the other machine is still in the list.
+            is_connected: Whether the other machine is connected over TCP.
+
+        Raises:
+            OSError: The socket cannot be bound.
+        """
+        now = clock.monotonic_ns()
+        self.machine = machine
+        self.subscriber = subscriber
+        self.trackers: dict[tuple[str, str], Any] = {}
+        self.rejected: dict[str, int] = {}
+        self.last_error = ""
+        self.drained = True
+        self.sockets: list[Any] = []
+        self.arrivals = ArrivalRecord()
+        # when the next sample of the play-out buffer is due, on the monotonic clock
+        self.due_ns = NEVER_NS
+        self._play_out = PlayOut() if settings.play_out else None
+        self._held: list[tuple[int, int, list[bytes]]] = []
+        self._order = itertools.count()
+        self.outgoing = Outgoing(settings, now)
+        self.incoming = Incoming(machine)
+        self.offset = OffsetFilter(_CLOCK_WINDOW)
+        self._clock = clock
+        self._place = place
+        self._is_master = is_master
+        self._offers: list[LinkKey] = []
+        self._is_allowed = is_allowed
+        self._touch = Touch(is_connected, machine, now)
+        self._outlets = outlets
+        self._agreement = Agreement(now, is_master=is_master)
+        self._peer = place.peer
+        self._relay = place.relay
+        self._events: list[ConnectionEvent] = []
+        incoming: Literal["forward", "backward"] = "backward" if is_master else "forward"
+        self._incoming = incoming
+        topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
+        falls_back, peer = settings.transport == "auto", (machine, place.port)
+        self._sparse = SparseSamples()
+        # Losses of what is received, over the time of some reports.
+        self._losses = Repeats(None)
+        self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
+        self._recent: list[bytes] = [b""] * _REMEMBERED
+        self._recent_place = 0
+        # The newest datagram that arrived: its own time of sending, and when it came.
+        self._heard = (0, 0)
+        self._turned_ns, self._behind_until_ns = now, 0
+        self._sent_ns = now
+        # When the other end was last known, by either way, to have received further datagrams from here, and when by
+        # one of its own.
+        self._acknowledged_ns = self._answered_ns = now - 2 * _UNHEARD_NS
+        # How the other end receives, by its last word over TCP, and what was offered to it last of this end.
+        self._peer_receives: Way = "stream"
+        self._offered: Way = "stream"
+        self._blocked_since_ns: int | None = None
+        self._expected = 0
+        self._acknowledged_counts = (0, 0)
+        self._maintain_ns = self._report_ns = now
+        self._offered_ns = now - _CALM_OFFER_NS
+        # What the other end has measured of the line from here [bit/s], 0 before that.
+        self._known = 0
+        # How many trains are still to be sent at the start.
+        self._trains = _TRAINS
+        self.socket = socket.socket(place.family, socket.SOCK_DGRAM)
+        try:
+            self.socket.setblocking(False)
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+            self.socket.bind(place.bind)
+        except OSError:
+            self.socket.close()
+            raise
+        self.descriptor = self.socket.fileno()
+        if self._relay is not None:
+            self._relay.send = self._send_plain
+        subscriber.set_aside("link/key", self._hear_offer)
+        subscriber.sift = self._sift
+        self._reception = Reception(subscriber, topics, peer, self._tell, falls_back=falls_back, now_ns=now)
+
+    @property
+    def receiving(self) -> Way:
+        """The way by which samples are received at the moment."""
+        return self._reception.way
+
+    # --- sending ---
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether the other end has lately said, by datagram or over TCP, that datagrams arrive there."""
+        return self._clock.monotonic_ns() - self._acknowledged_ns < _UNHEARD_NS and self._expected > 0
+
+    def carry(self, topic: str, payload: bytes) -> bytes | None:
+        """Send a sample that was published, at once, if it is one of those that cross as datagrams.
+
+        Returns:
+            By which of SPARSE it is sent over TCP as well, None for most.
+        """
+        if topic not in self._sent_topics:
+            return None
+        now = self._clock.monotonic_ns()
+        # Where no acknowledgement comes and the other end receives over TCP, the signs of life that `maintain` sends
+        # will tell when that changes.
+        sends = now - self._acknowledged_ns <= _UNHEARD_NS or self._peer_receives == "datagram"
+        sends = sends and self._agreement.sealer is not None and self._peer is not None and self._touch.is_kept
+        if sends and (samples := self.outgoing.samples(topic, payload, now)):
+            self._send(samples, now)
+        return self._sparse.takes(topic, len(payload), now)
+
+    def _send(self, samples: bytes, now_ns: int) -> None:
+        sealer, peer = self._agreement.sealer, self._peer
+        if sealer is None or peer is None:
+            return
+        sent_ns = now_ns + self._clock.epoch_offset_ns
+        if samples and self.outgoing.leaves_report_out(now_ns):
+            report = short_report(sent_ns)
+        else:
+            report = REPORT.pack(sent_ns, *self._heard, *self.arrivals.of_keys)
+        datagram = sealer.seal(report + samples)
+        try:
+            self.socket.sendto(datagram, peer)
+        except BlockingIOError:
+            self.outgoing.unsent += 1
+            return
+        except OSError as error:
+            # No route, or an interface that is down, is the same as a network that loses everything.
+            self.last_error = f"no datagram can be sent to {peer[0]}: {errno.errorcode.get(error.errno or 0, error)}"
+            return
+        self._sent_ns = now_ns
+        self.outgoing.record_sent(len(datagram))
+
+    def _send_plain(self, datagram: bytes, address: Address) -> None:
+        with contextlib.suppress(OSError):
+            self.socket.sendto(datagram, address)
+            self.outgoing.bytes += len(datagram) + NETWORK_BYTES
+
+    # --- receiving ---
+
+    def receive(self, *, signalled: bool = False) -> list[Received]:
+        """Return the messages of the datagrams that have arrived, judged as the subscriber judges its own."""
+        found: list[Received] = []
+        now = self._clock.monotonic_ns()
+        if now - self._turned_ns > _STOOD_STILL_NS:
+            self._behind_until_ns = now + _BEHIND_NS
+        self._turned_ns = now
+        if signalled or not self.drained:
+            waiting = self._take()
+            if self.drained:
+                self._behind_until_ns = 0
+            if waiting and self._play_out is None:
+                found = self.subscriber.take(waiting)
+        if self._held and now >= self._held[0][0]:
+            found = self.subscriber.take(self._released(now))
+        if now >= self._reception.missed_ns:
+            self._reception.subscribe_early(now)
+        self._set_due()
+        # Arrived messages come first, because a report takes half a millisecond.
+        if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
+            self._maintain_ns = now + _MAINTAIN_NS
+            self.maintain(now)
+        return found
+
+    def pending(self) -> bool:
+        """Return whether datagrams were left when the last batch was full."""
+        return not self.drained
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return nothing: what arrives is in the sequence statistics of the subscriber."""
+        return ()
+
+    def _take(self) -> list[tuple[list[bytes], int]]:
+        waiting: list[tuple[list[bytes], int]] = []
+        receive, openers = self.socket.recvfrom, self._agreement.openers
+        self.drained = False
+        for _ in range(_BATCH):
+            try:
+                datagram, address = receive(MOST_BYTES + 1)
+            except BlockingIOError:
+                self.drained = True
+                break
+            except OSError:
+                # An ICMP error answers an earlier datagram; nothing has arrived with it.
+                continue
+            now = self._clock.now_ns()
+            try:
+                if self._relay is not None and datagram[:TAG_BYTES] == self._relay.tag:
+                    self._relay.take(datagram, address)
+                    continue
+                if len(datagram) > MOST_BYTES:
+                    raise RejectedError("oversized")
+                if len(datagram) < OVERHEAD_BYTES + SHORT_REPORT.size:
+                    raise RejectedError("truncated")
+                opener = openers.get(datagram[:TAG_BYTES])
+                if opener is None:
+                    raise RejectedError("unknown_key")
+                number, body = opener.open(datagram, now - self._clock.epoch_offset_ns)
+                found = parse(body)
+            except RejectedError as error:
+                self._refuse(error.cause, address)
+                continue
+            self._note(opener, number, found, len(datagram), address, now)
+            if not self._touch.is_kept:
+                continue
+            # the oldest first, each once
+            for topic, payload in reversed(found.samples):
+                if payload not in self._recent:
+                    self._remember(payload)
+                    waiting.append(([topic, payload], now))
+            if self._play_out is not None:
+                self._hold(self._play_out, found.report, now, waiting)
+        return waiting
+
+    def _hold(self, play_out: PlayOut, report: Report, now_ns: int, waiting: list[tuple[list[bytes], int]]) -> None:
+        """Keep the samples of a datagram until their time."""
+        release_ns = play_out.release_ns(report.sent_ns, now_ns) - self._clock.epoch_offset_ns
+        for frames, _ in waiting:
+            heapq.heappush(self._held, (release_ns, next(self._order), frames))
+        waiting.clear()
+
+    def _released(self, now_ns: int) -> list[tuple[list[bytes], int]]:
+        released = []
+        while self._held and self._held[0][0] <= now_ns:
+            released.append((heapq.heappop(self._held)[2], now_ns + self._clock.epoch_offset_ns))
+        return released
+
+    def _set_due(self) -> None:
+        self.due_ns = min(self._reception.missed_ns, self._held[0][0] if self._held else NEVER_NS)
+
+    def _refuse(self, cause: str, address: Address) -> None:
+        self.rejected[cause] = self.rejected.get(cause, 0) + 1
+        self.last_error = f"a datagram from {address[0]} port {address[1]} is refused: {cause}"
+
+    def _note(self, opener: Opener, number: int, body: Body, size: int, address: Address, now_ns: int) -> None:
+        """Note what an authentic datagram of a size [bytes] tells beside its samples."""
+        report = body.report
+        monotonic_ns = now_ns - self._clock.epoch_offset_ns
+        is_behind = monotonic_ns < self._behind_until_ns or monotonic_ns - self._turned_ns > _STOOD_STILL_NS
+        self._reception.record(monotonic_ns)
+        if opener is not self._agreement.opener:
+            return
+        self.arrivals.record(number, report.sent_ns, now_ns)
+        self.incoming.record(size, now_ns, body.marks)
+        if body.carries:
+            self._known = body.carries
+        if CARRIES in body.marks:
+            self.incoming.carried_while_full = body.carried
+        if number == opener.window.newest:
+            self._agreement.opened(opener)
+            self._heard = self._heard if is_behind else (report.sent_ns, now_ns)
+            if self._relay is None and (self._peer is None or address[:2] != self._peer[:2]):
+                self._follow(address)
+            if report.heard_sent_ns and report.expected > self._expected:
+                self._acknowledge(report.expected, report.arrived, monotonic_ns)
+                if monotonic_ns - self._answered_ns > _UNHEARD_NS:
+                    # Nothing may be concluded from what arrived before and after a time without answers.
+                    self.outgoing.forget_reports(new_process=False)
+                self._answered_ns = monotonic_ns
+        if report.heard_sent_ns and not is_behind:
+            exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
+            self.outgoing.record_heard(exchange, report)
+            self.offset.record(exchange)
+
+    def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
+        self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)
+
+    def _follow(self, address: Address) -> None:
+        if self._peer is not None:
+            text = f"the link's datagrams from {self.machine} now come from {address[0]} port {address[1]}"
+            self._tell("info", text)
+        self._peer = address
+
+    def _steer(self, relay: RelayPath, now_ns: int) -> None:
+        """Send where the relay, or the other end by its answers, says."""
+        relay.maintain(now_ns, self._reception.silence_ns(now_ns))
+        if relay.peer != self._peer and relay.peer is not None:
+            self._peer = relay.peer
+            way = f"directly to {self._peer[0]} port {self._peer[1]}" if relay.is_direct else "through the relay"
+            self._tell("info", f"the link's datagrams to {self.machine} go {way}")
+
+    # --- what is due ---
+
+    def maintain(self, now_ns: int) -> None:
+        """Exchange keys, send a sign of life, choose the way to receive by, and report."""
+        loss_share = max(self.arrivals.lost / max(1, self.arrivals.settled), self.outgoing.repeats.loss_share)
+        told = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
+        if told is not None:
+            self._tell(*told)
+        if self._relay is not None:
+            self._steer(self._relay, now_ns)
+        self._exchange_keys(now_ns)
+        if self._agreement.sealer is not None and now_ns - self._sent_ns >= _MAINTAIN_NS:
+            self._send(b"", now_ns)
+        if not self._reception.is_silent(now_ns):
+            self._blocked_since_ns = None
+        self._reception.choose(now_ns, self._why_silent())
+        self.arrivals.settle(now_ns)
+        self._adapt(now_ns)
+        if now_ns >= self._report_ns:
+            self._report_ns = now_ns + _REPORT_NS
+            if self.acknowledged:
+                figures = (self.incoming.measured, self.outgoing.control.carried_while_full)
+                self._send(mark(CARRIES, b"".join(figure.to_bytes(8, "big") for figure in figures)), now_ns)
+            if self._expected:
+                self.outgoing.adapt_repeats(*self._acknowledged_counts)
+            self._weigh_tcp()
+            if self._agreement.peer_public:
+                self._publish_report()
+
+    def _publish_report(self) -> None:
+        sending = "datagram" if self.acknowledged else "stream"
+        ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
+        parts = self.offset.estimate(), self.arrivals, self.outgoing, self.incoming.capacity
+        said = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
+        self._outlets.reports.publish("link/network", **said, refused=dict(self.rejected))
+
+    def _weigh_tcp(self) -> None:
+        """Take what TCP can carry each way, by what is known of the datagrams."""
+        offset, settled = self.offset.estimate(), self.arrivals.settled
+        self._losses.adapt(settled, settled - max(0, self.arrivals.lost))
+        round_trip_s = 0.0 if offset is None else offset.round_trip_s
+        self._reception.weigh(carried_by_tcp(self.incoming.capacity, self._losses.loss_share, round_trip_s))
+        known = self.outgoing.control.carried_while_full or self._known
+        self._sparse.carried = carried_by_tcp(known, self.outgoing.repeats.loss_share, round_trip_s)
+
+    def _why_silent(self) -> str:
+        """Return what may be said of the UDP port while no datagram comes."""
+        if not self._agreement.peer_public:
+            return "may be in use by no link there: it has offered no key"
+        if self._blocked_since_ns is None:
+            return "is blocked on the way"
+        since = datetime.fromtimestamp(self._blocked_since_ns // 1_000_000_000, UTC)
+        return f"is blocked {_BETWEEN[self._incoming]} since {since:%H:%M:%S} UTC"
+
+    def _adapt(self, now_ns: int) -> None:
+        """Adapt what is sent to the line, and tell of a line that is full."""
+        if now_ns - self._answered_ns < _UNHEARD_NS:
+            # What was reported before that says nothing of the queue now.
+            offset = self.offset.estimate()
+            self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
+        if self.acknowledged:
+            seems_narrow = 0 < min(self.incoming.measured, self._known) < _NARROW
+            if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or seems_narrow):
+                self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
+        if self.incoming.wants_train:
+            self.incoming.wants_train = False
+            self.outgoing.send_train(now_ns, self._send)
+        self.incoming.measure(now_ns)
+        told = self.outgoing.told_of_queue(now_ns, self.machine)
+        if told is not None:
+            self._tell(*told)
+
+    def send_train(self) -> bool:
+        """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.
+
+        A line that is full is left alone, and what it carries is known.
+        """
+        if self.outgoing.control.mode != "free":
+            return False
+        return self.outgoing.send_train(self._clock.monotonic_ns(), self._send, ASKING_TRAIN)
+
+    def _exchange_keys(self, now_ns: int) -> None:
+        agreement = self._agreement
+        silent = self._reception.is_silent(now_ns)
+        changed = agreement.maintain(now_ns, silent=silent)
+        offers, self._offers = self._offers, []
+        for message in offers if self._is_allowed() else ():
+            try:
+                new = agreement.hear(bytes.fromhex(message.public_key), bytes.fromhex(message.answers), now_ns)
+            except ValueError as error:
+                self._refuse_key(str(error))
+                continue
+            self._hear_word(message, now_ns)
+            if new and agreement.opener is not None:
+                self.arrivals.begin(agreement.opener.window)
+                self.outgoing.forget_reports(new_process=silent)
+                self._expected = 0
+                self._reception.begin_keys(now_ns)
+            changed = changed or new
+        # Where no datagram answers, what arrives here is said over TCP.
+        calm = not silent and agreement.sealer is not None and now_ns - self._answered_ns < _OFFER_NS
+        changed = changed or self.receiving != self._offered
+        if changed or now_ns - self._offered_ns >= (_CALM_OFFER_NS if calm else _OFFER_NS):
+            self._offered_ns, self._offered = now_ns, self.receiving
+            answers = b"" if self._is_master else agreement.peer_public
+            expected, arrived = self.arrivals.of_keys
+            self._outlets.keys.publish(
+                "link/key",
+                public_key=agreement.public.hex(),
+                answers=answers.hex(),
+                receiving=self.receiving,
+                sent=0 if agreement.sealer is None else agreement.sealer.number,
+                arrived=arrived,
+                lost=expected - arrived,
+                capacity_bit_per_s=self.incoming.measured,
+            )
+
+    def _hear_offer(self, message: Message) -> None:
+        # One offer at a time is enough, because offers are repeated.
+        self._offers = [cast(LinkKey, message)]
+
+    def _hear_word(self, word: LinkKey, now_ns: int) -> None:
+        """Take what the other end says over TCP: what arrives there, and what it has sent that does not arrive here."""
+        if word.receiving is None or word.public_key != self._agreement.peer_public.hex():
+            return
+        arrived = word.arrived or 0
+        expected = arrived + (word.lost or 0)
+        self._peer_receives = word.receiving
+        self._sparse.alone = word.receiving == "stream"
+        self._known = word.capacity_bit_per_s or self._known
+        if expected > self._expected:
+            self._acknowledge(expected, arrived, now_ns)
+        is_blocked = self._reception.is_silent(now_ns) and (word.sent or 0) >= self.arrivals.of_keys[0] + _BLOCKED
+        if is_blocked and self._blocked_since_ns is None:
+            self._blocked_since_ns = self._reception.arrived_ns + self._clock.epoch_offset_ns
+            self._reception.remind(now_ns)
+
+    def take_sparse(self, waiting: Sequence[Taken]) -> list[Received]:
+        """Return what brings something new of the sparse samples that came by a connection beside the subscriber's."""
+        sifted = [(self._sift(list(frames)), received_ns) for frames, received_ns in waiting]
+        return self.subscriber.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
+
+    def connect_beside(self, beside: Subscriber) -> None:
+        """Take a further connection to the other machine, for the sparse samples that go by it."""
+        self._reception.connect_beside(beside)
+
+    def _sift(self, frames: list[bytes]) -> list[bytes] | None:
+        sifted = self._reception.sift(frames, self._clock.monotonic_ns())
+        if sifted is not None and sifted is not frames:
+            # Its datagram may still come.
+            self._remember(sifted[-1])
+        return sifted
+
+    def _remember(self, payload: bytes) -> None:
+        self._recent[self._recent_place] = payload
+        self._recent_place = (self._recent_place + 1) % _REMEMBERED
+
+    def _refuse_key(self, reason: str) -> None:
+        self.rejected["key"] = self.rejected.get("key", 0) + 1
+        self.last_error = f"link/key of {self.machine} is refused: {reason}"
+
+    def _tell(self, level: str, text: str) -> None:
+        data: Mapping[str, bool | float | str] = {"peer": self.machine, "transport": self.receiving}
+        self._events.append(ConnectionEvent(level, text, dict(data)))
+
+    # --- as one that looks after the network ---
+
+    def process_events(self) -> bool:
+        """Do nothing: what has happened is noted where it happens."""
+        return False
+
+    def take_events(self) -> list[ConnectionEvent]:
+        """Return what happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def apply_permissions(self) -> None:
+        """Forget the keys when the other machine is no longer allowed, and go on over TCP, which refuses it as well."""
+        if self._is_allowed() or not self._agreement.peer_public:
+            return
+        now = self._clock.monotonic_ns()
+        self._agreement.forget(now)
+        self._reception.forget()
+        self._expected = 0
+        self._tell("warning", f"the link's datagrams with {self.machine} have ended: its key is no longer allowed")
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()

@@ -1,0 +1,153 @@
+"""The standing queue of a line, each way, from exchanges of four time stamps between two clocks that drift.
+
+With the times t1 to t4 of `clock_offset`, the way there appears to take f = t2 - t1 and the way back b = t4 - t3, each
+with the offset of the clocks in it, which drifts: f rises as b falls. A queue only ever adds to one of them. So every f
+bounds the offset from above and every -b from below, and the two lines that touch these bounds from inside, by which
+clocks are known (`telenano.timing.clock_line`), are the delays of the empty line.
+
+What a datagram took beyond its line was queueing or jitter. The least of that within a tenth of a second is a queue
+that stands (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012): jitter comes and goes within it.
+Neither way can have more of a queue than the round trip, which no clock enters, is above its least.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+from telenano.timing import STEP_NS, Bound, Exchange, fitted
+
+# A queue stands if it does for two of these [ns].
+_HALF_WINDOW_NS = 50_000_000
+# Of so many of them that had so many delays, the calmest quarter says how much the delay varies by itself.
+_VARIATIONS, _FEWEST_SEEN = 16, 3
+# Least delays are kept for spans of equal length, of which there are so many; a span grows from the first to the last
+# length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
+_SPANS, _FIRST_SPAN_NS, _LAST_SPAN_NS = 64, 250_000_000, 16_000_000_000
+_FEWEST_SPANS = 4
+
+
+class Least(NamedTuple):
+    """The least delays of one span, each with its time: there, back, and both ways of one exchange [ns]."""
+
+    there: Bound
+    back: Bound
+    both_ns: int
+
+    def and_least(self, other: "Least") -> "Least":
+        """Return the least of two spans."""
+        there, back = min(self.there, other.there, key=_delay), min(self.back, other.back, key=_delay)
+        return Least(there, back, min(self.both_ns, other.both_ns))
+
+
+def _delay(point: Bound) -> int:
+    return point[1]
+
+
+class Line:
+    """Both ways of a line; `there_ns` and `back_ns` are their standing queues [ns], None until they are known."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: the other clock was set, or belongs to another process."""
+        self._zero: tuple[int, int, int] | None = None
+        self._spans: list[Least] = []
+        self._span_ns = _FIRST_SPAN_NS
+        self._now: Least | None = None
+        self._now_ends_ns = 0
+        self._slope = self._there = self._back = 0.0
+        self._least_both = 0
+        self._lowest = self._before = (0.0, 0.0)
+        self._most_back = 0.0
+        self._highest, self._last, self._seen = 0.0, 0.0, 0
+        self._varied: deque[float] = deque(maxlen=_VARIATIONS)
+        self._window_ends_ns = 0.0
+        self._windows = 0
+
+    @property
+    def drift(self) -> float:
+        """How much faster the other clock runs, as a ratio."""
+        return self._slope
+
+    @property
+    def there_ns(self) -> int | None:
+        """The standing queue of what is sent from here [ns]."""
+        return self._standing(0)
+
+    @property
+    def back_ns(self) -> int | None:
+        """The standing queue of what arrives here [ns]."""
+        return self._standing(1)
+
+    def take_back_ns(self) -> int | None:
+        """Return the greatest standing queue of what arrived here since it was last asked [ns]."""
+        most_ns, self._most_back = round(self._most_back), 0.0
+        return None if self.back_ns is None else max(self.back_ns, most_ns)
+
+    @property
+    def there_variation_ns(self) -> int:
+        """By how much the delay of what is sent from here varies, in the calmest quarter of the last second [ns]."""
+        return round(sorted(self._varied)[len(self._varied) // 4]) if self._varied else 0
+
+    def _standing(self, way: int) -> int | None:
+        return None if self._windows < 2 else round(min(self._before[way], self._lowest[way]))
+
+    def record(self, exchange: Exchange) -> None:
+        """Record the delays of an exchange."""
+        there, back = exchange.received_there_ns - exchange.sent_ns, exchange.received_ns - exchange.sent_there_ns
+        if self._zero is None:
+            self._zero = (exchange.received_ns, there, back)
+        at, f, b = (x - zero for x, zero in zip((exchange.received_ns, there, back), self._zero, strict=True))
+        if at < 0 or f + b < self._least_both - STEP_NS:
+            # No round trip is that much shorter than the shortest: this process was given another clock.
+            self.forget()
+            return
+        self._keep(Least((at, f), (at, b), f + b), at)
+        f_above, b_above = f - self._slope * at, b + self._slope * at
+        self._there, self._back = min(self._there, f_above), min(self._back, b_above)
+        self._least_both = min(self._least_both, f + b)
+        most = f + b - self._least_both
+        self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
+
+    def _keep(self, found: Least, at: int) -> None:
+        self._now = found if self._now is None else self._now.and_least(found)
+        if at < self._now_ends_ns:
+            return
+        self._now_ends_ns = at + self._span_ns
+        self._spans.append(self._now)
+        self._now = None
+        if len(self._spans) >= _SPANS and self._span_ns < _LAST_SPAN_NS:
+            pairs = zip(self._spans[::2], self._spans[1::2], strict=True)
+            self._spans, self._span_ns = [first.and_least(second) for first, second in pairs], 2 * self._span_ns
+        del self._spans[:-_SPANS]
+        self._fit()
+
+    def _fit(self) -> None:
+        """Find the highest pair of lines below what is kept.
+
+        Where it is further below the shortest round trip than jitter explains, the other clock was set, or runs at
+        another rate, since then: the older half of the spans is forgotten.
+        """
+        while True:
+            line = fitted([span.there for span in self._spans], [(at, -delay) for _, (at, delay), _ in self._spans])
+            self._slope = line.drift
+            half, middle = 0.5 * line.round_trip_ns, line.at(0)
+            self._there, self._back = half + middle, half - middle
+            self._least_both = min(span.both_ns for span in self._spans)
+            if self._least_both - line.round_trip_ns <= STEP_NS or len(self._spans) < _FEWEST_SPANS:
+                return
+            del self._spans[: len(self._spans) // 2]
+
+    def _see(self, at: float, there: float, back: float) -> None:
+        if at >= self._window_ends_ns:
+            self._window_ends_ns = at + _HALF_WINDOW_NS
+            if self._seen >= _FEWEST_SEEN:
+                self._varied.append(self._highest - self._lowest[0])
+            if self._windows > 1:
+                self._most_back = max(self._most_back, min(self._before[1], self._lowest[1]))
+            self._before, self._lowest, self._highest = self._lowest, (there, back), there
+            self._windows, self._seen = self._windows + 1, 1
+        else:
+            self._lowest = (min(self._lowest[0], there), min(self._lowest[1], back))
+            self._highest, self._seen = max(self._highest, there), self._seen + (there != self._last)
+        self._last = there

@@ -1,0 +1,200 @@
+"""Which way an end receives the samples of the other machine: as datagrams, or over TCP while none arrives.
+
+Who receives decides: while datagrams arrive, only the sparse samples of the topics are subscribed over TCP; when none
+has come for a moment all are, where TCP can carry them, and datagrams are tried further on. At first none is: the keys
+come over TCP, and on a network that loses packets a thousand samples a second, which nobody needs once there are keys,
+would hold them up for as long as they are sent.
+"""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from telenano.runtime import Subscriber
+from telenano.timing import NEVER_NS
+from telenano.wire import LOOP_DEADLINE_S, WireError, read_header
+from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
+
+# After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
+SILENCE_NS = 300_000_000
+TRIED_NS = 500_000_000
+# TCP is subscribed to after a silence of half the deadline of a sample and so many mean times between datagrams, and at
+# the latest after a share of the deadline, before which no reader acts on the silence.
+DEADLINE_NS, _GAPS, _LATEST_SHARE = round(LOOP_DEADLINE_S * 1e9), 2.0, 0.9
+# All samples over TCP need so many bits of a line that has room for others as well.
+_BITS_EACH = 8_000.0
+# A mean follows some twenty datagrams.
+_NEWEST_SHARE = 0.05
+# The first datagrams may take so long from the first word of the other machine, or from the last change of keys.
+FIRST_NS = 3_000_000_000
+_UNOFFERED_NS = 5_000_000_000
+_REMIND_NS = 60_000_000_000
+# Datagrams are there again if the newest came within this time.
+_LATELY_NS = 50_000_000
+
+Way = Literal["datagram", "stream"]
+
+
+class Reception:
+    """The way to receive by, and the topics that are subscribed over TCP for it."""
+
+    def __init__(
+        self,
+        subscriber: Subscriber,
+        topics: Sequence[str],
+        peer: tuple[str, int],
+        tell: Callable[[str, str], None],
+        *,
+        falls_back: bool,
+        now_ns: int,
+    ) -> None:
+        """Begin without a subscription over TCP.
+
+        Args:
+            subscriber: Receives the topics over TCP.
+            topics: What crosses as datagrams to this end.
+            peer: The other machine, and the UDP port between here and there.
+            tell: Takes level and text of an event.
+            falls_back: Whether TCP may carry the samples at all.
+            now_ns: The time now [ns].
+        """
+        self.way: Way = "stream"
+        # When the newest datagram arrived, and when a silence is long enough to subscribe over TCP.
+        self.arrived_ns = now_ns
+        self.missed_ns = NEVER_NS
+        self._subscriber, self._topics = subscriber, topics
+        self._machine, self._port = peer
+        self._tell = tell
+        self._falls_back = falls_back
+        # It is true while the topics are subscribed over TCP, as they are when a subscriber is made.
+        self._streaming = True
+        # The topics are subscribed over TCP at this time if no datagram has come by then; None until something of the
+        # other machine was received.
+        self._stream_at_ns: int | None = None
+        self._tried_since_ns: int | None = None
+        # When TCP was subscribed to early last, and the mean time between datagrams.
+        self._early_ns, self._gap_ns = now_ns, 0.0
+        # Whether TCP can carry all samples, and not only the sparse ones.
+        self._roomy = True
+        self._subscribed: set[bytes] = {topic.encode() for topic in topics}
+        self._names = {sparse + topic.encode(): topic.encode() for sparse in SPARSE for topic in topics}
+        # What the socket of all samples carries of them, and what a connection beside it does.
+        self._first, self._second = ([sparse + topic.encode() for topic in topics] for sparse in SPARSE)
+        self._beside: Subscriber | None = None
+        # The newest sample that came over TCP in its own right: a sparse one is sent right behind it.
+        self._whole = b""
+        self._next_reminder_ns = now_ns + _UNOFFERED_NS
+        self._subscribe(streaming=False)
+
+    def connect_beside(self, beside: Subscriber) -> None:
+        """Take a further connection to the other machine, for the sparse samples that go by it."""
+        self._beside = beside
+
+    def silence_ns(self, now_ns: int) -> int:
+        """Return the time since the newest datagram [ns]."""
+        return now_ns - self.arrived_ns
+
+    def is_silent(self, now_ns: int) -> bool:
+        """Return whether no datagram has come for so long that the other way is used."""
+        return now_ns - self.arrived_ns > SILENCE_NS
+
+    def record(self, now_ns: int) -> None:
+        """Record a datagram that arrived."""
+        if self._tried_since_ns is None or self.is_silent(now_ns):
+            self._tried_since_ns = now_ns
+        self._gap_ns += _NEWEST_SHARE * (now_ns - self.arrived_ns - self._gap_ns)
+        self.arrived_ns = now_ns
+        if self.way == "datagram" and not self._streaming and self._falls_back:
+            silence_ns = min(DEADLINE_NS / 2 + _GAPS * self._gap_ns, _LATEST_SHARE * DEADLINE_NS)
+            self.missed_ns = now_ns + round(silence_ns)
+
+    def weigh(self, carried_by_tcp: float) -> None:
+        """Take what TCP can carry to here [bit/s], while datagrams arrive and so tell how many samples there are."""
+        if self.way == "datagram" and self._gap_ns > 0.0:
+            # More than it has room for would only make a queue before it.
+            self._roomy = carried_by_tcp >= _BITS_EACH * 1e9 / self._gap_ns
+
+    def sift(self, frames: list[bytes], now_ns: int) -> list[bytes] | None:
+        """Return a message that came over TCP; a sparse sample under its topic, or None where it brings nothing new."""
+        topic = self._names.get(frames[0])
+        if topic is None:
+            self._whole = frames[-1]
+            return frames
+        if self.silence_ns(now_ns) <= WANTED_NS or frames[-1] == self._whole:
+            return None
+        with contextlib.suppress(WireError):
+            seq, t_ns, src = read_header(topic.decode(), frames[-1])
+            tracker = self._subscriber.trackers.get((topic.decode(), src))
+            if tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns:
+                return None
+        return [topic, *frames[1:]]
+
+    def begin_keys(self, now_ns: int) -> None:
+        """Give the datagrams under new keys their time."""
+        self._stream_at_ns = now_ns + FIRST_NS
+
+    def forget(self) -> None:
+        """Rely on datagrams only when they have come anew."""
+        self._tried_since_ns = None
+
+    def subscribe_early(self, now_ns: int) -> None:
+        """Subscribe over TCP at a short silence, before it is known what it means: the samples come a while later."""
+        self.missed_ns, self._early_ns = NEVER_NS, now_ns
+        self._subscribe(streaming=True)
+
+    def remind(self, now_ns: int) -> None:
+        """Say at the next choice why TCP is used: more is known of it."""
+        self._next_reminder_ns = now_ns
+
+    def choose(self, now_ns: int, why: str) -> None:
+        """Choose the way to receive by, some twenty times a second.
+
+        Args:
+            now_ns: The time now [ns].
+            why: What may be said of the UDP port while no datagram comes.
+        """
+        silence_ns = self.silence_ns(now_ns)
+        if self.is_silent(now_ns):
+            self._tried_since_ns = None
+        tried_ns = 0 if self._tried_since_ns is None else now_ns - self._tried_since_ns
+        if not self._streaming and self.way == "stream" and self._tried_since_ns is None:
+            if self._stream_at_ns is None and self._subscriber.trackers:
+                self._stream_at_ns = now_ns + FIRST_NS
+            if self._stream_at_ns is not None and now_ns >= self._stream_at_ns:
+                self._subscribe(streaming=True)
+        if self.way == "stream" and tried_ns >= TRIED_NS:
+            self.way = "datagram"
+            self._subscribe(streaming=False)
+            self._tell("info", f"the link receives from {self._machine} as datagrams (UDP port {self._port})")
+            self._next_reminder_ns = now_ns
+        elif self.way == "datagram" and self._tried_since_ns is None:
+            self.way, self.missed_ns = "stream", NEVER_NS
+            self._subscribe(streaming=True)
+            self._warn(now_ns, f"no datagram has come from {self._machine} for {silence_ns * 1e-9:.1f} s")
+        elif self.way == "datagram" and now_ns - self._early_ns >= TRIED_NS and silence_ns < _LATELY_NS:
+            self._subscribe(streaming=False)
+        # Nothing is wrong yet before TCP replaces the datagrams.
+        elif self.way == "stream" and now_ns >= self._next_reminder_ns and self._streaming == self._falls_back:
+            self._warn(now_ns, f"UDP port {self._port} between here and {self._machine} {why}")
+
+    def _warn(self, now_ns: int, what: str) -> None:
+        self._next_reminder_ns = now_ns + _REMIND_NS
+        goes_on = "the link goes on over TCP, and tries again" if self._falls_back else "link.transport allows no TCP"
+        self._tell("warning", f"{what}: {goes_on}")
+
+    def _subscribe(self, *, streaming: bool) -> None:
+        if streaming and not self._falls_back:
+            return
+        self._streaming = streaming
+        wanted = set(self._names.values()) if streaming and self._roomy else set()
+        if self._falls_back and (streaming or self.way == "datagram"):
+            wanted |= set(self._first)
+            beside, self._beside = self._beside, None
+            if beside is not None:
+                for frame in self._second:
+                    beside.socket.subscribe(frame)
+        for frame in sorted(wanted - self._subscribed):
+            self._subscriber.socket.subscribe(frame)
+        for frame in sorted(self._subscribed - wanted):
+            self._subscriber.socket.unsubscribe(frame)
+        self._subscribed = wanted

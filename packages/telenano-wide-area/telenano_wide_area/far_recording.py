@@ -1,0 +1,316 @@
+"""The recording of the other site: fetched piece by piece after a session, and merged with the own one (ADR 0075)."""
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import zmq
+
+from telenano.console import console_of
+from telenano.launcher import FAR_LIST
+from telenano.recording import Recording, merge_sites
+from telenano.runtime import AddressBook, Command, CommandClient, Participant, ZmqPublisher, open_participant
+from telenano.wire import (
+    LINK,
+    TOPICS,
+    EndpointError,
+    RecordingError,
+    RecordingPiece,
+    RigError,
+    Scalar,
+    SessionEvent,
+    compose,
+)
+from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RATE, RECORDING_FILE, TOPIC
+from telenano_wide_area.relay.site_end import at_relay
+
+SENDER = "launcher@slave"
+# In the folder of a session: where the files that the other site recorded are put, and the whole.
+FOLDER_NAME, MERGED_NAME = "far", "both.mcap"
+# Beside a running rig no more than this is fetched, a fifth of what the loop takes [kbit/s].
+BESIDE_KBIT_PER_S = 1000.0
+_WINDOW_BYTES = 1 << 20
+_POLL_MS = 50
+# The other end may be silent for so long before it is asked again, and before the fetch is given up.
+_ASK_AGAIN_NS, PATIENCE_NS = 2_000_000_000, 15_000_000_000
+# This much of a disk stays free.
+_SPARE_BYTES = 64 << 20
+
+Progress = Callable[[str, int, int], None]
+
+
+def noted_files(folder: Path) -> tuple[str, ...]:
+    """Return which files the other site recorded a session to.
+
+    Raises:
+        RecordingError: The folder has no list of them, or none that can be used.
+    """
+    path = folder / FAR_LIST
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))["files"]
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: is missing: no session of two sites was recorded to {folder}") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RecordingError(f"{path}: is not a list of files: {error}") from error
+    return checked_names(found, str(path))
+
+
+def checked_names(names: Any, origin: str) -> tuple[str, ...]:
+    """Return names of parts of a recording; RecordingError where one of them is no such name."""
+    wrong = [name for name in names if not (isinstance(name, str) and RECORDING_FILE.fullmatch(name))]
+    if wrong or not names:
+        named = repr(wrong[0]) if wrong else "nothing"
+        raise RecordingError(f"{origin}: {named} is no part of a recording, such as session.mcap or session_1.mcap")
+    return tuple(names)
+
+
+class PartialFile:
+    """A file that is being fetched: what it has is right, and what comes is checked before it is added."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        """Go on with what an earlier attempt left; OSError where the folder cannot be written."""
+        self.name = name
+        self.target = folder / name
+        self._part = folder / f"{name}.part"
+        folder.mkdir(parents=True, exist_ok=True)
+        self._file: BinaryIO = self._part.open("ab+")
+        self.offset = self._part.stat().st_size
+        self.size: int | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all that the file had when it was asked for first is here."""
+        return self.size is not None and self.offset >= self.size
+
+    def add(self, piece: RecordingPiece) -> bool:
+        """Add a piece; return whether it is the next one.
+
+        Raises:
+            RecordingError: The other site sends what it was not asked for, or what contradicts itself.
+        """
+        data = piece.data.to_numpy().tobytes()
+        who = f"{piece.src} sends {piece.file!r}"
+        if piece.file != self.name:
+            raise RecordingError(f"{who} where {self.name} was asked for: refused")
+        if piece.data.dtype != "u1" or hashlib.sha256(data).hexdigest() != piece.sha256:
+            raise RecordingError(f"{who} with a piece at {piece.offset_bytes} that its digest contradicts: refused")
+        if piece.offset_bytes + len(data) > piece.size_bytes:
+            raise RecordingError(f"{who} with {len(data)} bytes at {piece.offset_bytes} of {piece.size_bytes}: refused")
+        if self.size is None:
+            self._begin(piece, who)
+        elif piece.size_bytes < self.size:
+            raise RecordingError(f"{who} as of {piece.size_bytes} bytes after {self.size}: refused")
+        if piece.offset_bytes != self.offset or not data:
+            return False
+        self._file.write(data)
+        self._file.flush()
+        self.offset += len(data)
+        return True
+
+    def finish(self) -> None:
+        """Give the file its name; RecordingError where what was fetched is no recording."""
+        self.close()
+        try:
+            Recording(self._part)
+        except RecordingError:
+            self._part.unlink()
+            raise
+        self._part.replace(self.target)
+
+    def close(self) -> None:
+        """Close the file, and keep what it has."""
+        self._file.close()
+
+    def _begin(self, piece: RecordingPiece, who: str) -> None:
+        free = shutil.disk_usage(self._part.parent).free
+        needed = piece.size_bytes - self.offset
+        if needed > free - _SPARE_BYTES:
+            raise RecordingError(f"{who} of {piece.size_bytes} bytes, and {self._part.parent} has room for {free}")
+        self._file.seek(0)
+        head = self._file.read(HEAD_BYTES)
+        if piece.size_bytes < self.offset or (
+            len(head) == HEAD_BYTES and hashlib.sha256(head).hexdigest() != piece.head_sha256
+        ):
+            raise RecordingError(f"{self._part}: is of another recording than {who}: remove it, and fetch again")
+        self.size = piece.size_bytes
+
+
+def fetch(
+    book: AddressBook,
+    names: Sequence[str],
+    folder: Path,
+    kbit_per_s: float | None = None,
+    progress: Progress = lambda name, done, size: None,
+) -> list[Path]:
+    """Fetch parts of the other site's recording into a folder, and return them; what is there already stays.
+
+    Args:
+        book: The addresses of the rig.
+        names: The names of the parts.
+        folder: The folder for them. A part that is not whole yet ends in `.part`, and a later call goes on with it.
+        kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
+        progress: Called with the name, the bytes that are here and those of the whole file.
+
+    Raises:
+        RecordingError: The other site contradicts itself, has no such file, or what it sent is no recording.
+        RigError: The other site does not answer.
+        ConfigError: This machine lacks a key that the rig demands.
+    """
+    absent = [name for name in names if not (folder / name).exists()]
+    if absent:
+        with _asking(book) as (ask, beside):
+            rate = kbit_per_s or (BESIDE_KBIT_PER_S if beside else 50_000.0)
+            for name in absent:
+                try:
+                    part = PartialFile(folder, name)
+                except OSError as error:
+                    raise RecordingError(f"{folder}: cannot be written: {error.strerror}") from error
+                try:
+                    _fetch_file(ask, part, rate, progress)
+                except OSError as error:
+                    raise RecordingError(f"{part.target}: cannot be written: {error.strerror}") from error
+                finally:
+                    part.close()
+                part.finish()
+    return [folder / name for name in names]
+
+
+class _Asking(NamedTuple):
+    """Sockets by which the other site is asked."""
+
+    participant: Participant
+    publish: Callable[..., Any]
+    subscribers: Sequence[Any]
+
+
+@contextmanager
+def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
+    """Open the sockets, and tell whether a rig runs here: its link then carries the commands, and else this process.
+
+    Likewise its end at the relay, if there is one, has ended with it, and this process is that end until it has asked.
+    """
+    endpoint = f"{LINK}@slave"
+    for key in (endpoint, None):
+        with open_participant(key or console_of(book, "master"), book) as participant:
+            try:
+                publisher = participant.bind(participant.key)
+            except EndpointError:
+                if key is None:
+                    raise
+                continue
+            publish = publisher.publish if key is None else _LinkEnd(participant, publisher).publish
+            readers = participant.subscribers({SENDER: ["session/event", TOPIC]})
+            with nullcontext() if key is None else at_relay(book):
+                yield _Asking(participant, publish, readers), key is None
+            return
+
+
+class _LinkEnd:
+    """Sends commands at the endpoint of the link as a console would through it."""
+
+    def __init__(self, participant: Participant, publisher: ZmqPublisher) -> None:
+        self._participant, self._publisher, self._seq = participant, publisher, 0
+
+    def publish(self, topic: str, **fields: Any) -> None:
+        """Send a message of the console."""
+        now_ns, version = self._participant.clock.now_ns(), TOPICS["session/control"].model.version
+        header = {"seq": self._seq, "t_ns": now_ns, "src": "console@master", "v": version}
+        _, payload = compose(topic, {**header, **fields})
+        self._seq += 1
+        self._publisher.send(topic, payload)
+
+
+def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progress) -> None:
+    clock = asking.participant.clock
+    heard_ns = clock.monotonic_ns()
+    while not part.is_whole:
+        begin, asked_ns = part.offset, clock.monotonic_ns()
+        wanted: dict[str, Scalar] = {FILE: part.name, OFFSET: begin, BYTES: _WINDOW_BYTES, RATE: rate}
+        command = Command("set", SENDER, (SENDER,), wanted, deadline_ns=_ASK_AGAIN_NS)
+        client = CommandClient(clock, asking.publish, [command])
+        is_answered = False
+        newest_ns = asked_ns
+        while part.offset < begin + _WINDOW_BYTES and not part.is_whole:
+            is_answered = is_answered or client.advance()
+            if client.refusals:
+                raise RecordingError(f"{SENDER} refuses: {client.refusals[0].text}")
+            now = clock.monotonic_ns()
+            if now - newest_ns >= _ASK_AGAIN_NS:
+                break
+            for message in _received(asking):
+                if isinstance(message, SessionEvent):
+                    client.on_event(message)
+                elif isinstance(message, RecordingPiece) and message.src == SENDER:
+                    if part.add(message):
+                        heard_ns = newest_ns = now
+                        progress(part.name, part.offset, part.size or 0)
+                    elif part.is_whole:
+                        heard_ns = now
+        if clock.monotonic_ns() - heard_ns >= PATIENCE_NS:
+            raise RigError(
+                f"{SENDER} has sent nothing of {part.name} for {PATIENCE_NS * 1e-9:.0f} s, after {part.offset} bytes: "
+                "does the slave's site run?"
+            )
+
+
+def _received(asking: _Asking) -> Iterator[Any]:
+    zmq.select([reader.socket for reader in asking.subscribers], [], [], _POLL_MS * 1e-3)
+    asking.participant.network.process_events()
+    for reader in asking.subscribers:
+        for received in reader.receive():
+            yield received.message
+
+
+def merged(own: Sequence[Path], far: Sequence[Path], target: Path) -> Path:
+    """Merge the recordings of both sites into a new file; RecordingError as `merge_sites`."""
+    unfinished = target.with_suffix(".part")
+    unfinished.unlink(missing_ok=True)
+    merge_sites([*own, *far], unfinished)
+    unfinished.replace(target)
+    return target
+
+
+class Shown:
+    """Shows the progress of a fetch in lines, one a second."""
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._next_s = time.monotonic() + 1.0
+
+    def __call__(self, name: str, done: int, size: int) -> None:
+        if time.monotonic() >= self._next_s:
+            self._next_s += 1.0
+            self._show(f"fetching {name} of the slave's site: {done / 1e6:.1f} of {size / 1e6:.1f} MB")
+
+
+def fetch_and_merge(
+    book: AddressBook,
+    folder: Path,
+    own: Sequence[Path],
+    kbit_per_s: float | None,
+    show: Callable[[str], None],
+    names: Sequence[str] | None = None,
+) -> Path:
+    """Fetch what the other site recorded of a session, merge it with the own recording, and return the whole.
+
+    Args:
+        book: The addresses of the rig.
+        folder: The folder of the session.
+        own: The parts of the own recording.
+        kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
+        show: Called with each line for the user.
+        names: The names of the other site's parts; None for those that the folder has noted.
+
+    Raises:
+        TelenanoError: As `noted_files`, `fetch` and `merge_sites`.
+    """
+    far = noted_files(folder) if names is None else names
+    show(f"fetching what the slave's site recorded: {', '.join(far)}")
+    fetched = fetch(book, far, folder / FOLDER_NAME, kbit_per_s, Shown(show))
+    show("merging the recordings of both sites")
+    return merged(own, fetched, folder / MERGED_NAME)

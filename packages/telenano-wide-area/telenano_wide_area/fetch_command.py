@@ -1,0 +1,39 @@
+"""`telenano bag fetch`: the recording of the slave's site, fetched later or further."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telenano.extend.commands import JsonOption, SiteFileOption, print_document, report_errors
+from telenano.extend.sessions import open_recordings
+from telenano.launcher import own_recordings
+from telenano.runtime import load_site
+from telenano.settings import TWO_SITES_FILE
+from telenano.wire import RecordingError
+from telenano_wide_area.far_recording import checked_names, fetch_and_merge
+
+
+def fetch(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a session, as at the master.")],
+    site_file: SiteFileOption = TWO_SITES_FILE,
+    files: Annotated[
+        list[str] | None,
+        typer.Option("--file", metavar="NAME", help="Part of the recording there, instead of those that DIR names."),
+    ] = None,
+    kbit_per_s: Annotated[
+        float | None,
+        typer.Option("--kbit-per-s", min=64.0, max=1e6, metavar="R", help="Most that is fetched; 1000 beside a rig."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
+    with report_errors(as_json):
+        names = None if files is None else checked_names(files, "--file")
+        own, faults = own_recordings(folder)
+        if not own:
+            raise RecordingError(f"{folder}: has no recording of the master's site: {'; '.join(faults) or 'no file'}")
+        show = (lambda text: None) if as_json else (lambda text: typer.echo(text, err=True))
+        whole = fetch_and_merge(load_site(site_file), folder, own, kbit_per_s, show, names)
+        info = open_recordings([whole]).info()
+        print_document(info.model_dump(mode="json"), info.path, as_json=as_json)

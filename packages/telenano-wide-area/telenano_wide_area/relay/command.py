@@ -1,0 +1,70 @@
+"""`telenano relay`: a relay between two sites that can only dial out, and the end of a site alone."""
+
+import asyncio
+from typing import Annotated
+
+import typer
+
+from telenano.extend.commands import SiteFileOption, report_errors
+from telenano.runtime import AccessControl, Keyring, StructuredLog, beside_the_loop, load_site
+from telenano.settings import TWO_SITES_FILE
+from telenano.wire import ConfigError
+from telenano_wide_area.relay.__main__ import until_stopped
+from telenano_wide_area.relay.protocol import RELAY, split_host_port
+from telenano_wide_area.relay.server import DEFAULT_PORT, Relay
+from telenano_wide_area.relay.site_end import site_end
+
+
+def relay(
+    listen: Annotated[
+        str,
+        typer.Option("--listen", metavar="HOST:PORT", help="Address to listen at, by TCP and UDP."),
+    ] = f"0.0.0.0:{DEFAULT_PORT}",
+    mbit_per_s: Annotated[
+        float,
+        typer.Option("--mbit-per-s", metavar="MBIT", min=0.1, max=1e5, help="Most that is carried for each site."),
+    ] = 50.0,
+    join: Annotated[
+        str | None,
+        typer.Option(
+            "--join",
+            metavar="SITE",
+            help="Run the end of this site alone, where `telenano up` does not: master or slave.",
+        ),
+    ] = None,
+    site_file: SiteFileOption = TWO_SITES_FILE,
+) -> None:
+    """Carry what is sealed between two sites that can only dial out, until Ctrl-C; it needs the keys of both."""
+    with report_errors(as_json=False):
+        beside_the_loop()
+        if join is not None:
+            if join not in ("master", "slave"):
+                raise ConfigError(f"--join: {join} is no site, must be master or slave")
+            work = site_end(load_site(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
+        else:
+            work = _serve(listen, mbit_per_s)
+        asyncio.run(until_stopped(work))
+
+
+async def _serve(listen: str, mbit_per_s: float) -> None:
+    try:
+        host, port = split_host_port(listen)
+    except ValueError as error:
+        raise ConfigError(f"--listen: {error}") from error
+    keyring = Keyring()
+    access = AccessControl(RELAY, keyring, requires_keys=True)
+    log = StructuredLog(RELAY)
+    found = Relay(access, log, mbit_per_s)
+    await found.start(host, port)
+    log.info(f"listening on {host} port {port}, TCP and UDP; the key of this relay is {access.public_key}")
+    names = [key.name for key in keyring.allowed().keys if "relay" in access.roles(key.name)]
+    if names:
+        log.info(f"it may be used by {', '.join(names)}")
+    else:
+        log.warning("no machine may use it yet: run `telenano keys allow NAME KEY --role relay` for each site")
+    for text in keyring.expiring():
+        log.warning(text)
+    try:
+        await found.run()
+    finally:
+        await found.close()

@@ -1,0 +1,198 @@
+"""The datagrams that a relay carries: each from the address of one end to that of the other, as it came.
+
+An end has a place only after it has shown its key, and that it receives at the address that it sends from: the cookie
+of the first answer has to come back. Nothing that is sent to the relay makes it send more bytes than that, to nobody
+but a known end.
+"""
+
+import asyncio
+import hashlib
+import hmac
+import os
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from telenano.runtime import KeyPair
+from telenano_wide_area.datagram.sealing import MOST_BYTES
+from telenano_wide_area.relay.channel import Budget
+from telenano_wide_area.relay.protocol import (
+    COOKIE,
+    COOKIE_BYTES,
+    MAGIC,
+    TO_RELAY,
+    SharedKeys,
+    answer_bytes,
+    parse_request,
+    unpack,
+)
+from telenano_wide_area.sealed import RejectedError
+
+Address = tuple[Any, ...]
+Pair = tuple[bytes, bytes]
+
+# An end asks every two seconds; after so long without that its place is gone.
+PLACE_S = 15.0
+# A cookie is good for one to two of these.
+_COOKIE_S = 120.0
+# Answers to whoever has no cookie yet, a second in all: each is a tenth as long as the request.
+_COOKIES_PER_S = 200.0
+# A machine has so many places at most, one for each other machine that it works with.
+_MOST_PLACES = 16
+_BATCH = 64
+_BUFFER_BYTES = 1 << 21
+
+
+@dataclass
+class Place:
+    """An end at the relay: the pair of keys (its own, that of the end it asks for), where it is, and its tag."""
+
+    pair: Pair
+    address: Address
+    tag: bytes
+    asked_s: float
+    direct: bool = True
+
+
+class Forwarder:
+    """The places of a relay, and what is between them."""
+
+    def __init__(
+        self,
+        own: KeyPair,
+        is_allowed: Callable[[bytes], bool],
+        budget_of: Callable[[bytes], Budget],
+        now_s: Callable[[], float],
+    ) -> None:
+        """Begin without a place.
+
+        Args:
+            own: The key pair of the relay.
+            is_allowed: Says whether the machine with a public key may use the relay.
+            budget_of: Returns the budget of bytes of a machine.
+            now_s: The monotonic time [s].
+        """
+        self.carried = 0
+        self.refused: dict[str, int] = {}
+        self.places: dict[Pair, Place] = {}
+        self._by_address: dict[Address, Place] = {}
+        self._own, self._is_allowed, self._budget_of, self._now_s = own, is_allowed, budget_of, now_s
+        self._keys: dict[bytes, SharedKeys] = {}
+        self._secret = os.urandom(32)
+        self._cookies = Budget(_COOKIES_PER_S, _COOKIES_PER_S, now_s())
+        self._socket: socket.socket | None = None
+
+    def open(self, host: str, port: int) -> None:
+        """Bind the UDP port and begin to carry; OSError where it cannot be bound."""
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        found = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            found.setblocking(False)
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+            found.bind(address)
+        except OSError:
+            found.close()
+            raise
+        self._socket = found
+        asyncio.get_running_loop().add_reader(found.fileno(), self._read)
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+            self._socket.close()
+            self._socket = None
+
+    def tidy(self) -> None:
+        """Give up the places of ends that no longer ask, or are no longer allowed."""
+        now_s = self._now_s()
+        for place in list(self.places.values()):
+            if now_s - place.asked_s > PLACE_S or not self._is_allowed(place.pair[0]):
+                self._remove(place)
+        self._keys = {public: keys for public, keys in self._keys.items() if self._is_allowed(public)}
+
+    def take(self, datagram: bytes, address: Address) -> tuple[bytes, Address] | None:
+        """Return what a datagram from an address makes the relay send, and where to; None for nothing."""
+        place = self._by_address.get(address)
+        try:
+            if datagram.startswith(MAGIC):
+                return self._ask(datagram, address), address
+            if place is None:
+                raise RejectedError("unknown_address")
+            if len(datagram) > MOST_BYTES:
+                raise RejectedError("oversized")
+            other = self.places.get(place.pair[::-1])
+            if other is None:
+                raise RejectedError("alone")
+            if not self._budget_of(place.pair[0]).take(len(datagram), self._now_s()):
+                raise RejectedError("budget")
+        except RejectedError as error:
+            self.refused[error.cause] = self.refused.get(error.cause, 0) + 1
+            return None
+        self.carried += 1
+        return datagram, other.address
+
+    def _read(self) -> None:
+        assert self._socket is not None
+        for _ in range(_BATCH):
+            try:
+                datagram, address = self._socket.recvfrom(MOST_BYTES + 1)
+            except BlockingIOError:
+                return
+            except OSError:
+                # An ICMP error answers an earlier datagram.
+                continue
+            for found, to in self.outgoing(datagram, address):
+                try:
+                    self._socket.sendto(found, to)
+                except OSError:
+                    self.refused["send"] = self.refused.get("send", 0) + 1
+
+    def outgoing(self, datagram: bytes, address: Address) -> list[tuple[bytes, Address]]:
+        """Return what to send now that a datagram has come."""
+        found = self.take(datagram, address)
+        return [] if found is None else [found]
+
+    def _ask(self, datagram: bytes, address: Address) -> bytes:
+        request = parse_request(datagram)
+        now_s = self._now_s()
+        if not any(hmac.compare_digest(request.cookie, self._cookie(address, age)) for age in (0, 1)):
+            if not self._cookies.take(1.0, now_s):
+                raise RejectedError("cookies")
+            return request.tag + COOKIE + self._cookie(address, 0)
+        if not self._is_allowed(request.public):
+            raise RejectedError("unlisted")
+        keys = self._keys.get(request.public)
+        if keys is None:
+            keys = self._keys[request.public] = SharedKeys(self._own, request.public, TO_RELAY)
+        fields = unpack(keys.open(request.sealed, request.context))
+        try:
+            peer, direct = bytes.fromhex(fields["peer"]), bool(fields["direct"])
+        except (KeyError, TypeError, ValueError):
+            raise RejectedError("malformed") from None
+        place = Place((request.public, peer), address, request.tag, now_s, direct)
+        other = None
+        if peer:
+            # One that is elsewhere now, and whoever was at this address before, is forgotten.
+            for old in (self.places.get(place.pair), self._by_address.get(address)):
+                if old is not None:
+                    self._remove(old)
+            if sum(pair[0] == request.public for pair in self.places) >= _MOST_PLACES:
+                raise RejectedError("places")
+            self.places[place.pair] = self._by_address[address] = place
+            other = self.places.get(place.pair[::-1])
+        seen = other.address[:2] if other is not None and other.direct and direct else None
+        tag = b"" if other is None else other.tag
+        return answer_bytes(keys, request, {"you": address[:2], "peer": seen, "tag": tag.hex()})
+
+    def _remove(self, place: Place) -> None:
+        if self.places.get(place.pair) is place:
+            del self.places[place.pair]
+        if self._by_address.get(place.address) is place:
+            del self._by_address[place.address]
+
+    def _cookie(self, address: Address, age: int) -> bytes:
+        """Return the cookie of an address, now or one period ago; it needs no memory."""
+        text = f"{address[:2]} {int(self._now_s() / _COOKIE_S) - age}"
+        return hmac.digest(self._secret, text.encode(), hashlib.sha256)[:COOKIE_BYTES]

@@ -1,0 +1,168 @@
+"""Where an end of the link sends its datagrams when both ends can only dial out: to a relay, or past it.
+
+The end asks the relay for a place, and is then joined with the end of the other machine that asked for it in turn. The
+relay tells each the address at which it sees the other. Both try that address at once, which opens the way through most
+routers (hole punching): whoever gets an answer of the other end to its own ping sends there from then on, and goes back
+to the relay as soon as the answers stay away. The samples go through the relay until then, and nothing waits for a try.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+from telenano_wide_area.relay.protocol import (
+    ANSWER,
+    COOKIE,
+    COOKIE_BYTES,
+    PING,
+    PONG,
+    SharedKeys,
+    make_request,
+    request_bytes,
+    unpack,
+)
+from telenano_wide_area.sealed import RejectedError
+
+Address = tuple[Any, ...]
+Send = Callable[[bytes, Address], None]
+
+TAG_BYTES = 4
+# Requests come at the first interval until both ends have places, and while nothing comes; then at the second, which
+# keeps the way through the routers open and finds out when the relay has forgotten.
+_ASK_NS, _CALM_ASK_NS = 200_000_000, 2_000_000_000
+_SILENCE_NS = 150_000_000
+# Pings come at the first interval for so long after something changed, and on the direct way; then at the second.
+_PING_NS, _CALM_PING_NS = 100_000_000, 5_000_000_000
+_EAGER_NS = 5_000_000_000
+# On a silent direct way answers may stay away for the first time, on one that brings samples for the second.
+_UNANSWERED_NS, _LOST_NS = 300_000_000, 2_000_000_000
+_PING_BYTES = 8
+_REMEMBERED_PINGS = 16
+
+
+class RelayPath:
+    """The way of one end; `peer` is where to send now, None before the relay has given a place."""
+
+    def __init__(
+        self,
+        relay: Address,
+        keys: SharedKeys,
+        peer_keys: SharedKeys,
+        own_public: bytes,
+        peer_public: bytes,
+        *,
+        direct: bool = True,
+    ) -> None:
+        """Begin without a place.
+
+        Args:
+            relay: The address of the relay.
+            keys: The keys that this machine shares with the relay.
+            peer_keys: The keys that it shares with the other machine.
+            own_public: Its own public key, 32 bytes.
+            peer_public: That of the other machine.
+            direct: Whether the direct way is tried; the relay then tells the other end the address of this one.
+        """
+        # The kernel drops what begins with no known tag, so this stands before whatever is meant for this end.
+        self.tag = os.urandom(TAG_BYTES)
+        self.relay = relay
+        self.peer: Address | None = None
+        self.send: Send = lambda datagram, address: None
+        self._keys, self._peer_keys = keys, peer_keys
+        self._own_public, self._peer_public = own_public, peer_public
+        self._direct = direct
+        self._cookie = bytes(COOKIE_BYTES)
+        self._awaits_answer = False
+        self._asked_ns = self._answered_ns = -_CALM_ASK_NS
+        # What may lead to the other end directly: the address that the relay sees, and one that a ping came from.
+        self._candidates: dict[str, Address] = {}
+        self._peer_tag = b""
+        self._pings: list[bytes] = []
+        self._pinged_ns = self._changed_ns = self._ponged_ns = -_CALM_PING_NS
+        self._now_ns = 0
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether samples go past the relay."""
+        return self.peer is not None and self.peer != self.relay
+
+    def maintain(self, now_ns: int, silence_ns: int) -> None:
+        """Ask for a place, try the direct way, and leave one on which nothing is answered.
+
+        Args:
+            now_ns: The time now [ns].
+            silence_ns: For how long no sample has come from the other end [ns].
+        """
+        self._now_ns = now_ns
+        silent = silence_ns > _SILENCE_NS
+        unanswered_ns = now_ns - self._ponged_ns
+        if self.is_direct and unanswered_ns > (_UNANSWERED_NS if silent else _LOST_NS):
+            self.peer, self._changed_ns = self.relay, now_ns
+        if now_ns - self._asked_ns >= (_CALM_ASK_NS if self._peer_tag and not silent else _ASK_NS):
+            self._ask()
+        eager = self.is_direct or now_ns - self._changed_ns < _EAGER_NS
+        if self._direct and self._peer_tag and now_ns - self._pinged_ns >= (_PING_NS if eager else _CALM_PING_NS):
+            self._pinged_ns = now_ns
+            ping = os.urandom(_PING_BYTES)
+            self._pings = [*self._pings[1 - _REMEMBERED_PINGS :], ping]
+            for address in {self.peer} if self.is_direct else set(self._candidates.values()):
+                if address is not None:
+                    self._say(PING, ping, address)
+
+    def take(self, datagram: bytes, address: Address) -> None:
+        """Take what begins with the tag; RejectedError for what is neither of the relay nor of the other end."""
+        kind, rest = datagram[TAG_BYTES : TAG_BYTES + 1], datagram[TAG_BYTES + 1 :]
+        if kind in (PING, PONG) and not self._direct:
+            raise RejectedError("unknown_key")
+        if kind == PING:
+            ping = self._peer_keys.open(rest, PING + self.tag)
+            self._say(PONG, ping, address)
+            self._consider("heard", address)
+        elif kind == PONG:
+            ping = self._peer_keys.open(rest, PONG + self.tag)
+            if ping not in self._pings:
+                raise RejectedError("replayed")
+            self._ponged_ns = self._now_ns
+            self.peer = address
+        elif address[:2] != self.relay[:2]:
+            raise RejectedError("unknown_key")
+        elif kind == COOKIE and len(rest) == COOKIE_BYTES:
+            # It is taken once for each time that the end asks by itself, so that a forger cannot make it send more.
+            if self._awaits_answer:
+                self._cookie = rest
+                self._ask()
+                self._awaits_answer = False
+        elif kind == ANSWER:
+            self._place(unpack(self._keys.open(rest, self.tag + self._cookie)))
+        else:
+            raise RejectedError("malformed")
+
+    def _ask(self) -> None:
+        self._asked_ns, self._awaits_answer = self._now_ns, True
+        request = make_request(
+            self._keys, self.tag, self._cookie, self._own_public, self._peer_public, direct=self._direct
+        )
+        self.send(request_bytes(request), self.relay)
+
+    def _place(self, answer: dict[str, Any]) -> None:
+        """Take the place that the relay has given, and what it says of the other end."""
+        self.peer = self.peer or self.relay
+        try:
+            tag, (host, port) = bytes.fromhex(answer["tag"]), answer["peer"] or ("", 0)
+        except (KeyError, TypeError, ValueError):
+            raise RejectedError("malformed") from None
+        if not isinstance(host, str) or not isinstance(port, int) or not 0 <= port < 65536:
+            raise RejectedError("malformed")
+        if len(tag) == TAG_BYTES and tag != self._peer_tag:
+            # The other end is a new one.
+            self._peer_tag, self._changed_ns, self._candidates = tag, self._now_ns, {}
+        if host and self._peer_tag:
+            self._consider("seen", (host, port, *self.relay[2:]))
+
+    def _consider(self, source: str, address: Address) -> None:
+        if address[:2] != self.relay[:2] and self._candidates.get(source) != address:
+            self._candidates[source], self._changed_ns = address, self._now_ns
+
+    def _say(self, kind: bytes, ping: bytes, address: Address) -> None:
+        if self._peer_tag:
+            self.send(self._peer_tag + kind + self._peer_keys.seal(ping, kind + self._peer_tag), address)

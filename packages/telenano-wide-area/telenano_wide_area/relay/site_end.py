@@ -1,0 +1,300 @@
+"""The end of a site that reaches the other one through a relay: dials out, and is where the nodes here connect to.
+
+For each node of another machine it listens on an address of this machine, which the address book gives the nodes here
+in the place of the real one. Whoever connects is joined, through the relay, with the node itself. What it sees is what
+the relay sees: connections of CURVE.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
+from threading import Thread
+from typing import Any
+
+from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog
+from telenano.wire import ConfigError, EndpointError
+from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
+from telenano_wide_area.relay.protocol import RELAY, raw_key, relay_key, split_host_port
+
+_PING_S, _SILENCE_S = 4.0, 12.0
+_AGAIN_S, _AGAIN_MOST_S = 0.5, 5.0
+_REPLACED_S = 20.0
+_REMIND_S = 60.0
+# A node that does not listen yet is tried for so long; whoever waits for it gives up a little later.
+_NODE_S, _NODE_AGAIN_S = 3.0, 0.1
+# A node here that waits for one there gives up after 5 s and connects again: its connection is closed before that.
+_JOIN_S = 4.5
+_RELOAD_S = 0.5
+
+
+class SiteEnd:
+    """The end of one machine."""
+
+    def __init__(self, book: AddressBook, machine: str, access: AccessControl, log: StructuredLog) -> None:
+        """Read what is to be reached; ConfigError where the key of the relay is not listed."""
+        assert book.relay is not None
+        assert access.own is not None
+        self._host, self._port = split_host_port(book.relay)
+        self._relay = book.relay
+        self._own = access.own
+        self._relay_key = raw_key(relay_key(access))
+        self._access, self._log = access, log
+        ends = {node: _host_port(found) for node in book.nodes if (found := book.network_endpoint(node)) is not None}
+        self._here = {ends[node][1] for node in ends if book.machine_of(node) == machine}
+        self._bind = next((_host_port(book.bind_endpoint(node) or "")[0] for node in ends), "")
+        self._there: Mapping[tuple[str, int], str] = {
+            end: book.machine_of(node) for node, end in ends.items() if book.machine_of(node) != machine
+        }
+        # the sites at the relay, by key; their nodes are listened for, and without them connections are refused at once
+        self._present: frozenset[str] = frozenset()
+        self._servers: dict[tuple[str, int], asyncio.Server] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        # What was logged last of the relay and of single connections, and when [s].
+        self._told: dict[str, tuple[str, float]] = {}
+
+    async def run(self) -> None:
+        """Listen, and keep the connection to the relay, until cancelled; EndpointError for a port that is taken."""
+        try:
+            for end in self._there:
+                await self._bound(end)
+            self._start(self._reload())
+            await self._keep_connected()
+        finally:
+            for task in list(self._tasks):
+                task.cancel()
+            for server in self._servers.values():
+                server.close()
+
+    async def _keep_connected(self) -> None:
+        wait_s = _AGAIN_S
+        while True:
+            began_s = time.monotonic()
+            try:
+                wait_s = await self._stay()
+            except Gone as error:
+                reason = str(error) or type(error).__name__
+                self._tell("warning", f"the relay {self._relay} cannot be reached or was lost: {reason}; trying again")
+            await self._see(frozenset())
+            lasted = time.monotonic() - began_s > _SILENCE_S
+            await asyncio.sleep(wait_s)
+            wait_s = _AGAIN_S if lasted else min(2.0 * wait_s, _AGAIN_MOST_S)
+
+    async def _stay(self) -> float:
+        """Keep one connection to the relay; return how long to wait before the next [s]."""
+        meets = self._meets()
+        channel = await self._dial(want="site", meets=sorted(meets))
+        pinging = self._start(self._ping(channel))
+        try:
+            while True:
+                async with asyncio.timeout(_SILENCE_S):
+                    said = await channel.receive()
+                if self._meets() != meets:
+                    # The list of keys has changed: the relay is told by a new connection.
+                    return 0.0
+                if "refused" in said:
+                    self._tell("error", f"the relay {self._relay} refuses this machine: {said.get('text')}")
+                    return _AGAIN_MOST_S
+                if "replaced" in said:
+                    self._tell("error", f"another process with the key of {self._access.machine} uses {self._relay}")
+                    return _REPLACED_S
+                if "ok" in said:
+                    self._tell("info", f"the relay {self._relay} is reached")
+                if isinstance(said.get("present"), list):
+                    await self._see(frozenset(map(str, said["present"])))
+                if "open" in said:
+                    self._start(self._accept(channel, said))
+        finally:
+            pinging.cancel()
+            channel.close()
+
+    async def _ping(self, channel: Channel) -> None:
+        with contextlib.suppress(*Gone):
+            while True:
+                await asyncio.sleep(_PING_S)
+                await channel.send(ping=True)
+
+    async def _reload(self) -> None:
+        """Read the list of keys again when it has changed."""
+        while True:
+            await asyncio.sleep(_RELOAD_S)
+            try:
+                self._access.reload()
+            except ConfigError as error:
+                self._log.error(f"the list of keys was not reloaded: {error}")
+
+    def _meets(self) -> set[str]:
+        """Return the keys of the machines that have a valid one, in hexadecimal."""
+        return set(map(self._key, set(self._there.values()))) - {""}
+
+    async def _see(self, present: frozenset[str]) -> None:
+        """Listen in the place of the sites that are at the relay, and of no other."""
+        if present == self._present:
+            return
+        self._present = present
+        self._log.info("the other site is at the relay" if present else "the other site is not at the relay")
+        for end, machine in self._there.items():
+            server = self._servers[end]
+            if self._key(machine) in present:
+                await server.start_serving()
+            elif server.is_serving():
+                server.close()
+                await self._bound(end)
+
+    async def _bound(self, end: tuple[str, int]) -> None:
+        """Bind where a node is to be reached, without listening; EndpointError where that fails."""
+        handler = self._handler(self._there[end], end[1])
+        try:
+            self._servers[end] = await asyncio.start_server(handler, *end, limit=CHUNK_BYTES, start_serving=False)
+        except OSError as error:
+            text = f"{end[0]} port {end[1]}, for {self._there[end]}, cannot be bound: {error.strerror}"
+            raise EndpointError(text) from error
+
+    def _key(self, machine: str) -> str:
+        """Return the valid key of a machine in hexadecimal, empty where it has none."""
+        key = self._access.server_key(machine)
+        return "" if key is None else raw_key(key).hex()
+
+    # --- from here to there ---
+
+    def _handler(self, machine: str, port: int) -> Any:
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            try:
+                channel = await self._opened(machine, port)
+                await splice((reader, writer), (channel.reader, channel.writer))
+            except Gone:
+                pass
+            finally:
+                abort(writer)
+
+        return serve
+
+    async def _opened(self, machine: str, port: int) -> Channel:
+        """Return a connection to a port of another machine; TimeoutError when there is none in time."""
+        async with asyncio.timeout(_JOIN_S):
+            while True:
+                channel = None
+                try:
+                    channel = await self._dial(want="open", to=self._key(machine), port=port)
+                    said = await channel.receive()
+                    if "ok" in said:
+                        joined, channel = channel, None
+                        return joined
+                    if "text" in said:
+                        self._tell("warning", f"the relay {self._relay} refuses: {said['text']}", "connection")
+                except Gone as error:
+                    # The time of all attempts is limited outside.
+                    self._tell_of_end(error)
+                finally:
+                    if channel is not None:
+                        channel.close()
+                await asyncio.sleep(_AGAIN_S)
+
+    # --- from there to here ---
+
+    async def _accept(self, control: Channel, said: dict[str, Any]) -> None:
+        """Connect to the node that somebody there wants to reach, and dial the relay to be joined."""
+        number, port = str(said.get("open")), said.get("port")
+        with contextlib.suppress(*Gone):
+            if port not in self._here or said.get("source") not in self._meets():
+                await control.send(refused=number)
+                return
+            try:
+                node = await self._connected(port)
+            except (OSError, TimeoutError):
+                await control.send(refused=number)
+                return
+            channel = None
+            try:
+                try:
+                    channel = await self._dial(want="accept", number=number)
+                    async with asyncio.timeout(_JOIN_S):
+                        joined = "ok" in await channel.receive()
+                except Gone as error:
+                    # Whoever waits there tries again at once, and not after its time.
+                    self._tell_of_end(error)
+                    await control.send(refused=number)
+                    return
+                if joined:
+                    await splice(node, (channel.reader, channel.writer))
+            finally:
+                abort(node[1])
+                if channel is not None:
+                    channel.close()
+
+    async def _connected(self, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """Connect to a node of this machine, which may be about to begin; OSError, TimeoutError where there is none."""
+        async with asyncio.timeout(_NODE_S):
+            while True:
+                try:
+                    return await asyncio.open_connection(self._bind, port, limit=CHUNK_BYTES)
+                except ConnectionRefusedError:
+                    await asyncio.sleep(_NODE_AGAIN_S)
+
+    async def _dial(self, **request: Any) -> Channel:
+        return await dial(self._host, self._port, self._own, self._relay_key, request)
+
+    def _tell_of_end(self, error: Exception) -> None:
+        """Tell that the relay has ended a connection in the place of an answer, as it does where there are too many."""
+        if isinstance(error, EOFError | ConnectionError) and self._present:
+            text = "has ended a connection without an answer; its own log says whether it refuses this address"
+            self._tell("warning", f"the relay {self._relay} {text}", "connection")
+
+    def _start(self, work: Any) -> "asyncio.Task[None]":
+        task = asyncio.get_running_loop().create_task(work)
+        # The loop itself keeps weak references only.
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _tell(self, level: str, text: str, about: str = "relay") -> None:
+        """Log a change of one matter, and what stays the same once a minute."""
+        now_s = time.monotonic()
+        told, told_s = self._told.get(about, ("", 0.0))
+        if text != told or now_s - told_s >= _REMIND_S:
+            self._told[about] = (text, now_s)
+            self._log.write(level, text)
+
+
+def _host_port(endpoint: str) -> tuple[str, int]:
+    return split_host_port(endpoint.removeprefix("tcp://"))
+
+
+def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
+    """Return the end of a site; ConfigError where the site file has no relay, or a key is missing."""
+    if book.relay is None:
+        raise ConfigError("the site file has no `relay: host:port`")
+    return SiteEnd(book, site, AccessControl(site, Keyring(), requires_keys=True), log)
+
+
+@contextlib.contextmanager
+def at_relay(book: AddressBook) -> Iterator[None]:
+    """Be the end of the master's site at the relay of the site file, if it has one, in a thread while a block runs.
+
+    Where another process of this machine is that end, this one leaves it to that.
+
+    Raises:
+        ConfigError: A key is missing.
+    """
+    if book.relay is None:
+        yield
+        return
+    end = site_end(book, "master", StructuredLog(f"{RELAY}@master"))
+    running: Future[tuple[asyncio.AbstractEventLoop, asyncio.Task[None] | None]] = Future()
+
+    async def run() -> None:
+        running.set_result((asyncio.get_running_loop(), asyncio.current_task()))
+        with contextlib.suppress(EndpointError, asyncio.CancelledError):
+            await end.run()
+
+    thread = Thread(target=lambda: asyncio.run(run()), name=f"{RELAY}@master", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        loop, task = running.result()
+        # A loop that has ended by itself takes no calls.
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(lambda: task is not None and task.cancel())
+        thread.join()
