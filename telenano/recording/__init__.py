@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from telenano.recording.rewrite import CopyResult as CopyResult
     from telenano.recording.rewrite import CopyWriter as CopyWriter
     from telenano.recording.site_clock import Timeline as Timeline
+    from telenano.recording.site_merge import merge_sites as merge_sites
     from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tables import plain as plain
     from telenano.recording.tables import typed_columns as typed_columns
@@ -41,7 +42,5 @@ if TYPE_CHECKING:
     from telenano.recording.tolerance import first_difference as first_difference
     from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
-    from telenano.recording.reader import Recording as Recording
-    from telenano.recording.site_merge import merge_sites as merge_sites
 else:
     __getattr__, __dir__ = face(__name__)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from telenano.wire.codec import keys_twice as keys_twice
     from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
+    from telenano.wire.errors import EndpointError as EndpointError
     from telenano.wire.errors import RecordingError as RecordingError
     from telenano.wire.errors import RefusedError as RefusedError
     from telenano.wire.errors import ReportError as ReportError
@@ -51,10 +52,15 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Record as Record
     from telenano.wire.messages import Scalar as Scalar
     from telenano.wire.messages import SessionControl as SessionControl
+    from telenano.wire.messages import SessionEvent as SessionEvent
     from telenano.wire.messages import TeleopBackward as TeleopBackward
     from telenano.wire.messages import about as about
+    from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
+    from telenano.wire.network_messages import LinkKey as LinkKey
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
+    from telenano.wire.network_messages import RecordingPiece as RecordingPiece
     from telenano.wire.nodes import EXPERIMENT as EXPERIMENT
+    from telenano.wire.nodes import FAR_END as FAR_END
     from telenano.wire.nodes import HAND as HAND
     from telenano.wire.nodes import LINK as LINK
     from telenano.wire.nodes import RECORDER as RECORDER
@@ -66,22 +72,6 @@ if TYPE_CHECKING:
     from telenano.wire.received import Received as Received
     from telenano.wire.schema import json_schema as json_schema
     from telenano.wire.sequence import SequenceTracker as SequenceTracker
-    from telenano.wire.errors import EndpointError as EndpointError
-    from telenano.wire.errors import RecordingError as RecordingError
-    from telenano.wire.errors import RefusedError as RefusedError
-    from telenano.wire.errors import RigError as RigError
-    from telenano.wire.errors import TelenanoError as TelenanoError
-    from telenano.wire.messages import Array as Array
-    from telenano.wire.messages import InputHealth as InputHealth
-    from telenano.wire.messages import Message as Message
-    from telenano.wire.messages import Scalar as Scalar
-    from telenano.wire.messages import SessionEvent as SessionEvent
-    from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
-    from telenano.wire.network_messages import LinkKey as LinkKey
-    from telenano.wire.network_messages import RecordingPiece as RecordingPiece
-    from telenano.wire.nodes import FAR_END as FAR_END
-    from telenano.wire.nodes import LINK as LINK
-    from telenano.wire.received import Received as Received
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic

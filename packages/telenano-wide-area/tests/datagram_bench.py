@@ -13,14 +13,8 @@ from telenano_wide_area.datagram.place import Outlets, Place
 from telenano_wide_area.datagram.sparse import SPARSE
 from telenano_wide_area.settings import DatagramSettings
 
-from telenano.runtime.bus.address_book import LinkTransport
 from telenano.runtime.bus.bus import Subscriber
-from telenano.runtime.bus.publisher import SPARSE
-from telenano.runtime.datagram.end import DatagramEnd
-from telenano.runtime.datagram.place import Outlets, Place
 from telenano.testing import VirtualClock
-from telenano.extend.testing import VirtualClock
-from telenano.runtime.bus.bus import Subscriber
 from telenano.wire import compose
 from telenano.wire.messages import Message
 from telenano.wire.received import Received

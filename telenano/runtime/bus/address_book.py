@@ -18,10 +18,9 @@ from telenano.runtime.bus.local_endpoint import (
     kept_stop_path,
     local_endpoint,
 )
-from telenano.settings.config import Settings, read_yaml, validate
-from telenano.settings.package_topics import row_of
 from telenano.runtime.bus.transports import AUTO, check_link
 from telenano.settings.config import M, Settings, read_yaml, validate
+from telenano.settings.package_topics import row_of
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import LINK, name_of, site_of
