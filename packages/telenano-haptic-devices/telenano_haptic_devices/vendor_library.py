@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.extend.impedance import DeviceError, refused_code
+from telenano.extend.devices import DeviceError
+from telenano.extend.impedance import refused_code
 
 
 class VendorLibrary(NamedTuple):

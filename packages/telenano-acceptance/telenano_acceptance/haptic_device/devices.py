@@ -4,8 +4,10 @@ import gc
 from collections.abc import Mapping
 from typing import Any
 
+from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.servo_process import ProcessLink
+
 from telenano.extend.commands import ConfigError
-from telenano.extend.emulators import ProcessLink
 from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
@@ -48,8 +50,9 @@ def make_take(
     if faults:
         raise ConfigError(f"faults can be put into {SIMULATED_IMPEDANCE} only, not into {config.driver}")
     driver = DRIVERS.find(config.driver)
-    if driver is None or driver.wire is None:
-        known = ", ".join((SIMULATED_IMPEDANCE, *(name for name, one in DRIVERS.all().found.items() if one.wire)))
+    if driver is None or not takes_force(driver):
+        others = (name for name, one in DRIVERS.all().found.items() if takes_force(one))
+        known = ", ".join((SIMULATED_IMPEDANCE, *others))
         raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
     settings_of_driver = getattr(config, driver.name) or driver.config()
     link = ProcessLink(driver.name, settings_of_driver.model_dump(mode="json"))

@@ -9,10 +9,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from telenano.extend.emulators import HandMotion, arm_step
-from telenano.extend.impedance import UPRIGHT, Capabilities, Quaternion
+from telenano_haptic_devices.emulated_arm import HandMotion
+from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample
+
+from telenano.extend.devices import Capabilities
+from telenano.extend.emulators import arm_step
+from telenano.extend.impedance import UPRIGHT, Quaternion
 from telenano.hand.coupling import ZERO, Vector
-from telenano.hand.servo import DeviceSample, Servo, ServoCommand, ServoSample
 from telenano.numerics.normal_numbers import normal_number
 
 
