@@ -170,7 +170,8 @@ dist: page ## Build wheels, source distribution, SBOM and licences, and try them
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
-	  --no-emit-package telenano-laws --no-emit-package telenano-microscopy --no-emit-package telenano-studies \
+	  --no-emit-package telenano-haptic-devices --no-emit-package telenano-laws \
+	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies \
 	  --no-emit-package gwyddionpy-converter -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 

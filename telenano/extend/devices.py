@@ -17,7 +17,17 @@ from telenano.hand.safety import MODE_FORCE as MODE_FORCE
 from telenano.hand.safety import MODE_OFF as MODE_OFF
 from telenano.hand.safety import MODE_POSITION as MODE_POSITION
 from telenano.settings.device_drivers import DeviceDriver as DeviceDriver
+from telenano.settings.device_drivers import Drivers
 
 AfmLimits = SafetyParams
 AfmReport = _AfmReport
 HapticReport = _HapticReport
+
+
+def haptic_driver(name: str) -> DeviceDriver | None:
+    """Return the driver of an installed package for the haptic node, imported now; None where no package has it.
+
+    Raises:
+        ValueError: It cannot be used; the message says why.
+    """
+    return Drivers("haptic_node", (), ()).find(name)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
+from telenano.settings.config import validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import Loaded, installed, load
 
@@ -24,11 +25,12 @@ class DeviceDriver:
     of the AFM node `AfmLimits` (all of `telenano.extend.devices`). The guard stays in front of it. `simulated`: its
     readings follow from what it was sent alone, so that its node can be run again from a recording.
 
-    `told` names what build takes by keyword besides: `period_s`, the period of the loop [s]; for an instrument
-    `attended`, whether a person stands by who retracts the tip; for a haptic device `coupling`, the settings of its
-    coupling. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
-    with which laws and programs it is used; one without them is not judged. `wire` is that of a device that takes a
-    force (`impedance_driver`). `what` names the devices in a list. `calibration` is the model of a file whose key
+    `told` names what build takes by keyword besides: `period_s`, the period of the loop [s], and keys of the node's
+    section, such as `coupling` of `haptic_node`, or `attended` of `afm_node`, whether a person stands by who retracts
+    the tip. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
+    with which laws and programs it is used; one without them is not judged. `what` names the
+    devices in a list. `own` is what the package needs of it in a process of its own, which finds the driver by its name
+    (`haptic_driver` of `telenano.extend.devices`). `calibration` is the model of a file whose key
     `controller` names this driver; the settings then have a key `calibration` with its path.
     """
 
@@ -40,12 +42,24 @@ class DeviceDriver:
     told: tuple[str, ...] = ()
     capabilities: tuple[Any, ...] | None = None
     calibration: type[BaseModel] | None = None
-    wire: Callable[[Any], Any] | None = None
+    own: Any = None
     what: str = ""
 
-    def device(self, settings: BaseModel | None, limits: Any, **told: Any) -> Any:
-        """Return a device with these settings, or with the default ones, that was told what it wants to know."""
-        return self.build(settings or self.config(), limits, **{name: told[name] for name in self.told})
+    def device(self, settings: BaseModel | None, limits: Any, section: Any, period_s: float) -> Any:
+        """Return a device with these settings, or with the default ones.
+
+        Args:
+            settings: The settings of the driver's own section.
+            limits: The limits of the guard.
+            section: The section of the node, for the keys that `told` names.
+            period_s: The period of the loop [s].
+        """
+        named = {name: period_s if name == "period_s" else getattr(section, name) for name in self.told}
+        return self.build(settings or self.config(), limits, **named)
+
+    def settings(self, values: dict[str, Any]) -> BaseModel:
+        """Return the settings of the driver's section from plain values; ConfigError names the key at fault."""
+        return validate(self.config, values, self.node, self.name)
 
 
 class Drivers:

@@ -18,7 +18,7 @@ import zmq
 from telenano_afm_controllers import nanonis_client
 from telenano_conformance import examination
 from telenano_experiments.bus import ExperimentBus
-from telenano_haptic_devices import haply
+from telenano_haptic_devices import haply, servo_process
 from telenano_networks import udp_ports
 from telenano_wide_area.relay import forwarder
 from test_files_and_loops import ROOT, TABLES
@@ -28,7 +28,6 @@ from services.viz_node import live
 from telenano.afm.driver import DeviceError
 from telenano.console import command_client, emergency_stop
 from telenano.console.live_recording import LiveRecording
-from telenano.devices.hand import servo_process
 from telenano.files import limited_child
 from telenano.hand.driver import DeviceError as HandError
 from telenano.runtime.security import zap_authenticator
@@ -242,7 +241,7 @@ LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     f"{UDP}: UdpPorts._take_from_clients": datagrams_of_clients,
     "telenano/console/command_client.py: _new_subscriptions": console_subscriptions,
     "telenano/console/emergency_stop.py: _Inlet.read_subscription": inlet_subscriptions,
-    "telenano/devices/hand/servo_process.py: ProcessLink.open": answer_of_a_servo,
+    "packages/telenano-haptic-devices/telenano_haptic_devices/servo_process.py: ProcessLink.open": answer_of_a_servo,
     "services/player/node.py: ReplayPublisher.read_subscriptions": player_subscriptions,
     "telenano/console/live_recording.py: LiveRecording.messages": messages_for_a_recorder,
     "packages/telenano-wide-area/telenano_wide_area/relay/forwarder.py: Forwarder._read": datagrams_at_a_relay,

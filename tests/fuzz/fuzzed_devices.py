@@ -16,16 +16,16 @@ from telenano_afm_controllers import gwyscope_wire, nanonis_wire
 from telenano_haptic_devices import dhd, haply, hd
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
+from telenano_haptic_devices.servo import ServoCommand
+from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
 from telenano.afm.driver import DeviceError as InstrumentError
 from telenano.devices.hand import wire
-from telenano.devices.hand.servo_process import ServoLoop, SharedServo
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupling import ZERO, CouplingSettings
 from telenano.hand.driver import DeviceError, DriveCommand
 from telenano.hand.safety import MODE_POSITION
-from telenano.hand.servo import ServoCommand
 
 REALS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 0.0, -1.0, 2.0**63)
 TICKS = 120

@@ -15,8 +15,7 @@ from live_devices import LiveDevice, write_hand
 from stack_rig import ROOT
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.take import steps_of
-
-from telenano.devices.hand.servo_process import ProcessLink
+from telenano_haptic_devices.servo_process import ProcessLink
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
 

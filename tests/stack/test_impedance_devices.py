@@ -70,6 +70,6 @@ def servos(rig: Rig) -> list[int]:
                 words, variables = ((folder / name).read_bytes() for name in ("cmdline", "environ"))
             except OSError:
                 continue
-            if b"telenano.devices.hand.servo_process" in words and str(rig.sockets).encode() in variables:
+            if b"telenano_haptic_devices.servo_process" in words and str(rig.sockets).encode() in variables:
                 found.append(int(folder.name))
     return found

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
 from live_devices import LiveDevice
+from telenano_haptic_devices.servo import ServoCommand, ServoSample
+from telenano_haptic_devices.servo_process import ProcessLink
 
-from telenano.devices.hand.servo_process import ProcessLink
 from telenano.hand.coupling import GATE_ACTIVE, ZERO, CouplingSettings
-from telenano.hand.servo import ServoCommand, ServoSample
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
 

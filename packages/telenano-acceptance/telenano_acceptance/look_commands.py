@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from telenano_haptic_devices.impedance import takes_force
 
 from telenano.afm import DRIVERS as INSTRUMENTS
 from telenano.afm import AfmConfig
@@ -159,7 +160,7 @@ def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
     """Open what a driver drives, undriven, and return what it declares; of one that takes a force its coupling too."""
     driver = None if name == SIMULATED_IMPEDANCE else _driver_of_package(name)
     with _errors_of_package():
-        if driver is None or driver.wire is not None:
+        if driver is None or takes_force(driver):
             return _probe_impedance(name, settings)
         return _probe_package(driver, settings)
 
@@ -167,6 +168,7 @@ def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
 def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     """Open a device without force and return what it declares, with the coupling and its two bounds."""
     from telenano.devices import wire_of
+    from telenano_haptic_devices.servo_process import wire_of
 
     chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
@@ -249,11 +251,11 @@ def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
     config: Any
     if node == "haptic_node":
         config = validate(HapticConfig, given[node], "--set", node)
-        limits, told = config.limits, {"coupling": config.coupling}
+        limits = config.limits
     else:
         config = validate(AfmConfig, given[node], "--set", node)
-        limits, told = config.to_params().safety, {"attended": True}
-    device = driver.device(getattr(config, name), limits, period_s=_PERIOD_S, **told)
+        config, limits = config.model_copy(update={"attended": True}), config.to_params().safety
+    device = driver.device(getattr(config, name), limits, config, _PERIOD_S)
     device.open()
     return device, _reads_handle(device) if node == "haptic_node" else _reads_instrument(device)
 

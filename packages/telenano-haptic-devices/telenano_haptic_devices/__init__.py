@@ -1,1 +1,22 @@
-"""Haptic devices for telenano: Haply's Inverse3, those of Force Dimension, and 3D Systems' Touch."""
+"""Haptic devices for telenano: Haply's Inverse3, those of Force Dimension, 3D Systems' Touch, and one of your own.
+
+    from telenano_haptic_devices import impedance_driver
+
+    MY_DEVICE = impedance_driver("my_device", MyConfig, make_my_wire, "the device, for a list")
+
+What is named here is imported when it is first used, because the node imports what declares a driver, and the process
+of the servo its wire.
+"""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano_haptic_devices.impedance import impedance_driver as impedance_driver
+    from telenano_haptic_devices.impedance_wire import ImpedanceWire as ImpedanceWire
+    from telenano_haptic_devices.impedance_wire import Turn as Turn
+    from telenano_haptic_devices.impedance_wire import quaternion_of as quaternion_of
+    from telenano_haptic_devices.servo import DeviceSample as DeviceSample
+else:
+    __getattr__, __dir__ = face(__name__)

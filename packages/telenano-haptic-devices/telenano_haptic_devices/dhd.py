@@ -11,19 +11,10 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from telenano.extend.impedance import (
-    MODE_OFF,
-    MODE_POSITION,
-    UPRIGHT,
-    ZERO,
-    Capabilities,
-    DeviceError,
-    DeviceSample,
-    Quaternion,
-    Turn,
-    Vector,
-    quaternion_of,
-)
+from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
+from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, Vector
+from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
+from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import DhdConfig
 from telenano_haptic_devices.vendor_library import DHD, declare, is_double, load, tell_session
 

@@ -1,6 +1,7 @@
 """The drivers of this package, which telenano finds by its entry points; a wire is imported in the servo's process."""
 
-from telenano.extend.impedance import ImpedanceWire, impedance_driver
+from telenano_haptic_devices.impedance import impedance_driver
+from telenano_haptic_devices.impedance_wire import ImpedanceWire
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
 

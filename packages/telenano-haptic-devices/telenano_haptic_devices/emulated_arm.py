@@ -8,9 +8,9 @@ for the emulator, not measured. The drive may be late.
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
-from telenano.extend.emulators import HandMotion, OperatorInputs, arm_step, operator_at_rest, operator_step
+from telenano.extend.emulators import OperatorInputs, arm_step, operator_at_rest, operator_step
 from telenano.extend.impedance import ZERO, Vector
 from telenano_haptic_devices.haply import EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG
 
@@ -19,6 +19,17 @@ RADIUS_M, _STEP_M = 0.10, 1e-6
 _SUBSTEP_S = 0.25e-3
 # A process that stood still for longer goes on from now, as the emulated handle does.
 _LONGEST_S = 0.05
+
+
+class HandMotion(NamedTuple):
+    """What the hand does at a time [s]: where it means to be, its spring and damper, a force besides, and buttons."""
+
+    place_m: Vector = ZERO
+    stiffness_n_per_m: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    force_n: Vector = ZERO
+    buttons: int = 0
+    plugged: bool = True
 
 
 class EmulatedArm:

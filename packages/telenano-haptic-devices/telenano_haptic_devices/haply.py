@@ -32,6 +32,10 @@ from telenano.extend.impedance import (
     Vector,
 )
 from telenano.runtime import StructuredLog
+from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
+from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, StructuredLog, Vector
+from telenano_haptic_devices.impedance_wire import Turn
+from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 
 SERVICE = "ws://127.0.0.1:10001"

@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from telenano.extend.emulators import HandMotion
-from telenano.extend.impedance import ZERO, DeviceError, Vector
-from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano.extend.devices import DeviceError
+from telenano.extend.impedance import ZERO, Vector
+from telenano_haptic_devices.emulated_arm import EmulatedArm, HandMotion
 from telenano_haptic_devices.haply import BUTTONS, EMULATED, NEEDS_WEBSOCKETS, SESSION_RUNS
 
 FORCE_HOLD_S = 0.05

@@ -11,18 +11,10 @@ import ctypes
 import time
 from collections.abc import Callable
 
-from telenano.extend.impedance import (
-    MODE_OFF,
-    MODE_POSITION,
-    ZERO,
-    Capabilities,
-    DeviceError,
-    DeviceSample,
-    Quaternion,
-    Turn,
-    Vector,
-    quaternion_of,
-)
+from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
+from telenano.extend.impedance import ZERO, Quaternion, Vector
+from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
+from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HdConfig
 from telenano_haptic_devices.vendor_library import HD, declare, is_double, load, tell_session
 

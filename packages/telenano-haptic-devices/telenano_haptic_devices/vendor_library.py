@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 from telenano.extend.impedance import DeviceError
 from telenano.settings import refused_code
+from telenano.extend.devices import DeviceError
+from telenano.extend.impedance import refused_code
 
 
 class VendorLibrary(NamedTuple):

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import library_doubles
-
-from telenano.extend.emulators import HandMotion
+from telenano_haptic_devices.emulated_arm import HandMotion
 
 # What a test does, in the words of the doubles: that of the emulated service, for each.
 _LINES: dict[str, Callable[[float], str]] = {

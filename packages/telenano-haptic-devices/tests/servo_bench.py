@@ -14,19 +14,14 @@ from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply import HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.hd import HdWire
+from telenano_haptic_devices.impedance_wire import ImpedanceWire
+from telenano_haptic_devices.servo import ServoCommand, ServoSample
+from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
-from telenano.extend.emulators import (
-    GATE_ACTIVE,
-    GATE_READY,
-    CouplingSettings,
-    ServoCommand,
-    ServoLoop,
-    ServoSample,
-    SharedServo,
-    hand_of,
-)
-from telenano.extend.impedance import DeviceError, ImpedanceWire
+from telenano.extend.devices import DeviceError
+from telenano.extend.emulators import GATE_ACTIVE, GATE_READY, hand_of
+from telenano.extend.impedance import CouplingSettings
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000

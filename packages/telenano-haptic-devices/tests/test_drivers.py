@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from telenano_haptic_devices import drivers
 from telenano_haptic_devices.commands import COMMANDS
+from telenano_haptic_devices.impedance import takes_force
 
 DRIVERS = {driver.name: driver for driver in (drivers.HAPLY, drivers.DHD, drivers.HD)}
 PAGE = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
@@ -17,8 +18,8 @@ PAGE = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 def test_a_driver_makes_its_wire_of_the_settings_that_its_page_names(name: str) -> None:
     driver = DRIVERS[name]
     assert driver.node == "haptic_node" and not driver.simulated and driver.what
-    assert driver.wire is not None
-    driver.wire(driver.config())
+    assert takes_force(driver)
+    driver.own.wire(driver.config())
     for key, field in driver.config.model_fields.items():
         assert f"| `haptic_node.{name}.{key}` |" in PAGE
         assert field.description and field.description in PAGE
@@ -28,9 +29,8 @@ def test_a_declared_driver_needs_neither_wire_nor_websockets_nor_library() -> No
     program = "import json, sys, telenano_haptic_devices.drivers; print(json.dumps(sorted(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     modules = set(json.loads(done.stdout))
-    own = {name for name in modules if name.startswith("telenano_haptic_devices.")}
-    assert own == {"telenano_haptic_devices.drivers", "telenano_haptic_devices.settings"}
-    assert not {"websockets", "ctypes.util", "numba", "services.afm_node"} & modules
+    wires = {f"telenano_haptic_devices.{name}" for name in ("haply", "dhd", "hd", "servo_process", "impedance_device")}
+    assert not {"websockets", "ctypes.util", "numba", "services.afm_node", *wires} & modules
 
 
 def test_the_command_is_where_the_list_of_commands_has_it() -> None:

@@ -18,11 +18,12 @@ from servo_bench import ServoBench
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply import EMULATED_MASS_KG, HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService, obey, serve_haply
+from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 from telenano_haptic_devices.simulate import whole_lines
 
+from telenano.extend.devices import DeviceError
 from telenano.extend.emulators import GATE_ACTIVE, hand_of
-from telenano.extend.impedance import DeviceError, DeviceSample
 
 # The coupling takes so much for silence.
 SILENCE_S = 0.05

@@ -13,11 +13,13 @@ import pytest
 from telenano_haptic_devices.checks import check_devices
 from telenano_haptic_devices.dhd import DhdWire
 from telenano_haptic_devices.hd import HdWire
+from telenano_haptic_devices.servo import ServoCommand, ServoSample
+from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_haptic_devices.settings import DhdConfig, HdConfig
 from telenano_haptic_devices.vendor_library import DHD, HD, find
 
-from telenano.extend.emulators import CouplingSettings, ProcessLink, ServoCommand, ServoSample
-from telenano.extend.impedance import ZERO, DeviceError
+from telenano.extend.devices import DeviceError
+from telenano.extend.impedance import ZERO, CouplingSettings
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 

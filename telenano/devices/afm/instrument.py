@@ -32,7 +32,7 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
         return modbus_driver(config.modbus, config.to_params().safety, period_s)
     if (driver := DRIVERS.find(config.driver)) is not None:
         section, limits = getattr(config, driver.name), config.to_params().safety
-        device: AfmDriver = driver.device(section, limits, period_s=period_s, attended=config.attended)
+        device: AfmDriver = driver.device(section, limits, config, period_s)
         return device
     if config.environment in SAMPLES.found:
         return SimulatedInstrument(config.to_sample_params())
@@ -124,7 +124,7 @@ def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
         return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
     driver, _ = _calibrated(kind, calibration)
     section = driver.config(calibration=str(calibration))
-    return driver.device(section, limits, period_s=LOOP_PERIOD_S, attended=config.attended)
+    return driver.device(section, limits, config, LOOP_PERIOD_S)
 
 
 def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseModel]]:

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 from telenano_experiments.apparatus.rig_process import RigError, RigProcess
+from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_networks import measured_lines
 
 from telenano.cli.commands.node import node as run_node
-from telenano.devices.hand.servo_process import ProcessLink
 from telenano.files.limited_child import read_in_child
 from telenano.hand.driver import DeviceError
 from telenano.launcher.child_session import run_session
@@ -288,7 +288,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
-    "telenano/devices/hand/servo_process.py": (by_servo,),
+    "telenano/extend/processes.py": (by_servo,),
     "telenano/launcher/child_session.py": (by_child_session,),
     "telenano/launcher/fan_out.py": (by_fan_out,),
     "telenano/launcher/processes.py": (by_launcher,),

@@ -7,6 +7,11 @@ from typing import Any
 from telenano.extend.emulators import ProcessLink
 from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from telenano.wire import ConfigError
+from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.servo_process import ProcessLink
+
+from telenano.extend.commands import ConfigError
+from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
 from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of
@@ -48,8 +53,9 @@ def make_take(
     if faults:
         raise ConfigError(f"faults can be put into {SIMULATED_IMPEDANCE} only, not into {config.driver}")
     driver = DRIVERS.find(config.driver)
-    if driver is None or driver.wire is None:
-        known = ", ".join((SIMULATED_IMPEDANCE, *(name for name, one in DRIVERS.all().found.items() if one.wire)))
+    if driver is None or not takes_force(driver):
+        others = (name for name, one in DRIVERS.all().found.items() if takes_force(one))
+        known = ", ".join((SIMULATED_IMPEDANCE, *others))
         raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
     settings_of_driver = getattr(config, driver.name) or driver.config()
     link = ProcessLink(driver.name, settings_of_driver.model_dump(mode="json"))

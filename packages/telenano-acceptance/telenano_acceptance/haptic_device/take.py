@@ -19,6 +19,12 @@ from telenano.hand import (
     bounds_of,
 )
 from telenano.wire import TelenanoError
+from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
+
+from telenano.extend.commands import TelenanoError
+from telenano.extend.devices import Capabilities
+from telenano.hand.coupling import FAULTS, GATE_ACTIVE, STABLE_MARGIN, ZERO, CouplingSettings, Vector
+from telenano.hand.impedance_config import bounds_of
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665

@@ -8,6 +8,13 @@ from telenano.cli import run_ahead
 from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from telenano.settings import validate, where_it_is
 from telenano.wire import ConfigError, known_names
+from telenano_haptic_devices.impedance import takes_force
+
+from telenano.extend.commands import ConfigError, run_ahead
+from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from telenano.settings.config import validate
+from telenano.settings.known_packages import where_it_is
+from telenano.wire.errors import known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
 
@@ -55,7 +62,7 @@ def tried(
         return _instrument(name, section_named(given, "afm_node"), calibration, named)
     if name == "serial":
         return _handle(port, calibration, named)
-    names = (SIMULATED_IMPEDANCE, *(each for each, driver in DRIVERS.all().found.items() if driver.wire is not None))
+    names = (SIMULATED_IMPEDANCE, *(each for each, driver in DRIVERS.all().found.items() if takes_force(driver)))
     if name not in names:
         why = DRIVERS.all().problems.get(name) or where_it_is(f"driver {name}")
         raise ConfigError(f"{name}: {why or known_names(name, (*names, *_INSTRUMENTS, 'serial'))}")

@@ -2,21 +2,19 @@
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
-from telenano.hand.coupling import ZERO
-from telenano.hand.driver import (
+from telenano.extend.devices import (
+    MODE_OFF,
+    MODE_POSITION,
     Capabilities,
     DeviceError,
     DeviceReading,
-    DeviceReport,
     DriveCommand,
-    SpatialReading,
-    Status,
+    HapticReport,
 )
-from telenano.hand.impedance_config import CouplingConfig
-from telenano.hand.safety import MODE_OFF, MODE_POSITION
-from telenano.hand.servo import ServoCommand, ServoLink, ServoSample
+from telenano.extend.impedance import ZERO, CouplingConfig, SpatialReading
+from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
 # A sample that is older than this is stale, and one that is older than the silence of the coupling is lost.
 _STALE_S = 0.005
@@ -40,14 +38,14 @@ class ImpedanceDevice:
         self._counter = self._arm_count = 0
         self._reference_m: float | None = None
         self._sample = ServoSample()
-        self._report = DeviceReport("lost", 0.0, False, "")
+        self._report = HapticReport("lost", 0.0, False, "")
 
     @property
     def capabilities(self) -> Capabilities:
         return self._link.capabilities
 
     @property
-    def report(self) -> DeviceReport:
+    def report(self) -> HapticReport:
         return self._report
 
     def open(self) -> None:
@@ -60,7 +58,7 @@ class ImpedanceDevice:
         self._opened = True
         self._settings = self._coupling.to_settings(self.capabilities)
         self._ready_text = f"{self.capabilities.identity}: {self._coupling.bounds(self.capabilities).sentence()}"
-        self._report = DeviceReport("stale", 0.0, False, self._ready_text)
+        self._report = HapticReport("stale", 0.0, False, self._ready_text)
         self._send(DriveCommand(MODE_OFF, 0.0, 0.0))
 
     def close(self) -> None:
@@ -84,13 +82,13 @@ class ImpedanceDevice:
         if found is not None:
             self._sample = found
         age_s = max(0.0, (self._now_ns() - self._sample.taken_ns) * 1e-9)
-        status: Status = "ok" if age_s <= _STALE_S else "stale"
+        status: Literal["ok", "stale", "lost"] = "ok" if age_s <= _STALE_S else "stale"
         text = self._ready_text
         if self._sample.error:
             status, text = "lost", self._sample.error
         elif age_s > self._coupling.silence_s:
             status, text = "lost", _SILENT
-        self._report = DeviceReport(status, age_s, False, text)
+        self._report = HapticReport(status, age_s, False, text)
         if status == "lost":
             # The force of the last sample is none that acts now.
             return reading_of_sample(self._sample._replace(velocity_m_per_s=ZERO, force_n=ZERO))

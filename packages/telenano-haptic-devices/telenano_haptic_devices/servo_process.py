@@ -20,18 +20,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from telenano.devices.hand.impedance_wire import ImpedanceWire
-from telenano.hand.coupling import Vector
-from telenano.hand.driver import Capabilities, DeviceError
-from telenano.hand.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
-from telenano.runtime.loop.realtime import ordinary_scheduling
-from telenano.settings.config import validate
-from telenano.settings.device_drivers import Drivers
-from telenano.signals import children
-from telenano.wire.errors import cause
+from telenano.extend.devices import Capabilities, DeviceError, haptic_driver
+from telenano.extend.impedance import Vector
+from telenano.extend.processes import cause, schedule_as_node, start_process
+from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.impedance_wire import ImpedanceWire
+from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
 
 RETRY_S = 0.5
-_SERVO = (sys.executable, "-m", "telenano.devices.hand.servo_process")
+_SERVO = "telenano_haptic_devices.servo_process"
 OPEN_S = 15.0
 _POLL_S = 0.01
 # What a servo says of its device has some hundred bytes.
@@ -279,9 +276,7 @@ class ProcessLink:
                 self._file = Path(name)
             finally:
                 os.close(descriptor)
-        # Its start must not stop the loop: under SCHED_FIFO it would share the node's processor as an equal.
-        with ordinary_scheduling():
-            self._process = children.start(_SERVO, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = start_process(_SERVO)
         assert self._process.stdin is not None
         order = {"kind": self._kind, "settings": self._settings, "shared": str(self._file)}
         with contextlib.suppress(BrokenPipeError):
@@ -312,10 +307,10 @@ def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
         ConfigError: The settings are none of this driver.
         DeviceError: There is no such driver, or its device takes no force.
     """
-    driver = Drivers("haptic_node", (), ()).find(kind)
-    if driver is None or driver.wire is None:
+    driver = haptic_driver(kind)
+    if driver is None or not takes_force(driver):
         raise DeviceError(f"there is no wire called {kind!r}")
-    wire: ImpedanceWire = driver.wire(validate(driver.config, settings, "haptic_node", kind))
+    wire: ImpedanceWire = driver.own.wire(driver.settings(settings))
     return wire
 
 
@@ -337,7 +332,7 @@ def main() -> int:
         return 2
     try:
         _answer({"found": found._asdict()})
-        _run_ahead()
+        schedule_as_node("servo")
         ServoLoop(shared, wire, found, goes_on=lambda: not ended and os.getppid() == parent).run()
         return 0
     finally:
@@ -354,21 +349,6 @@ def _answer(said: dict[str, Any]) -> None:
 
 def _as_tuples(value: Any) -> Any:
     return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
-
-
-def _run_ahead() -> None:
-    """Request the scheduling of the nodes, on any processor: the node that started this one stays on its own."""
-    from telenano.runtime.loop.log import StructuredLog, configure_logging
-    from telenano.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime, freeze_garbage
-    from telenano.settings.scenario import RealtimeConfig
-
-    if hasattr(os, "sched_setaffinity"):
-        held = {int(part) for part in os.environ.get(PROCESSORS_VARIABLE, "").split(",") if part.isdigit()}
-        with contextlib.suppress(OSError):
-            os.sched_setaffinity(0, held or range(os.cpu_count() or 1))
-    configure_logging()
-    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("servo"), "servo")
-    freeze_garbage(disable=False)
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-from telenano.hand.coupling import Vector
-from telenano.hand.driver import Capabilities, Quaternion
-from telenano.hand.servo import DeviceSample
+from telenano.extend.devices import Capabilities
+from telenano.extend.impedance import Quaternion, Vector
+from telenano_haptic_devices.servo import DeviceSample
 
 # Takes a sample and returns the force on the hand [N], or None when the servo ends.
 Turn = Callable[[DeviceSample], Vector | None]

@@ -6,17 +6,17 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
+from telenano_haptic_devices.emulated_arm import HandMotion
+from telenano_haptic_devices.impedance_device import ImpedanceDevice
+from telenano_haptic_devices.servo import ServoCommand, ServoSample, Slot
 
 from services.haptic_node.__main__ import build
 from services.haptic_node.node import HapticNode
-from telenano.devices.hand.impedance import ImpedanceDevice
-from telenano.extend.emulators import HandMotion
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupling import ZERO, CouplingSettings
 from telenano.hand.driver import Capabilities, DeviceError, DriveCommand
 from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from telenano.hand.safety import MODE_FORCE, MODE_POSITION
-from telenano.hand.servo import ServoCommand, ServoSample, Slot
 from telenano.wire.node_state import pack, restore
 
 MS = 1e-3

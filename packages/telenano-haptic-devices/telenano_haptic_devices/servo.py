@@ -14,17 +14,19 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from telenano.hand.coupling import (
+from telenano.extend.devices import Capabilities
+from telenano.extend.impedance import (
     GATE_REST,
+    UPRIGHT,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
+    Quaternion,
     Vector,
     coupling_at_start,
     coupling_step,
 )
-from telenano.hand.driver import UPRIGHT, Capabilities, Quaternion
 
 # An error is a sentence of at most so many bytes.
 ERROR_BYTES = 240

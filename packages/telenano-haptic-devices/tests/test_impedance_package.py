@@ -20,6 +20,8 @@ ROOT = Path(__file__).parents[3]
 DRIVER = """
 from telenano.settings import Settings
 from telenano.extend.impedance import impedance_driver
+from telenano.extend.devices import Settings
+from telenano_haptic_devices import impedance_driver
 
 class Config(Settings):
     force_n: float = 2.0
@@ -34,7 +36,8 @@ KNOB = impedance_driver("knob", Config, wire, "a knob")
 WIRE = """
 import time
 
-from telenano.extend.impedance import MODE_OFF, MODE_POSITION, Capabilities, DeviceSample
+from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities
+from telenano_haptic_devices import DeviceSample
 
 class KnobWire:
     def __init__(self, force_n):
@@ -123,7 +126,10 @@ def test_a_device_of_a_package_has_its_servo_in_a_process_of_its_own(found: dict
 
 
 def test_a_node_imports_the_driver_that_its_scenario_names_and_no_wire(found: dict[str, Any]) -> None:
-    assert found["imported"] == [[], ["my_knob"]]
+    before, after = found["imported"]
+    assert before == []
+    makers = {f"telenano_haptic_devices.{name}" for name in ("haply", "dhd", "hd")}
+    assert "my_knob" in after and not {"my_knob.wire", *makers} & set(after)
 
 
 def test_commands_know_it_by_its_entry(found: dict[str, Any]) -> None:

@@ -1,0 +1,46 @@
+"""The driver of a device that takes a force, whose coupling runs in a process of its own."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import BaseModel
+
+from telenano.extend.devices import DeviceDriver, HapticDevice
+from telenano.extend.impedance import CouplingConfig
+
+if TYPE_CHECKING:
+    from telenano_haptic_devices.impedance_wire import ImpedanceWire
+
+
+class Impedance(NamedTuple):
+    """What the process of the servo needs of a driver: the function that makes the wire of its settings."""
+
+    wire: "Callable[[Any], ImpedanceWire]"
+
+
+def impedance_driver(
+    name: str, config: type[BaseModel], wire: "Callable[[Any], ImpedanceWire]", what: str = ""
+) -> DeviceDriver:
+    """Return the driver of a device that takes a force.
+
+    Args:
+        name: The value of `haptic_node.driver`, and the name of the section with its settings.
+        config: The model of that section.
+        wire: Makes the wire of the settings, not yet open. It is called in the process of the servo, where the coupling
+            runs at the rate of the device: import there what the wire needs.
+        what: The devices, for a list.
+    """
+
+    def build(settings: BaseModel, limits: Any, *, coupling: CouplingConfig, period_s: float) -> HapticDevice:
+        from telenano_haptic_devices.impedance_device import ImpedanceDevice
+        from telenano_haptic_devices.servo_process import ProcessLink
+
+        return ImpedanceDevice(ProcessLink(name, settings.model_dump(mode="json")), coupling, period_s)
+
+    told = ("coupling", "period_s")
+    return DeviceDriver("haptic_node", name, config, build, told=told, own=Impedance(wire), what=what)
+
+
+def takes_force(driver: DeviceDriver | None) -> bool:
+    """Return whether a driver is one of `impedance_driver`."""
+    return driver is not None and isinstance(driver.own, Impedance)

@@ -1,0 +1,36 @@
+"""A process of a driver's own, for what must not wait for the loop of its node.
+
+process = start_process("my_package.servo")     # in the driver, with pipes to its input and output
+schedule_as_node("servo")                       # in that process, before its loop begins
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+
+from telenano.runtime.loop.log import StructuredLog, configure_logging
+from telenano.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime, freeze_garbage, ordinary_scheduling
+from telenano.settings.scenario import RealtimeConfig
+from telenano.signals import children
+from telenano.wire.errors import cause as cause
+
+
+def start_process(module: str) -> "subprocess.Popen[bytes]":
+    """Start a module as a program, with pipes to its standard input and output.
+
+    Its start does not stop the loop: under SCHED_FIFO it would share the processor of the node as an equal.
+    """
+    with ordinary_scheduling():
+        return children.start((sys.executable, "-m", module), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+
+def schedule_as_node(name: str) -> None:
+    """Request the scheduling of the nodes, on any processor: the node that started this process stays on its own."""
+    if hasattr(os, "sched_setaffinity"):
+        held = {int(part) for part in os.environ.get(PROCESSORS_VARIABLE, "").split(",") if part.isdigit()}
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, held or range(os.cpu_count() or 1))
+    configure_logging()
+    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog(name), name)
+    freeze_garbage(disable=False)
