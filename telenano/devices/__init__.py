@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from telenano.devices.hand.calibration import HandleCalibration as HandleCalibration
     from telenano.devices.hand.calibration import read_handle_calibration as read_handle_calibration
     from telenano.devices.hand.serial_driver import SerialHandle as SerialHandle
-    from telenano.devices.hand.servo_process import wire_of as wire_of
     from telenano.devices.hand.wire import HandleAbility as HandleAbility
     from telenano.devices.hand.wire import HandleFlag as HandleFlag
     from telenano.devices.hand.wire import HandleHello as HandleHello

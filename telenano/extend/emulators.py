@@ -4,11 +4,6 @@ from pathlib import Path
 from typing import Any
 
 from telenano.cli import section_of
-from telenano.devices.hand.servo_process import ProcessLink as ProcessLink
-from telenano.devices.hand.servo_process import ServoLoop as ServoLoop
-from telenano.devices.hand.servo_process import SharedServo as SharedServo
-from telenano.extend.impedance import ZERO, Vector
-from telenano.extend.commands import section_of
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupled import arm_step as arm_step
 from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE

@@ -33,11 +33,6 @@ if TYPE_CHECKING:
     from telenano.hand.operator_config import ARMS as ARMS
     from telenano.hand.safety import MODE_OFF as MODE_OFF
     from telenano.hand.safety import MODE_POSITION as MODE_POSITION
-    from telenano.hand.servo import DeviceSample as DeviceSample
-    from telenano.hand.servo import Servo as Servo
-    from telenano.hand.servo import ServoCommand as ServoCommand
-    from telenano.hand.servo import ServoLink as ServoLink
-    from telenano.hand.servo import ServoSample as ServoSample
     from telenano.hand.step import initial_plant as initial_plant
     from telenano.hand.step import plant_step as plant_step
 else:

@@ -167,7 +167,6 @@ def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
 
 def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     """Open a device without force and return what it declares, with the coupling and its two bounds."""
-    from telenano.devices import wire_of
     from telenano_haptic_devices.servo_process import wire_of
 
     chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])

@@ -41,8 +41,6 @@ from typer.testing import CliRunner
 
 from telenano.cli import run_ahead
 from telenano.cli.root import app
-from telenano.extend.emulators import CouplingConfig
-from telenano.extend.commands import run_ahead
 from telenano.extend.impedance import CouplingConfig
 from telenano.hand.config import HapticConfig
 from telenano.runtime.loop import realtime

@@ -19,21 +19,9 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.impedance import (
-    MODE_OFF,
-    MODE_POSITION,
-    UPRIGHT,
-    ZERO,
-    Capabilities,
-    DeviceError,
-    DeviceSample,
-    Quaternion,
-    Turn,
-    Vector,
-)
-from telenano.runtime import StructuredLog
 from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
-from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, StructuredLog, Vector
+from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, Vector
+from telenano.runtime import StructuredLog
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig

@@ -5,7 +5,6 @@ from typing import Literal
 from pydantic import Field
 
 from telenano.settings import Settings
-from telenano.extend.devices import Settings
 
 
 class HaplyConfig(Settings):

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[3]
 DRIVER = """
 from telenano.settings import Settings
 from telenano.extend.impedance import impedance_driver
-from telenano.extend.devices import Settings
+from telenano.settings import Settings
 from telenano_haptic_devices import impedance_driver
 
 class Config(Settings):

@@ -9,18 +9,14 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from telenano.extend.emulators import HandMotion, arm_step
-from telenano.extend.impedance import UPRIGHT, Capabilities, Quaternion
-from telenano.hand import ZERO, DeviceSample, Servo, ServoCommand, ServoSample, Vector
-from telenano.numerics import normal_number
 from telenano_haptic_devices.emulated_arm import HandMotion
 from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample
 
 from telenano.extend.devices import Capabilities
 from telenano.extend.emulators import arm_step
 from telenano.extend.impedance import UPRIGHT, Quaternion
-from telenano.hand.coupling import ZERO, Vector
-from telenano.numerics.normal_numbers import normal_number
+from telenano.hand import ZERO, Vector
+from telenano.numerics import normal_number
 
 
 class DeviceFaults(NamedTuple):

@@ -4,17 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from telenano_haptic_devices.impedance import takes_force
+
 from telenano.cli import run_ahead
 from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from telenano.settings import validate, where_it_is
 from telenano.wire import ConfigError, known_names
-from telenano_haptic_devices.impedance import takes_force
-
-from telenano.extend.commands import ConfigError, run_ahead
-from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings.config import validate
-from telenano.settings.known_packages import where_it_is
-from telenano.wire.errors import known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
 
