@@ -31,8 +31,8 @@ _TOUCHED_S, _LEAVES = 1.0, 0.5
 
 def steering_of(
     document: Mapping[str, Any], goal: Course, tolerance_m: float, who: Profile, seed: int
-) -> Callable[[int, float], Hand]:
-    """Return what makes the hand of a trial, from the window of the link's numbers and the period [s].
+) -> Callable[[float], Hand]:
+    """Return what makes the hand of a trial, from the period [s].
 
     Args:
         document: The checked scenario, whose sample has a particle.
@@ -62,8 +62,8 @@ def steering_of(
         leaves_m=_LEAVES * tolerance_m,
     )
 
-    def make(window: int, period_s: float) -> Hand:
+    def make(period_s: float) -> Hand:
         random = np.random.Generator(np.random.PCG64(seed))
-        return new_hand(push, random, round((_TOUCHED_S + 2.0 * trip_s) / period_s), window, period_s)
+        return new_hand(push, random, round((_TOUCHED_S + 2.0 * trip_s) / period_s), period_s)
 
     return make

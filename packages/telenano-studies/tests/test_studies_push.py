@@ -49,8 +49,6 @@ def placed_by(seed: int, delay_ticks: int, **changes: float) -> tuple[float, np.
     hand = push_hand.Hand(
         plan=plan,
         state=state,
-        forward=np.zeros((0, 2)),
-        backward=np.zeros((0, 4)),
         seen=np.zeros(4),
         perceived=np.zeros((200, 4)),
         errors=random.standard_normal((512, 6)),
@@ -145,8 +143,8 @@ def test_a_hand_that_steers_by_the_stylus_moves_the_tip_and_sees_it_later(monkey
     document |= {"duration_s": 1.0, "delay_node": {way: {"delay_s": 0.02} for way in ("forward", "backward")}}
     push = push_hand.Push((0.0, 0.0), (7e-7, 0.0), D_M, 2e-8, 3e-7, 0.2, 0.0, 3e-8)
 
-    def hand(window: int, period_s: float) -> push_hand.Hand:
-        return push_hand.new_hand(push, np.random.Generator(np.random.PCG64(1)), 0, window, period_s)
+    def hand(period_s: float) -> push_hand.Hand:
+        return push_hand.new_hand(push, np.random.Generator(np.random.PCG64(1)), 0, period_s)
 
     found = simulate_document(document, "a test", hand)
     tip_m = found["tip_x_m"]

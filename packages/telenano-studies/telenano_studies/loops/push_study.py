@@ -140,7 +140,7 @@ def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
         answers_s=round_trip_s,
         leaves_m=0.6 * PLACED_M,
     )
-    hand = h.new_hand(push, random, begins, schedule.window, period_s)
+    hand = h.new_hand(push, random, begins, period_s)
     state = hand.state
     simulate(rig, schedule, settle, hand)
     done = bool(state[h.PHASE] == h.DONE)
