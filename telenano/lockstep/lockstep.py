@@ -193,8 +193,8 @@ def simulate(
         schedule: The arrivals of `link.schedule_of`, whose number of ticks is the length of the run.
         session_tick: The tick at which the operator's program starts (`time_to_place_s`), or later, when the tip is
             placed.
-        hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`); without
-            a path the run ends when it is done.
+        hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
+            without a path the run ends when it is done.
         path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
         at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
             where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.

@@ -397,7 +397,7 @@ def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmP
             return params._replace(plant=noisy_params(config.disturbances, params.plant, duration_s))
         surface = config.to_surface()
         plant = over_surface(params.plant, surface, config.to_friction_params())
-        plant = config.to_particle_layer(plant, surface)
+        plant = config.with_layers(plant, surface)
         params = params._replace(plant=plant)
     if disturbed:
         text = "a lockstep has them over a plane of environment tip_sample only; `up` can run them"

@@ -1,9 +1,17 @@
 """The sites, scenarios and networks that come with the project, and the way from a name to their files."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from telenano.faces import face
 from telenano.settings.plugins import scenario_files
 from telenano.wire.errors import ConfigError, probably_meant
+
+if TYPE_CHECKING:
+    from telenano.settings.config import merge as merge
+    from telenano.settings.config import validate as validate
+else:
+    __getattr__, __dir__ = face(__name__)
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
@@ -38,6 +46,10 @@ def find_scenario(name: str) -> Path:
     path = packages.found.get(name, Path(name))
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
+    from telenano.settings.entries import missing_entry
+
+    if hint := missing_entry("scenario", name):
+        raise ConfigError(hint)
     known = known_scenarios()
     listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
     raise ConfigError(f"unknown scenario {name!r}: {listed}")

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import fields_of as fields_of
     from telenano.wire.codec import read_header as read_header
+    from telenano.wire.errors import ConfigError as ConfigError
+    from telenano.wire.errors import RigError as RigError
+    from telenano.wire.messages import Array as Array
     from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import Scalar as Scalar
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

@@ -1,6 +1,6 @@
 """The hand of a simulated participant who steers the tip across the sample, in lockstep and on the rig alike.
 
-It is the scripted hand of `telenano study push` (`telenano.lockstep.push_hand`), which sees and feels what has come
+It is the scripted hand of `telenano study push` (`telenano_assembly.push_hand`), which sees and feels what has come
 back over the link. It moves the stylus as a person does in the controller's mode rate: its displacement is the velocity
 of the tip.
 """
@@ -9,17 +9,15 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from telenano_assembly import Hand, new_hand, push_of
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
 from telenano.afm.config import AfmConfig
-from telenano.afm.particles.push import KINETIC, RADIUS
-from telenano.afm.particles.tip_shape import touch_distance_m
 from telenano.extend.tasks import Course
 from telenano.hand.config import HapticConfig
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
-from telenano.lockstep.push_hand import Hand, Push, new_hand
 from telenano.lockstep.simulation import instrument_params
 from telenano.settings.config import validate
 from telenano.settings.scenario import LoadedScenario, Scenario
@@ -50,12 +48,9 @@ def steering_of(
     arm_s = (lateral.damping_n_s_per_m + loaded.section("controller", ControllerConfig).lateral.damping_n_s_per_m) / (
         lateral.stiffness_n_per_m
     )
-    radius_m, (x_m, y_m) = float(plant.fixed[0, RADIUS]), plant.start[0, :2].tolist()
-    push = Push(
+    push = push_of(
+        plant,
         goal_m=(float(goal.values[-1, 0]), float(goal.values[-1, 1])),
-        place_m=(x_m, y_m),
-        d_m=touch_distance_m(plant.tip, radius_m, 0.0),
-        friction_n=float(plant.fixed[0, KINETIC]),
         speed_m_per_s=SPEED_M_PER_S,
         reaction_s=who.reaction_time_s,
         answers_s=trip_s + arm_s,

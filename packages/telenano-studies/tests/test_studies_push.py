@@ -8,21 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from telenano_assembly import push_hand
+from telenano_assembly.particles.adhered_sphere import KINDS
+from telenano_assembly.particles.push import KINETIC, push_step
+from telenano_assembly.particles.steering import steered
+from telenano_assembly.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano_studies import push_command
 from telenano_studies.loops import push_study
 from telenano_studies.loops.push_study import Outcome, Trial, check, read, rows_of, trials_of
 from telenano_studies.loops.sweep import Journal
 from typer.testing import CliRunner
 
-from telenano.afm.particles.adhered_sphere import KINDS
-from telenano.afm.particles.push import KINETIC, push_step
-from telenano.afm.particles.steering import steered
-from telenano.afm.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano.analysis.intervals import wilson
 from telenano.cli.root import app
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from telenano.laws.lateral_settings import LateralConfig
-from telenano.lockstep import across, lockstep, push_hand
+from telenano.lockstep import across, lockstep
 from telenano.lockstep.simulation import simulate_document
 from telenano.settings import find_scenario
 from telenano.wire.errors import ConfigError

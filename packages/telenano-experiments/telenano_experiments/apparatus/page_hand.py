@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import zmq
+from telenano_assembly import Hand, hand_moves
 
 from services.viz_node.commander import RigHand
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.laws.config import ControllerConfig
 from telenano.lockstep.across import steering_force_n
-from telenano.lockstep.push_hand import Hand, hand_moves
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.participant import OBSERVER, Participant, open_participant
 from telenano.wire.errors import RigError

@@ -13,9 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.particles.steering import steered
-from telenano.lockstep.steering import HandSteps, register_hand
-from telenano.numerics.compiled import compiled
+from telenano.extend.samples import compiled
+from telenano.lockstep import HandSteps, register_hand
+from telenano_assembly.particles.push import KINETIC, RADIUS
+from telenano_assembly.particles.steering import steered
+from telenano_assembly.particles.tip_shape import touch_distance_m
 
 Array = npt.NDArray[np.float64]
 
@@ -103,6 +105,58 @@ def new_hand(push: Push, random: np.random.Generator, begins: int, period_s: flo
         seen=np.zeros(4),
         perceived=np.zeros((round(push.reaction_s / period_s), 4)),
         errors=random.standard_normal((_ERRORS, 6)),
+    )
+
+
+def push_of(
+    layer: Any,
+    goal_m: tuple[float, float],
+    speed_m_per_s: float,
+    reaction_s: float,
+    answers_s: float,
+    leaves_m: float,
+) -> Push:
+    """Return the push of the first particle of a layer, the parameters of an instrument's part (`particles.layer`).
+
+    The other arguments are those of `Push`.
+    """
+    x_m, y_m = layer.start[0, :2].tolist()
+    return Push(
+        goal_m=goal_m,
+        place_m=(x_m, y_m),
+        d_m=touch_distance_m(layer.tip, float(layer.fixed[0, RADIUS]), 0.0),
+        friction_n=float(layer.fixed[0, KINETIC]),
+        speed_m_per_s=speed_m_per_s,
+        reaction_s=reaction_s,
+        answers_s=answers_s,
+        leaves_m=leaves_m,
+    )
+
+
+class Carried(NamedTuple):
+    """What a hand has done: whether it was content, and at which tick; where the particle really is [m].
+
+    losses: how often it lost the particle; peak_n, press_n: the largest force across the tip and along it [N].
+    """
+
+    done: bool
+    done_tick: float
+    place_m: Array
+    losses: int
+    peak_n: float
+    press_n: float
+
+
+def carried_out(hand: Hand) -> Carried:
+    """Return what a hand has done until now."""
+    state = hand.state
+    return Carried(
+        done=bool(state[PHASE] == DONE),
+        done_tick=state[DONE_AT],
+        place_m=state[[TRUE_X, TRUE_Y]],
+        losses=int(state[LOSSES]),
+        peak_n=float(state[PEAK_ACROSS]),
+        press_n=float(state[PEAK_ALONG]),
     )
 
 
