@@ -11,7 +11,7 @@ OUT ?= out/fig12
 # Each image with its lock, and the packages of the project that go in as well.
 IMAGES := haptic_node:node:telenano-haptic-devices controller:node:telenano-wide-area delay_node:node:telenano-wide-area \
   afm_node:node:telenano-afm-controllers recorder:node session:rig:telenano-afm-controllers,telenano-wide-area viz_node:rig \
-  study:study:telenano-laws,telenano-studies,telenano-microscopy
+  study:study:telenano-laws,telenano-studies,telenano-assembly,telenano-microscopy
 # The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
 NODE := haptic afm
 RIG := launcher view haptic afm
@@ -170,8 +170,7 @@ dist: page ## Build wheels, source distribution, SBOM and licences, and try them
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
-	  --no-emit-package telenano-haptic-devices --no-emit-package telenano-laws \
-	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies \
+	  $(addprefix --no-emit-package telenano-,assembly haptic-devices laws microscopy studies) \
 	  --no-emit-package gwyddionpy-converter -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
@@ -195,7 +194,8 @@ images: ## Build the container images of deploy/.
 packages_of = $(sort $(foreach image,$(IMAGES),$(if $(filter $(1),$(word 2,$(subst :, ,$(image)))),\
   $(subst $(comma), ,$(word 3,$(subst :, ,$(image)))))))
 image_lock = printf '%s\n' $(3) | $(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(call packages_of,$(1))) - \
-  --constraint requirements.lock --no-emit-package telenano --no-emit-package telenano-laws --no-emit-package telenano-microscopy \
+  --constraint requirements.lock --no-emit-package telenano \
+  $(addprefix --no-emit-package telenano-,assembly laws microscopy) \
   $(addprefix --extra ,$(2)) -o deploy/locks/$(1).lock
 
 clean: ## Remove .venv, out and the caches.

@@ -18,6 +18,8 @@ from telenano.afm.dynamic import NO_NOISE, DynamicState, Reading, advance, free_
 from telenano.afm.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
 from telenano.afm.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register
 from telenano.numerics.compiler import always_compiled
+from telenano.afm.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register_part
+from telenano.numerics.compiled import always_compiled
 
 # the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
 # some 100 us: what shares the processor has to come in between
@@ -253,4 +255,4 @@ def _oscillation(state: DynamicTip) -> Oscillation:
 
 
 _MOTION = Motion(_settle, _oscillation)
-register(DynamicParams, Part(_start, _step, motion=lambda params: _MOTION))
+register_part(DynamicParams, Part(_start, _step, motion=lambda params: _MOTION))

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 from telenano.afm.part import AfmSample, Part, PlantInputs, register
 from telenano.numerics.compiler import compiled
+from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
+from telenano.numerics.compiled import compiled
 
 
 class SpringParams(NamedTuple):
@@ -71,4 +73,4 @@ def _start(params: SpringParams, inputs: PlantInputs) -> SpringState:
     return SpringState(spring_force(params, inputs.base_m))
 
 
-register(SpringParams, Part(_start, step, lateral=False))
+register_part(SpringParams, Part(_start, step, lateral=False))

@@ -42,5 +42,7 @@ if TYPE_CHECKING:
     from telenano.devices.hand.wire import HandleAbility as HandleAbility
     from telenano.devices.hand.wire import HandleFlag as HandleFlag
     from telenano.devices.hand.wire import HandleHello as HandleHello
+    from telenano.devices.afm.guarded import Step as Step
+    from telenano.devices.afm.guarded import line_fields as line_fields
 else:
     __getattr__, __dir__ = face(__name__)

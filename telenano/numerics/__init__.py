@@ -10,5 +10,6 @@ if TYPE_CHECKING:
     from telenano.numerics.digests import source_digest as source_digest
     from telenano.numerics.frames import to_site_frame as to_site_frame
     from telenano.numerics.normal_numbers import normal_number as normal_number
+    from telenano.numerics.compiled import always_compiled as always_compiled
 else:
     __getattr__, __dir__ = face(__name__)

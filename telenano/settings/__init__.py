@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
     from telenano.settings.scenario import Scenario as Scenario
     from telenano.settings.scenario import load_scenario as load_scenario
+    from telenano.settings.config import merge as merge
+    from telenano.settings.config import validate as validate
 else:
     __getattr__, __dir__ = face(__name__)
 
@@ -64,6 +66,10 @@ def find_scenario(name: str) -> Path:
     path = packages.found.get(name, Path(name))
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
+    from telenano.settings.known_packages import where_it_is
+
+    if hint := where_it_is(f"scenario {name}"):
+        raise ConfigError(hint)
     known = known_scenarios()
     listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
     raise ConfigError(f"unknown scenario {name!r}: {listed}")

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
-from telenano.afm import AT_GOAL, PushSettings
-from telenano.cli import (
-    AfmOption,
+from telenano.cli import AfmOption, validated, with_options
+from telenano.extend.commands import (
+    DEFAULT_SITE_FILE,
+    ConfigError,
     JsonOption,
     SiteFileOption,
     print_document,
     progress,
     report_errors,
-    validated,
-    with_options,
 )
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, merge, validate
-from telenano.wire import ConfigError, RigError
+from telenano.wire import RigError
+from telenano_assembly.push_program import AT_GOAL, PushSettings
 
 if TYPE_CHECKING:
     from telenano.wire import Scalar
@@ -77,7 +76,7 @@ def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
 
 
 def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
-    from telenano.analysis import LiveImage
+    from telenano.extend.images import LiveImage
 
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:
@@ -87,15 +86,13 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
-    from telenano_microscopy.particle_bench import DISTURBED, bench
     from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-    from telenano.afm import AfmConfig, requested
+    from telenano.afm import requested
+    from telenano_assembly.particle_bench import DISTURBED, configured
 
-    given = flag_overrides(overrides)
-    lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}
-    particles = {} if lie_elsewhere else {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
-    config = validate(AfmConfig, merge(bench(particles, disturbances=DISTURBED), given), "--afm")
+    particles = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
+    config = configured(overrides, particles, DISTURBED, "places", "count", "seed")
     instrument = VirtualInstrument(config)
     with progress("push", 1.0, shown=not as_json) as show:
         # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
@@ -105,7 +102,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     outcome = instrument.outcome
     if outcome is None or outcome.values is None or outcome.state != "finished":
         raise ConfigError("--from: nothing was pushed" if outcome is None else outcome.text)
-    places = instrument.device.state.part.moving[:, :2].tolist()
+    places = instrument.truths["particles"].places_m.tolist()
     told = _told(outcome.values)
     # What the simulation knows, and neither the program nor a real instrument does.
     return {**told, "true_m": min(places, key=lambda place: math.dist(place, told["believed_m"]))}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import zmq
+from telenano_assembly import Hand, hand_moves
 
 from services.viz_node.commander import RigHand
 from telenano.hand import LateralHandConfig
@@ -14,6 +15,14 @@ from telenano.laws import ControllerConfig
 from telenano.lockstep import Hand, hand_moves, steering_force_n
 from telenano.runtime import OBSERVER, Participant, load_site, open_participant
 from telenano.wire import HAND, LINK, HapticState, RigError, TeleopBackward
+from telenano.hand.lateral_hand import LateralHandConfig
+from telenano.laws.config import ControllerConfig
+from telenano.lockstep.across import steering_force_n
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.wiring.participant import OBSERVER, Participant, open_participant
+from telenano.wire.errors import RigError
+from telenano.wire.messages import HapticState, TeleopBackward
+from telenano.wire.nodes import HAND, LINK
 from telenano_experiments.operators import PRESSES
 
 # A page sends a force thirty times a second; an arm is faster.
@@ -39,12 +48,12 @@ class PageHand:
 
     @contextlib.contextmanager
     def pushing(
-        self, steers: Callable[[int, float], Hand], controller: ControllerConfig, stylus: LateralHandConfig | None
+        self, steers: Callable[[float], Hand], controller: ControllerConfig, stylus: LateralHandConfig | None
     ) -> Iterator[None]:
         """Push while the block runs and the operator's programme with it.
 
         Args:
-            steers: Makes the hand, from the window of the link's numbers and the period [s].
+            steers: Makes the hand, from the period [s].
             controller: The settings of the controller, in mode rate.
             stylus: The stylus that is pushed.
 
@@ -57,7 +66,7 @@ class PageHand:
             try:
                 # It listens while it pushes only, because what nobody reads would fill the queues of the nodes.
                 with open_participant(OBSERVER, self._book, publisher=False) as participant:
-                    self._push(over, _HandInputs(participant), steers(1, controller.period_s), controller, stylus)
+                    self._push(over, _HandInputs(participant), steers(controller.period_s), controller, stylus)
             except Exception as error:  # noqa: BLE001
                 faults.append(error)
 

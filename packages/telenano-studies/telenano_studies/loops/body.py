@@ -16,6 +16,8 @@ from typing import NamedTuple
 from telenano.afm import Part, register
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics import compiled
+from telenano.afm.part import Part, register_part
+from telenano.extend.samples import AfmSample, PlantInputs, compiled
 
 FASTEST_HZ = 150.0
 # The fixed point of a step that makes or breaks contact takes at most so many passes; each leaves a quarter of the
@@ -115,4 +117,4 @@ def _start(params: BodyParams, inputs: PlantInputs) -> BodyState:
     return BodyState(inputs.base_m, 0.0, 0.0)
 
 
-register(BodyParams, Part(_start, step, lateral=False))
+register_part(BodyParams, Part(_start, step, lateral=False))

@@ -12,6 +12,8 @@ from typing import Literal, NamedTuple
 
 from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
 from telenano.numerics.compiler import compiled
+from telenano.afm import reduced_modulus_pa
+from telenano.extend.samples import compiled
 
 Motion = Literal["slide", "roll", "auto"]
 

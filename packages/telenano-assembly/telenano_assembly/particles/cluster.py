@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from telenano.afm.particles.tip_shape import distance_m
 from telenano.numerics.compiler import compiled
+from telenano.extend.samples import compiled
+from telenano_assembly.particles.tip_shape import distance_m
 
 Array = npt.NDArray[np.float64]
 

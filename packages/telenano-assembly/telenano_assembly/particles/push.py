@@ -16,9 +16,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.particles.adhered_sphere import area_ratio
-from telenano.afm.particles.cluster import give_way
-from telenano.afm.particles.tip_shape import (
+from telenano.extend.samples import compiled
+from telenano.numerics import always_compiled
+from telenano_assembly.particles.adhered_sphere import area_ratio
+from telenano_assembly.particles.cluster import give_way
+from telenano_assembly.particles.tip_shape import (
     Spring,
     TipShape,
     climb,

@@ -14,6 +14,7 @@ import math
 from typing import NamedTuple
 
 from telenano.numerics.compiler import compiled
+from telenano.extend.samples import compiled
 
 
 class TipShape(NamedTuple):
