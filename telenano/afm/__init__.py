@@ -43,45 +43,6 @@ if TYPE_CHECKING:
     from telenano.afm.dynamic import steady_state as steady_state
     from telenano.afm.dynamic_sim import require_steps as require_steps
     from telenano.afm.felt import ChannelName as ChannelName
-    from telenano.afm.part import AfmSample as AfmSample
-    from telenano.afm.part import Part as Part
-    from telenano.afm.part import register as register
-    from telenano.afm.particles.push import KINETIC as KINETIC
-    from telenano.afm.particles.push import RADIUS as RADIUS
-    from telenano.afm.particles.settings import ParticlesConfig as ParticlesConfig
-    from telenano.afm.particles.tip_shape import TipShape as TipShape
-    from telenano.afm.particles.tip_shape import tip_shape as tip_shape
-    from telenano.afm.particles.tip_shape import touch_distance_m as touch_distance_m
-    from telenano.afm.programs.curve import CurveSettings as CurveSettings
-    from telenano.afm.programs.program import FinishedLine as FinishedLine
-    from telenano.afm.programs.program import Wanted as Wanted
-    from telenano.afm.programs.push import AT_GOAL as AT_GOAL
-    from telenano.afm.programs.push import PushSettings as PushSettings
-    from telenano.afm.programs.runner import Report as Report
-    from telenano.afm.programs.scan import ScanSettings as ScanSettings
-    from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest
-    from telenano.afm.programs.settings import requested as requested
-    from telenano.afm.programs.tactile import felt_speed_m_per_s as felt_speed_m_per_s
-    from telenano.afm.safety import ACTION_RETRACT as ACTION_RETRACT
-    from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
-    from telenano.afm.safety import MODE_HOLD as MODE_HOLD
-    from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
-    from telenano.afm.safety import SafetyParams as SafetyParams
-    from telenano.afm.safety import initial_safety_state as initial_safety_state
-    from telenano.afm.sample.surface import height_at as height_at
-    from telenano.afm.sample.surface_files import read_surface as read_surface
-    from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
-    from telenano.afm.section_config import CantileverConfig as CantileverConfig
-    from telenano.afm.section_config import SafetyConfig as SafetyConfig
-    from telenano.afm.section_config import TipSampleConfig as TipSampleConfig
-    from telenano.afm.sim import SimulatedInstrument as SimulatedInstrument
-    from telenano.afm.sim import simulated_afm as simulated_afm
-    from telenano.afm.spring import spring_params as spring_params
-    from telenano.afm.step import AfmParams as AfmParams
-    from telenano.afm.step import initial_afm_state as initial_afm_state
-    from telenano.afm.tip_guard import TipGuard as TipGuard
-    from telenano.afm.config import AfmConfig as AfmConfig
-    from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.layers import Ground as Ground
     from telenano.afm.layers import Height as Height
     from telenano.afm.layers import Layer as Layer
@@ -95,10 +56,34 @@ if TYPE_CHECKING:
     from telenano.afm.part import part_step as part_step
     from telenano.afm.part import register_part as register_part
     from telenano.afm.part import truths_of as truths_of
+    from telenano.afm.programs.curve import CurveSettings as CurveSettings
+    from telenano.afm.programs.program import FinishedLine as FinishedLine
+    from telenano.afm.programs.program import Wanted as Wanted
     from telenano.afm.programs.runner import Report as Report
+    from telenano.afm.programs.scan import ScanSettings as ScanSettings
+    from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest
     from telenano.afm.programs.settings import requested as requested
+    from telenano.afm.programs.tactile import felt_speed_m_per_s as felt_speed_m_per_s
+    from telenano.afm.safety import ACTION_RETRACT as ACTION_RETRACT
+    from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
+    from telenano.afm.safety import MODE_HOLD as MODE_HOLD
+    from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
+    from telenano.afm.safety import SafetyParams as SafetyParams
+    from telenano.afm.safety import initial_safety_state as initial_safety_state
+    from telenano.afm.sample.surface import PLANE as PLANE
     from telenano.afm.sample.surface import Surface as Surface
+    from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
+    from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
+    from telenano.afm.section_config import CantileverConfig as CantileverConfig
+    from telenano.afm.section_config import SafetyConfig as SafetyConfig
+    from telenano.afm.section_config import TipSampleConfig as TipSampleConfig
+    from telenano.afm.sim import SimulatedInstrument as SimulatedInstrument
+    from telenano.afm.sim import simulated_afm as simulated_afm
+    from telenano.afm.spring import spring_params as spring_params
+    from telenano.afm.step import AfmParams as AfmParams
+    from telenano.afm.step import initial_afm_state as initial_afm_state
+    from telenano.afm.tip_guard import TipGuard as TipGuard
 else:
     __getattr__, __dir__ = face(__name__)

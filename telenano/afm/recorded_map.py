@@ -19,10 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.part import AfmSample, Part, PlantInputs, register
-from telenano.numerics.compiler import compiled
 from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
 

@@ -6,10 +6,8 @@ It is a spring on the base itself, so there is no deflection. The distance repor
 import math
 from typing import NamedTuple
 
-from telenano.afm.part import AfmSample, Part, PlantInputs, register
-from telenano.numerics.compiler import compiled
 from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class SpringParams(NamedTuple):

@@ -37,6 +37,5 @@ if TYPE_CHECKING:
     from telenano.analysis.report import summarise as summarise
     from telenano.analysis.report import write_files as write_files
     from telenano.analysis.verdict import KINDS as KINDS
-    from telenano.analysis.intervals import wilson as wilson
 else:
     __getattr__, __dir__ = face(__name__)

@@ -52,10 +52,5 @@ if TYPE_CHECKING:
     from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
     from telenano.cli.simulated_instrument import simulated_afm as simulated_afm
     from telenano.cli.tables import rows_table as rows_table
-    from telenano.cli.model_options import validated as validated
-    from telenano.cli.model_options import with_options as with_options
-    from telenano.cli.sample_options import AfmOption as AfmOption
-    from telenano.cli.sample_options import ChannelOption as ChannelOption
-    from telenano.cli.sample_options import results_in as results_in
 else:
     __getattr__, __dir__ = face(__name__)

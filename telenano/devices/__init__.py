@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from telenano.devices.afm.guarded import Stage as Stage
     from telenano.devices.afm.guarded import Step as Step
     from telenano.devices.afm.guarded import line_fields as line_fields
-    from telenano.devices.afm.guarded import particle_fields as particle_fields
     from telenano.devices.afm.instrument import calibration_of_file as calibration_of_file
     from telenano.devices.afm.instrument import driver_of as driver_of
     from telenano.devices.afm.instrument import driver_of_file as driver_of_file
@@ -42,7 +41,5 @@ if TYPE_CHECKING:
     from telenano.devices.hand.wire import HandleAbility as HandleAbility
     from telenano.devices.hand.wire import HandleFlag as HandleFlag
     from telenano.devices.hand.wire import HandleHello as HandleHello
-    from telenano.devices.afm.guarded import Step as Step
-    from telenano.devices.afm.guarded import line_fields as line_fields
 else:
     __getattr__, __dir__ = face(__name__)

@@ -20,10 +20,6 @@ if TYPE_CHECKING:
     from telenano.lockstep.lockstep import build_rig as build_rig
     from telenano.lockstep.lockstep import simulate as simulate
     from telenano.lockstep.lockstep import time_to_place_s as time_to_place_s
-    from telenano.lockstep.push_hand import Hand as Hand
-    from telenano.lockstep.push_hand import Push as Push
-    from telenano.lockstep.push_hand import hand_moves as hand_moves
-    from telenano.lockstep.push_hand import new_hand as new_hand
     from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
     from telenano.lockstep.simulation import instrument_of as instrument_of
     from telenano.lockstep.simulation import instrument_params as instrument_params

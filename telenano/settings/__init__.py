@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
     from telenano.settings.scenario import Scenario as Scenario
     from telenano.settings.scenario import load_scenario as load_scenario
-    from telenano.settings.config import merge as merge
-    from telenano.settings.config import validate as validate
 else:
     __getattr__, __dir__ = face(__name__)
 

@@ -11,9 +11,8 @@ from pydantic import BaseModel
 from pydantic_core import PydanticKnownError, core_schema
 
 from telenano.settings.config import validate
-from telenano.settings.known_packages import where_it_is
-from telenano.settings.plugins import Loaded, installed, load
 from telenano.settings.entries import Entries
+from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import installed
 
 

@@ -12,9 +12,7 @@ from pydantic import BaseModel, Field
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
 from telenano.settings import plugins
-from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.plugins import Loaded, load
-from telenano.wire.extras import how_to_add_package
 
 T = TypeVar("T")
 

@@ -73,10 +73,6 @@ if TYPE_CHECKING:
     from telenano.wire.schema import json_schema as json_schema
     from telenano.wire.sequence import SequenceTracker as SequenceTracker
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
-    from telenano.wire.errors import RigError as RigError
-    from telenano.wire.messages import Array as Array
-    from telenano.wire.messages import Message as Message
-    from telenano.wire.messages import Scalar as Scalar
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
     from telenano.wire.topics import deadline_of as deadline_of

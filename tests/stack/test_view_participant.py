@@ -31,9 +31,6 @@ from telenano_experiments.recorded_trial import RecordedTrial
 from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
-from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.programs.push import AT_GOAL
-from telenano.extend.tasks import choice
 from telenano.recording.reader import Recording
 from telenano.settings import DEFAULT_SITE_FILE
 

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, optimize
 
-from telenano.afm import TipShape
 from telenano_assembly.particles.tip_shape import TipShape
 
 Array = npt.NDArray[np.float64]

@@ -10,9 +10,6 @@ import numpy.typing as npt
 from telenano.afm import AfmConfig
 from telenano.analysis import LiveImage
 from telenano.console import run_program
-from telenano.wire import AfmProgram, RigError, Scalar
-from telenano.console import run_program
-from telenano.extend.images import LiveImage
 from telenano.wire import RigError, Scalar
 from telenano_assembly.run import ProgramBench
 

@@ -6,9 +6,6 @@ from typing import Any
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from telenano.afm import Report
-from telenano.devices import Step, line_fields, particle_fields
-from telenano.recording import FileSettings, RecordingWriter
-from telenano.wire import MOST_TEXT, TOPICS, compose
 from telenano.devices import Step, line_fields
 from telenano.recording import FileSettings, RecordingWriter
 from telenano.wire import TOPICS, compose

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from telenano.afm import AfmConfig, ParticlesConfig, requested, tip_shape, touch_distance_m
 from telenano.afm import AfmConfig, requested
 from telenano.devices import Step
 from telenano.wire import Scalar

@@ -12,22 +12,13 @@ import numpy as np
 from telenano_assembly import Hand, new_hand, push_of
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
-from telenano.afm import KINETIC, RADIUS, AfmConfig, touch_distance_m
+from telenano.afm import AfmConfig
 from telenano.hand import HapticConfig, LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
-from telenano.lockstep import Hand, Push, instrument_params, new_hand
+from telenano.lockstep import instrument_params
 from telenano.settings import LoadedScenario, Scenario, validate
 from telenano_experiments.extend import Course
-from telenano.afm.config import AfmConfig
-from telenano.extend.tasks import Course
-from telenano.hand.config import HapticConfig
-from telenano.hand.lateral_hand import LateralHandConfig
-from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
-from telenano.lockstep.simulation import instrument_params
-from telenano.settings.config import validate
-from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.
