@@ -13,7 +13,8 @@ import yaml
 
 from telenano.launcher import running_rigs
 from telenano.runtime import RIG_VARIABLE
-from telenano.signals import children, kept_from_children
+from telenano.signals import kept_from_children
+from telenano.signals import start as start_child
 from telenano.wire import RigError
 
 # A rig is ready within half a minute also where its models have to be compiled first.
@@ -60,7 +61,7 @@ class RigProcess:
         # A pipe would break when this process is killed, in the middle of what the rig does to end in order.
         self._log = folder / "up.log"
         with kept_from_children(), self._log.open("wb") as log:
-            self._process = children.start(
+            self._process = start_child(
                 [*command, *further],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
