@@ -5,9 +5,9 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-from telenano.laws.law import changed_in_contact as changed_in_contact
-from telenano.laws.law import longest_pause_periods as longest_pause_periods
-from telenano.laws.law import paced as paced
+from telenano.extend.laws import changed_in_contact as changed_in_contact
+from telenano.extend.laws import longest_pause_periods as longest_pause_periods
+from telenano.extend.laws import paced as paced
 from telenano.laws.law_rules import known_law as known_law
 from telenano.recording import RecordedMessage, recorded
 from telenano.runtime.loop.log import StructuredLog

@@ -3,13 +3,7 @@
 from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
-from telenano.laws import energy
-from telenano.laws.clamp import clamped
-from telenano.laws.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
-from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
-from telenano.laws.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
-from telenano.laws.lateral import NO_STORE, Across, Store
-from telenano.laws.law import (
+from telenano.extend.laws import (
     NO_SIGNAL,
     NO_TIP,
     EnergyAccount,
@@ -20,6 +14,12 @@ from telenano.laws.law import (
     changed_in_contact,
     port_signal,
 )
+from telenano.laws import energy
+from telenano.laws.clamp import clamped
+from telenano.laws.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
+from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
+from telenano.laws.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
+from telenano.laws.lateral import NO_STORE, Across, Store
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.timing.freshness import FreshnessState

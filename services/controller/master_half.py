@@ -4,6 +4,7 @@ import math
 from typing import Any, NamedTuple, cast
 
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
+from telenano.extend.laws import EnergyAccount, HandSample, MasterReference
 from telenano.laws import energy, integration
 from telenano.laws.config import ControllerConfig
 from telenano.laws.integration import MasterTiming, TimingParams
@@ -19,7 +20,6 @@ from telenano.laws.lateral import (
     lateral_at_rest,
     lateral_master_step,
 )
-from telenano.laws.law import EnergyAccount, HandSample, MasterReference
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import NodeContext
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward

@@ -3,13 +3,13 @@
 from typing import Any, Literal, NamedTuple, cast
 
 from services.controller.half import ZERO_XY, ControllerHalf, HalfState
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
 from telenano.laws import energy, integration
 from telenano.laws.clamp import clamped
 from telenano.laws.config import ControllerConfig
 from telenano.laws.entering import LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from telenano.laws.integration import Settled, SlaveTiming, TimingParams
 from telenano.laws.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
-from telenano.laws.law import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import DEADLINES_S

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.law import PortSignal, SlaveReference, TipMeasurement
-from telenano.laws.ranges import DampingNSPerM, ForceOrNoneN
+from telenano.extend.laws import PortSignal, SlaveReference, TipMeasurement
+from telenano.extend.ranges import DampingNSPerM, ForceOrNoneN
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 

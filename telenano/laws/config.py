@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator, model_validator
 
+from telenano.extend.laws import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from telenano.laws.clamp import ClampConfig, ClampParams
 from telenano.laws.deadband import DeadbandConfig
 from telenano.laws.integration import TimingParams
 from telenano.laws.lateral import LateralParams
 from telenano.laws.lateral_settings import LateralConfig
-from telenano.laws.law import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from telenano.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig

@@ -17,8 +17,8 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.law import PortSignal
-from telenano.laws.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
+from telenano.extend.laws import PortSignal
+from telenano.extend.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 

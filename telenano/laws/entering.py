@@ -12,7 +12,7 @@ and its loop is closed while the offset shrinks. A hand that is not beyond the r
 import math
 from typing import NamedTuple
 
-from telenano.laws.law import TipMeasurement
+from telenano.extend.laws import TipMeasurement
 from telenano.numerics.compiler import compiled
 
 # The approach of Fig. 12 for 1 N at the hand [m/s].

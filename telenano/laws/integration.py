@@ -43,8 +43,8 @@ for the same way. Every other half accounts as if the commands had been carried 
 
 from typing import NamedTuple
 
+from telenano.extend.laws import paced
 from telenano.laws.hand_periods import ANEW, HandClock, no_sample, periods_to
-from telenano.laws.law import paced
 from telenano.numerics.compiler import inlined
 
 # The slave half does one of these on a state of the instrument, or when none has come.

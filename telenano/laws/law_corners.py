@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.laws.clamp import clamped
-from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
-from telenano.laws.deadband import deadband, initial_deadband_state
-from telenano.laws.law import (
+from telenano.extend.laws import (
     LONGEST_BRIDGED_PERIODS,
     NO_SIGNAL,
     NO_TIP,
@@ -20,6 +17,9 @@ from telenano.laws.law import (
     TipMeasurement,
     port_signal,
 )
+from telenano.laws.clamp import clamped
+from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.deadband import deadband, initial_deadband_state
 from telenano.wire.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 
 TICKS = 40

@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
 from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
-from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
 from telenano.settings.known_packages import where_it_is

@@ -39,8 +39,8 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.energy import Port, opened, with_outflow
-from telenano.laws.law import (
+from telenano.extend.drift import Drift, drifted, error_of, no_drift
+from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -51,7 +51,8 @@ from telenano.laws.law import (
     port_signal,
     the_hands_force,
 )
-from telenano.laws.ranges import (
+from telenano.extend.pass_through import slave_send as slave_send
+from telenano.extend.ranges import (
     ContactNPerM15,
     DampingNSPerM,
     EnergyJ,
@@ -62,23 +63,7 @@ from telenano.laws.ranges import (
     StiffnessNPerM,
     TimeS,
 )
-from telenano.laws.shared.drift import Drift, drifted, error_of, no_drift
-from telenano.laws.shared.pass_through import slave_send as slave_send
-from telenano.laws.shared.surface import (
-    KAPPA_UNIT,
-    NANO,
-    Fit,
-    FitParams,
-    Surface,
-    fitted,
-    force_and_potential,
-    gradient,
-    met,
-    over,
-    root_of,
-    unknown,
-)
-from telenano.laws.shared.virtual_mass import (
+from telenano.extend.virtual_mass import (
     HandPort,
     Mass,
     MassConfig,
@@ -99,6 +84,21 @@ from telenano.laws.shared.virtual_mass import (
     stiffness_limit_n_per_m,
     tip_reference,
     worked,
+)
+from telenano.laws.energy import Port, opened, with_outflow
+from telenano.laws.surface import (
+    KAPPA_UNIT,
+    NANO,
+    Fit,
+    FitParams,
+    Surface,
+    fitted,
+    force_and_potential,
+    gradient,
+    met,
+    over,
+    root_of,
+    unknown,
 )
 from telenano.numerics.compiler import compiled
 

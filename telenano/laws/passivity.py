@@ -68,8 +68,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.discretisation import approach
-from telenano.laws.law import (
+from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -81,7 +80,7 @@ from telenano.laws.law import (
     the_hands_force,
     tip_signal,
 )
-from telenano.laws.ranges import (
+from telenano.extend.ranges import (
     DampingNSPerM,
     EnergyJ,
     EnergyOrNoneJ,
@@ -90,7 +89,7 @@ from telenano.laws.ranges import (
     StiffnessNPerM,
     TimeS,
 )
-from telenano.laws.shared.virtual_mass import (
+from telenano.extend.virtual_mass import (
     HandPort,
     Mass,
     MassConfig,
@@ -116,6 +115,7 @@ from telenano.laws.shared.virtual_mass import (
     worked,
 )
 from telenano.numerics.compiler import compiled
+from telenano.numerics.discretisation import approach
 
 # The clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for
 # moments.

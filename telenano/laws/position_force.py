@@ -13,9 +13,9 @@ present delay, with the last force and position held.
 
 from typing import NamedTuple
 
-from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, port_signal, the_hands_force
-from telenano.laws.shared import pass_through
-from telenano.laws.shared.virtual_mass import (
+from telenano.extend import pass_through
+from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal, the_hands_force
+from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,

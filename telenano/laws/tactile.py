@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.law import (
+from telenano.extend.laws import (
     HandSample,
     MasterReference,
     PortSignal,
@@ -29,10 +29,10 @@ from telenano.laws.law import (
     port_signal,
     tip_signal,
 )
-from telenano.laws.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
-from telenano.laws.shared.pass_through import SlaveState
-from telenano.laws.shared.pass_through import slave_start as slave_start
-from telenano.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
+from telenano.extend.pass_through import SlaveState
+from telenano.extend.pass_through import slave_start as slave_start
+from telenano.extend.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
+from telenano.extend.virtual_mass import FARTHEST_M, ScaledConfig, bounded
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import filled
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.discretisation import Discretisation, exact_discretisation
-from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, port_signal
-from telenano.laws.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
-from telenano.laws.shared import pass_through
-from telenano.laws.shared.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
+from telenano.extend import pass_through
+from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.extend.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
+from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
 from telenano.numerics.compiler import compiled
+from telenano.numerics.discretisation import Discretisation, exact_discretisation
 from telenano.settings.config import filled
 
 

@@ -50,8 +50,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.discretisation import approach, decay
-from telenano.laws.law import (
+from telenano.extend.laws import (
     MOST_PERIODS_A_STEP,
     EnergyAccount,
     HandSample,
@@ -64,8 +63,8 @@ from telenano.laws.law import (
     the_hands_force,
     tip_signal,
 )
-from telenano.laws.ranges import DampingNSPerM, TimeOrNoneS, TimeS
-from telenano.laws.shared.virtual_mass import (
+from telenano.extend.ranges import DampingNSPerM, TimeOrNoneS, TimeS
+from telenano.extend.virtual_mass import (
     HandPort,
     Mass,
     MassConfig,
@@ -88,6 +87,7 @@ from telenano.laws.shared.virtual_mass import (
     worked,
 )
 from telenano.numerics.compiler import compiled
+from telenano.numerics.discretisation import approach, decay
 
 
 class WaveParams(NamedTuple):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.extend.laws import HandSample
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandParams, LateralHandState, lateral_hand_step
 from telenano.laws.config import ControllerConfig
 from telenano.laws.lateral import (
@@ -25,7 +26,6 @@ from telenano.laws.lateral import (
     lateral_slave_at_rest,
     lateral_slave_step,
 )
-from telenano.laws.law import HandSample
 from telenano.lockstep.link import Schedule
 from telenano.numerics.compiler import compiled, inlined
 

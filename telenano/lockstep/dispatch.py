@@ -8,8 +8,8 @@ Python. Steps handed over as arguments would be compiled anew by every process.
 from collections.abc import Callable
 from typing import Any, cast
 
+from telenano.extend.laws import Law
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.laws.law import Law
 from telenano.numerics.compiler import chosen_step
 
 Step = Callable[..., Any]

@@ -31,13 +31,13 @@ import numpy.typing as npt
 
 from telenano.afm.safety import REASON_NAMES, SafetyParams, placing_s
 from telenano.afm.step import AfmParams, initial_afm_state
+from telenano.extend.laws import NO_SIGNAL, TipMeasurement
 from telenano.hand.config import HapticConfig
 from telenano.hand.step import HapticParams
 from telenano.hand.step import HapticStepState as HapticChainState
 from telenano.laws.config import ControllerConfig
 from telenano.laws.deadband import deadband, initial_deadband_state
 from telenano.laws.lateral import hand_moves as moves_stage
-from telenano.laws.law import NO_SIGNAL, TipMeasurement
 from telenano.lockstep.across import (
     STAGE_X,
     WIDTH,

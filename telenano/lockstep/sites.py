@@ -10,6 +10,7 @@ import numpy as np
 from telenano.afm import safety as afm_safety
 from telenano.afm.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
 from telenano.afm.step import step as instrument_step
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
 from telenano.hand import safety as haptic_safety
 from telenano.hand.step import HapticInputs, HapticParams, found
 from telenano.hand.step import HapticStepState as HapticChainState
@@ -19,7 +20,6 @@ from telenano.laws.clamp import ClampParams, clamped
 from telenano.laws.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
 from telenano.laws.entering import Entry, entry_at_start, entry_step, shown_tip
 from telenano.laws.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
-from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
 from telenano.numerics.compiler import inlined

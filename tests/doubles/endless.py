@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
 from telenano.laws.config import LAWS, ControllerConfig
-from telenano.laws.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
 from telenano.numerics.compiler import compiled, compiled_form
 
 PERIOD_S = 1e-3

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.clamp import ClampConfig, clamped
 from telenano.laws.config import LAWS, ControllerConfig
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
 
 PERIOD_S = 1e-3
 LOST = -1

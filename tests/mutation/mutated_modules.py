@@ -46,7 +46,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/console/test_emergency_stop.py",
     ),
     "telenano/laws/energy.py": ("tests/unit/laws/test_energy.py",),
-    "telenano/laws/shared/virtual_mass.py": (
+    "telenano/extend/virtual_mass.py": (
         "tests/unit/laws/test_virtual_mass.py",
         "tests/unit/laws/test_passivity_ports.py",
     ),
@@ -141,7 +141,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             for change in ("[0 => 1] (3)", "[delay_ns == 0 and (not (heap and heap[0][0] <= now_ns)) => False]")
         },
     },
-    "telenano/laws/shared/virtual_mass.py": {
+    "telenano/extend/virtual_mass.py": {
         "bounded: return -most if value < -most else value [value < -most => value <= -most]": "at the bound value and"
         " bound are the same number",
     },

@@ -40,9 +40,9 @@ from services.afm_node import node as afm_node
 from services.controller.slave_half import SlaveController
 from services.haptic_node.node import HapticNode
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
+from telenano.extend.laws import LONGEST_BRIDGED_PERIODS
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
-from telenano.laws.law import LONGEST_BRIDGED_PERIODS
 from telenano.lockstep.link import schedule_of
 from telenano.lockstep.lockstep import Trajectory, simulate
 from telenano.wire import Message, encode

@@ -27,30 +27,31 @@ from typing import NamedTuple
 
 from pydantic import Field
 
+from telenano.extend import ranges, virtual_mass
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
-    Mass,
-    MassConfig,
-    MassParams,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    law_of,
+    port_signal,
+    the_hands_force,
+    tip_signal,
+)
+from telenano.extend.virtual_mass import (
+    Mass,
+    MassConfig,
+    MassParams,
     at_rest,
     is_coupled,
-    law_of,
     let_go,
     moved,
     periods_in,
-    port_signal,
-    ranges,
     rescaled,
     resumed,
-    the_hands_force,
     tip_reference,
-    tip_signal,
-    virtual_mass,
 )
 from telenano.numerics import compiled
 from telenano_laws.ports import (

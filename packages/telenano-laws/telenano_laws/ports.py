@@ -6,16 +6,9 @@ All quantities are at the hand's scale, x = x_s / alpha_p and F = alpha_f F_s, s
 import math
 from typing import Any, NamedTuple
 
-from telenano.extend.laws import (
-    EnergyAccount,
-    HandSample,
-    Mass,
-    MassParams,
-    PortSignal,
-    TipMeasurement,
-    is_coupled,
-    virtual_mass,
-)
+from telenano.extend import virtual_mass
+from telenano.extend.laws import EnergyAccount, HandSample, PortSignal, TipMeasurement
+from telenano.extend.virtual_mass import Mass, MassParams, is_coupled
 from telenano.numerics import compiled
 
 # numba compiles what a module names itself

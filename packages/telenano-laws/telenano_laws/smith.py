@@ -29,20 +29,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.extend.laws import (
-    HandSample,
-    MasterReference,
-    PortSignal,
-    decay,
-    law_of,
-    pass_through,
-    periods_in,
-    port_signal,
-    ranges,
-    virtual_mass,
-)
-from telenano.extend.laws import virtual_impedance as impedance
+from telenano.extend import pass_through, ranges, virtual_mass
+from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.extend.virtual_mass import periods_in
+from telenano.laws import virtual_impedance as impedance
 from telenano.numerics import compiled
+from telenano.numerics.discretisation import decay
 
 VirtualImpedanceParams = impedance.VirtualImpedanceParams
 is_retracted = virtual_mass.is_retracted

@@ -21,21 +21,17 @@ from typing import NamedTuple
 
 from pydantic import Field
 
+from telenano.extend import ranges
 from telenano.extend.laws import (
     HandSample,
-    MassParams,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    is_coupled,
     law_of,
-    let_go,
-    moved,
-    periods_in,
-    ranges,
     the_hands_force,
 )
+from telenano.extend.virtual_mass import MassParams, is_coupled, let_go, moved, periods_in
 from telenano.numerics import compiled
 from telenano_laws.ports import (
     armed_anew,

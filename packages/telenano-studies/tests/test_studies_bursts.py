@@ -19,8 +19,8 @@ from telenano_studies.loops.cells import (
     settle_ticks,
 )
 
+from telenano.extend.virtual_mass import FOLLOWED_M
 from telenano.laws.model_mediated import ModelMediatedConfig
-from telenano.laws.shared.virtual_mass import FOLLOWED_M
 from telenano.link.config import parse_settings
 from telenano.lockstep.link import Schedule, schedule_from
 from telenano.lockstep.lockstep import simulate

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_afm_programs import Imager
 
+from telenano.extend.laws import HandSample, TipMeasurement
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.laws.law import HandSample, TipMeasurement
 from telenano.laws.tactile import impedance_scaled
 from telenano.wire.errors import RefusedError
 

@@ -35,7 +35,7 @@ from pydantic import ValidationError
 from telenano.devices.afm.instrument import driver_of
 from telenano.afm.config import AfmConfig
 from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
-from telenano.laws.law import HandSample
+from telenano.extend.laws import HandSample
 from telenano.laws.law_rules import broken_rules
 from services.haptic_node.__main__ import _device
 from telenano.hand.config import HapticConfig

@@ -194,7 +194,7 @@ def test_the_shell_completes_keys_of_a_scenario_and_their_values() -> None:
 def test_names_of_laws_are_completed_without_importing_one() -> None:
     code = (
         "import sys; from telenano.cli.completion import law_names; law_names('');"
-        "print([m for m in ('numpy', 'numba', 'pydantic', 'telenano.laws.law') if m in sys.modules])"
+        "print([m for m in ('numpy', 'numba', 'pydantic', 'telenano.extend.laws') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "[]\n"

@@ -9,8 +9,8 @@ from stage_line import StageLine, calibration
 from telenano_emulators.t7_model import T7Model
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.config import ControllerConfig
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
 
 PERIOD_S = 1e-3
 SPRING_N_PER_M = 38.0

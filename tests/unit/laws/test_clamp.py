@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from telenano_studies.loops.cells import Cell, trajectory_of
 
+from telenano.extend.laws import NO_SIGNAL, SlaveReference, TipMeasurement
 from telenano.laws.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
 from telenano.laws.config import OWN_LAWS, ControllerConfig
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.law import NO_SIGNAL, SlaveReference, TipMeasurement
 from telenano.lockstep import lockstep
 
 PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)

@@ -11,10 +11,10 @@ import corners
 import numpy as np
 import pytest
 
+from telenano.extend.virtual_mass import FARTHEST_M, bounded
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
 from telenano.laws.energy import Port
-from telenano.laws.shared.virtual_mass import FARTHEST_M, bounded
 from telenano.settings.config import flatten, validate
 from telenano.wire.errors import ConfigError
 

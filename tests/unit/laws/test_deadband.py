@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from telenano.extend.laws import NO_SIGNAL, PortSignal
 from telenano.laws.deadband import DeadbandConfig, DeadbandParams, DeadbandState, deadband, initial_deadband_state
-from telenano.laws.law import NO_SIGNAL, PortSignal
 
 T = 1e-3
 PARAMS = DeadbandConfig(enabled=True).to_params()

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from telenano.laws.discretisation import approach, decay, exact_discretisation
 from telenano.laws.virtual_impedance import VirtualImpedanceConfig
+from telenano.numerics.discretisation import approach, decay, exact_discretisation
 
 T = 1e-3
 # a closed form in doubles loses a few last bits itself, ours none

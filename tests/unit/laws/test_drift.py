@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from telenano.extend.drift import Drift, drifted, error_of, no_drift
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.config import LAWS
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.law_rules import known_law
-from telenano.laws.shared.drift import Drift, drifted, error_of, no_drift
 
 SCALE, PERIOD_S = 1.5e-6, 2e-3
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from telenano.extend.laws import EnergyAccount
 from telenano.laws.energy import TOLERANCE_J, is_passive, moved_to, opened, with_inflow, with_outflow
-from telenano.laws.law import EnergyAccount
 
 NONE = EnergyAccount(0.0, 0.0, 0.0)
 

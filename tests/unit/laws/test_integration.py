@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from telenano.extend.laws import MOST_PERIODS_A_STEP
 from telenano.laws.integration import (
     ACCOUNT,
     ANSWER,
@@ -36,7 +37,6 @@ from telenano.laws.integration import (
     slave_stepped,
     slave_unanswered,
 )
-from telenano.laws.law import MOST_PERIODS_A_STEP
 
 MS = 1_000_000
 MASTER, SLAVE = TimingParams(MS, 50, 0), TimingParams(MS, 50, 50 * MS)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from telenano.laws import virtual_impedance, wave
-from telenano.laws.config import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
-from telenano.laws.law import (
+from telenano.extend import pass_through
+from telenano.extend.laws import (
     HandSample,
     Law,
     MasterReference,
@@ -22,9 +21,10 @@ from telenano.laws.law import (
     no_energy_account,
     the_hands_force,
 )
+from telenano.laws import virtual_impedance, wave
+from telenano.laws.config import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
 from telenano.laws.law_names import LAW_NAMES
 from telenano.laws.law_rules import RULES, broken_rules
-from telenano.laws.shared import pass_through
 
 T = 1e-3
 

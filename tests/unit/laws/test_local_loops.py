@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from telenano.afm.config import AfmConfig
+from telenano.extend.laws import MOST_PERIODS_A_STEP, NO_SIGNAL, PortSignal, SlaveReference, TipMeasurement
+from telenano.extend.virtual_mass import FOLLOWED_M
 from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
-from telenano.laws.law import MOST_PERIODS_A_STEP, NO_SIGNAL, PortSignal, SlaveReference, TipMeasurement
 from telenano.laws.law_rules import RULES
-from telenano.laws.shared.virtual_mass import FOLLOWED_M
 
 T = 1e-3
 SCALE, FORCE_SCALE = 1.5e-6, 1e8

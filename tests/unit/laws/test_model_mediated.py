@@ -9,7 +9,8 @@ from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import tip_reference
 from telenano.laws.model_mediated import (
     ModelMediatedConfig,
     master_energy_account,
@@ -24,8 +25,7 @@ from telenano.laws.model_mediated import (
     slave_start,
     updated,
 )
-from telenano.laws.shared.surface import Surface
-from telenano.laws.shared.virtual_mass import tip_reference
+from telenano.laws.surface import Surface
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from telenano.laws.law import MOST_PERIODS_A_STEP, paced
+from telenano.extend.laws import MOST_PERIODS_A_STEP, paced
 
 
 def test_a_signal_a_period_is_a_step_of_one_period() -> None:

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import paid_stretch
 from telenano.laws.passivity import (
     Account,
     PassivityConfig,
@@ -23,7 +24,6 @@ from telenano.laws.passivity import (
     slave_send,
     slave_start,
 )
-from telenano.laws.shared.virtual_mass import paid_stretch
 
 T = 1e-3
 PARAMS = PassivityConfig().to_params(T)

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import HandPort, Mass, moved, paid_stretch
 from telenano.laws.passivity import (
     PASSIVITY,
     Account,
@@ -29,7 +30,6 @@ from telenano.laws.passivity import (
     slave_start,
     taken,
 )
-from telenano.laws.shared.virtual_mass import HandPort, Mass, moved, paid_stretch
 
 T = 1e-3
 SHIPPED = PassivityConfig().to_params(T)

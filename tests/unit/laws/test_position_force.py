@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.pass_through import slave_receive, slave_send, slave_start
+from telenano.extend.virtual_mass import tip_reference
 from telenano.laws.position_force import (
     PositionForceConfig,
     master_receive,
@@ -15,8 +17,6 @@ from telenano.laws.position_force import (
     master_start,
     retune,
 )
-from telenano.laws.shared.pass_through import slave_receive, slave_send, slave_start
-from telenano.laws.shared.virtual_mass import tip_reference
 
 PARAMS = PositionForceConfig().to_params(1e-3)
 

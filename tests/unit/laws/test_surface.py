@@ -11,7 +11,7 @@ from instrument_theory import base_for
 
 from telenano.afm.config import AfmConfig
 from telenano.laws.model_mediated import ModelMediatedConfig
-from telenano.laws.shared.surface import (
+from telenano.laws.surface import (
     BINS,
     Surface,
     _place_roots_at_once,

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from telenano.laws.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
-from telenano.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
+from telenano.extend.pass_through import slave_receive, slave_send, slave_start
 from telenano.laws.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,

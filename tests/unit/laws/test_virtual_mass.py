@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.laws.shared.virtual_mass import (
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import (
     ARRIVED_M,
     FARTHEST_M,
     FASTEST_M_PER_S,

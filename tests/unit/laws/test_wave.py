@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telenano.laws.law import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.wave import (
     Inbox,
     WaveConfig,

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 import telenano
+from telenano.extend.laws import NO_TIP
 from telenano.laws.config import OWN_LAWS
 from telenano.laws.entering import CLEARANCE_M, LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
-from telenano.laws.law import NO_TIP
 from telenano.wire.errors import RigError
 
 SPEED = "afm_node.safety.base_speed_m_per_s"

@@ -61,7 +61,7 @@ print(type(model.step).__name__, type(step).__name__)
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("telenano/afm/forces.py", "telenano/laws/law.py", "telenano/lockstep/loop.py"):
+    for name in ("telenano/afm/forces.py", "telenano/extend/laws.py", "telenano/lockstep/loop.py"):
         path = tmp_path / name
         path.parent.mkdir(parents=True)
         path.write_text("A = 1\n")

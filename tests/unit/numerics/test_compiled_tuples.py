@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from telenano.laws.law import NO_SIGNAL, PortSignal, port_signal
+from telenano.extend.laws import NO_SIGNAL, PortSignal, port_signal
 from telenano.numerics.compiler import borrowed, compiled, compiled_form
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telenano.laws.law import HandSample
+from telenano.extend.laws import HandSample
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import HapticCommand
 from telenano.wire.node_state import FindInput, Part, is_whole, pack, part, restore

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from telenano.laws.discretisation import exact_discretisation
-from telenano.laws.law import HandSample, PortSignal, TipMeasurement
-from telenano.laws.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
+from telenano.extend.laws import HandSample, PortSignal, TipMeasurement
+from telenano.extend.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
 from telenano.numerics.compiler import compiled
+from telenano.numerics.discretisation import exact_discretisation
 from telenano.settings.config import Settings, filled
 from telenano.wire.topics import deadline_of
 

@@ -14,7 +14,7 @@ left in their mean over `RECENT_S`, and e is the error of a mean of values that 
 import math
 from typing import NamedTuple
 
-from telenano.laws.shared.virtual_mass import bounded
+from telenano.extend.virtual_mass import bounded
 from telenano.numerics.compiler import compiled
 
 # time constant over which the changes of force and place are taken for a drift [s]

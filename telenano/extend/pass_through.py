@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from telenano.laws.law import PortSignal, SlaveReference, TipMeasurement, tip_signal
+from telenano.extend.laws import PortSignal, SlaveReference, TipMeasurement, tip_signal
 from telenano.numerics.compiler import compiled
 
 

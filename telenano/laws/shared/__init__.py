@@ -1,1 +1,0 @@
-"""What several laws have in common; no law of its own."""
