@@ -29,9 +29,8 @@ from telenano.devices.afm.instrument import modbus_driver
 from telenano.devices.afm.modbus_frames import Conversation, Operation
 from telenano.devices.hand.calibration import read_handle_calibration
 from telenano.devices.hand.serial_driver import SerialHandle
+from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.hand.config import LimitsConfig
-from telenano.hand.driver import DriveCommand
-from telenano.hand.safety import MODE_OFF
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage, use_huge_pages
 from telenano.settings.scenario import RealtimeConfig

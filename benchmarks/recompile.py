@@ -23,7 +23,7 @@ STUDY = (
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
 )
 # what is done, the file, a text in it and what takes its place
-LAW = "telenano/laws/virtual_impedance.py"
+LAW = "telenano/extend/virtual_impedance.py"
 MODEL = "telenano/afm/contact/lennard_jones.py"
 FIGURES = "telenano_studies/pages/figures.py"
 EDITS = (

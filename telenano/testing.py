@@ -8,6 +8,9 @@ from typing import Any
 from telenano.extend.laws import changed_in_contact as changed_in_contact
 from telenano.extend.laws import longest_pause_periods as longest_pause_periods
 from telenano.extend.laws import paced as paced
+from telenano.extend.programs import Inputs, Instrument, Program, ProgramSettings
+from telenano.extend.samples import Oscillation
+from telenano.extend.stage import Place, moved
 from telenano.laws.law_rules import known_law as known_law
 from telenano.recording import RecordedMessage, recorded
 from telenano.runtime.loop.log import StructuredLog
@@ -22,6 +25,8 @@ from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
 _MS = 1_000_000
+# the period of an instrument [s]
+_PERIOD_S = 1e-3
 # when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before
 EPOCH_NS = 1_750_000_000_000_000_000
 
@@ -156,3 +161,41 @@ def refused_laws(driver: str) -> dict[str, str]:
     from telenano.launcher import plan
 
     return plan.refused_laws(driver)
+
+
+def trial(
+    program: Program[Any, Any, Any], settings: ProgramSettings, stiffness_n_per_m: float = 40.0, most_s: float = 60.0
+) -> Iterator[Inputs]:
+    """Yield what a program is told at each step until it is done, on an instrument as shipped over a linear spring.
+
+    The base goes where the program wants it to be, and the stage no faster than it can; nothing guards the tip.
+
+    Args:
+        program: The program to run.
+        settings: Its settings.
+        stiffness_n_per_m: Force on the tip for each metre of the base beyond the surface at `rest_distance_m` [N/m].
+        most_s: The time after which a program that is not done is given up [s].
+
+    Raises:
+        RefusedError: The program refuses its settings.
+        TimeoutError: It is not done within most_s.
+    """
+    # it holds the settings of every program, and so imports the packages that import this
+    from telenano.afm.config import AfmConfig
+
+    config = AfmConfig()
+    limits, lateral = config.to_params().safety, config.to_lateral_params()
+    k = config.cantilever.stiffness_n_per_m
+    instrument = Instrument(limits, lateral, config.sample_sides_m(), k, _PERIOD_S)
+    base_m, place = limits.retract_position_m, Place(0.0, 0.0)
+    plan, state, *_ = program.begin(settings, instrument, place)
+    for _ in range(round(most_s / _PERIOD_S)):
+        force_n = stiffness_n_per_m * max(base_m - config.rest_distance_m, 0.0)
+        inputs = Inputs(base_m, place, force_n, (0.0, 0.0), Oscillation(0.0, 0.0), Place(0.0, 0.0))
+        yield inputs
+        wanted = program.step(plan, state, inputs, _PERIOD_S)
+        if wanted.is_done:
+            return
+        state, base_m = wanted.state, wanted.base_m
+        place = moved(lateral, place, wanted.place, _PERIOD_S)[0]
+    raise TimeoutError(f"the program is not done within {most_s:g} s")

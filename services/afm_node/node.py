@@ -8,10 +8,7 @@ import msgspec
 
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
-from telenano.afm.driver import AfmDriver
 from telenano.afm.felt import FeltState
-from telenano.afm.lateral import Place
-from telenano.afm.programs.program import Wanted
 from telenano.afm.programs.runner import RunnerState
 from telenano.afm.programs.settings import (
     STIFFNESS,
@@ -25,6 +22,9 @@ from telenano.afm.step import LONGEST_STEP_NS, command_wait_ns
 from telenano.devices.afm.capabilities import refusal
 from telenano.devices.afm.guarded import AfmMemory, GuardedInstrument, Step, line_fields, parts_of
 from telenano.devices.afm.instrument import pointed, reach_of, runner_of, sample_text
+from telenano.extend.instruments import AfmDriver
+from telenano.extend.programs import Wanted
+from telenano.extend.stage import Place
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext

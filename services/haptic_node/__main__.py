@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 from services.haptic_node.node import INPUTS, HapticNode
+from telenano.extend.hands import HapticDevice
 from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from telenano.hand.disturbances import DisturbedHaptic
-from telenano.hand.driver import HapticDevice
 from telenano.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
 

@@ -3,11 +3,20 @@
 from typing import ClassVar, NamedTuple
 
 from services.haptic_node.parts import HapticMemory, Tick, parts_of
+from telenano.extend.hands import (
+    MODE_FORCE,
+    MODE_NAMES,
+    MODE_OFF,
+    MODE_POSITION,
+    DeviceReading,
+    DriveCommand,
+    HapticDevice,
+    HapticReport,
+)
 from telenano.hand import safety
 from telenano.hand.config import HapticConfig, changed_operator
 from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from telenano.hand.disturbances import DisturbedHaptic
-from telenano.hand.driver import DeviceReading, DeviceReport, DriveCommand, HapticDevice
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.numerics.frames import to_paper_axis, to_site_frame
@@ -27,7 +36,7 @@ _NO_COMMAND = HapticCommand(
     seq=0, t_ns=0, src="controller@master", v=1, hand_seq=0, hand_t_ns=0, mode="off", position_m=(0.0, 0.0, 0.0),
     velocity_m_per_s=(0.0, 0.0, 0.0), force_n=(0.0, 0.0, 0.0),
 )  # fmt: skip
-_MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
+_MODE_CODES = {name: code for code, name in MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
@@ -74,10 +83,10 @@ class HapticNode(DeviceNode):
             self.has_device(device.capabilities.latency_s, device.capabilities.calibration)
         able = device.capabilities
         self._limits = config.limits.to_params(
-            has_position_mode=safety.MODE_POSITION in able.modes, has_force_mode=safety.MODE_FORCE in able.modes
+            has_position_mode=MODE_POSITION in able.modes, has_force_mode=MODE_FORCE in able.modes
         )
         start_m = config.device.start_position_m
-        self._memory = HapticMemory(safety.SafetyState(False, safety.MODE_OFF, start_m), start_m)
+        self._memory = HapticMemory(safety.SafetyState(False, MODE_OFF, start_m), start_m)
         self._parts = Parts(parts_of(self, config, device))
         self._coupled = able.kind == "impedance"
         self._waits_for = ""
@@ -88,7 +97,7 @@ class HapticNode(DeviceNode):
         self._command_is_new = False
         self._ignored_force = False
         self._switch_pressed = False
-        self._reported = (safety.MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
+        self._reported = (MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
         if device.report is not None:
             self.take_up_report(device.report)
         # The steps are compiled before the grid starts, not in its first tick.
@@ -255,7 +264,7 @@ class HapticNode(DeviceNode):
             operator_force_n=(*own_n, 0.0 - reading.operator_force_n),
             motor_force_n=(*shown_n, 0.0 - reading.motor_force_n),
             reference_m=to_site_frame(applied.position_reference_m),
-            mode=safety.MODE_NAMES[applied.mode],
+            mode=MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
             # a device that is refused, such as one with a lost encoder, is no hand to follow either
             armed=applied.armed and tick.said.get("device") != "lost",
@@ -268,7 +277,7 @@ class HapticNode(DeviceNode):
             **tick.said,
         )
 
-    def take_up_report(self, report: DeviceReport) -> None:
+    def take_up_report(self, report: HapticReport) -> None:
         """Take up the report of a real device, whose own emergency stop latches here."""
         self._memory.estop_requested |= report.estop_pressed
         self.own_stops += report.estop_pressed and not self._switch_pressed
@@ -276,7 +285,7 @@ class HapticNode(DeviceNode):
         self.take_up(report, is_late=report.age_s > _FRESH_PERIODS * self.period_s)
 
     def _report_changes(self, applied: safety.SafetyOutputs) -> None:
-        self.state = "running" if applied.mode != safety.MODE_OFF else "safe"
+        self.state = "running" if applied.mode != MODE_OFF else "safe"
         # a limit may come and go at every tick; it is published as `limited`, not as an event
         reason = safety.REASON_NONE if applied.reason in _LIMITS else applied.reason
         text = self._waits_for if reason == safety.REASON_DEVICE_WAITS else safety.REASONS[reason]
@@ -287,7 +296,7 @@ class HapticNode(DeviceNode):
             "mode",
             "info" if reason == safety.REASON_NONE else "warning",
             text,
-            mode=safety.MODE_NAMES[applied.mode],
+            mode=MODE_NAMES[applied.mode],
             position_m=self._memory.position_m,
         )
 

@@ -6,18 +6,19 @@ from typing import Any, cast
 
 import msgspec
 
-from telenano.hand import safety
-from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import FAULTS, GATE_ACTIVE
-from telenano.hand.driver import (
+from telenano.extend.hands import (
+    MODE_OFF,
     Capabilities,
     DeviceReading,
-    DeviceReport,
     HapticDevice,
+    HapticReport,
     Pair,
     SpatialCommand,
     SpatialReading,
 )
+from telenano.hand import safety
+from telenano.hand.config import HapticConfig
+from telenano.hand.coupling import FAULTS, GATE_ACTIVE
 from telenano.hand.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
@@ -79,7 +80,7 @@ class Tick:
 
     @property
     def shown_n(self) -> Pair:
-        return _ZERO if self.applied.mode == safety.MODE_OFF else self.command.force_n[:2]
+        return _ZERO if self.applied.mode == MODE_OFF else self.command.force_n[:2]
 
 
 TickPart = StepPart[Tick, HapticMemory]
@@ -88,11 +89,11 @@ TickPart = StepPart[Tick, HapticMemory]
 class RealHandle(TickPart):
     """Takes up what a real device reports."""
 
-    def __init__(self, device: HapticDevice, take_up: Callable[[DeviceReport], None]) -> None:
+    def __init__(self, device: HapticDevice, take_up: Callable[[HapticReport], None]) -> None:
         self._device, self._take_up = device, take_up
 
     def measure(self, tick: Tick, memory: HapticMemory) -> None:
-        self._report = report = cast(DeviceReport, self._device.report)
+        self._report = report = cast(HapticReport, self._device.report)
         tick.said.update({"device": report.status, "sample_age_s": report.age_s, **report.counts})
 
     def report(self, tick: Tick, memory: HapticMemory) -> None:
@@ -124,7 +125,7 @@ class SpatialDevice(TickPart):
         self._has_orientation, self._has_buttons = able.has_orientation, bool(able.buttons)
 
     def prepare(self, tick: Tick, memory: HapticMemory) -> None:
-        is_off = tick.applied.mode == safety.MODE_OFF
+        is_off = tick.applied.mode == MODE_OFF
         tick.spatial = SpatialCommand(_ZERO if is_off else tick.command.position_m[:2], tick.shown_n, tick.armed)
 
     def measure(self, tick: Tick, memory: HapticMemory) -> None:

@@ -32,11 +32,6 @@ if TYPE_CHECKING:
     from telenano.afm.disturbances import BOLTZMANN_J_PER_K as BOLTZMANN_J_PER_K
     from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbed import noisy_params as noisy_params
-    from telenano.afm.driver import AfmDriver as AfmDriver
-    from telenano.afm.driver import DeviceError as DeviceError
-    from telenano.afm.driver import OwnImage as OwnImage
-    from telenano.afm.driver import OwnLine as OwnLine
-    from telenano.afm.driver import Simulation as Simulation
     from telenano.afm.dynamic import NO_NOISE as NO_NOISE
     from telenano.afm.dynamic import advance as advance
     from telenano.afm.dynamic import damping_at as damping_at
@@ -47,9 +42,7 @@ if TYPE_CHECKING:
     from telenano.afm.layers import Height as Height
     from telenano.afm.layers import Layer as Layer
     from telenano.afm.layers import Said as Said
-    from telenano.afm.part import AfmSample as AfmSample
     from telenano.afm.part import Part as Part
-    from telenano.afm.part import PlantInputs as PlantInputs
     from telenano.afm.part import inputs_over as inputs_over
     from telenano.afm.part import motion_around as motion_around
     from telenano.afm.part import part_start as part_start
@@ -57,8 +50,8 @@ if TYPE_CHECKING:
     from telenano.afm.part import register_part as register_part
     from telenano.afm.part import truths_of as truths_of
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
-    from telenano.afm.programs.program import FinishedLine as FinishedLine
-    from telenano.afm.programs.program import Wanted as Wanted
+    from telenano.afm.programs.feedback import gain_fault as gain_fault
+    from telenano.afm.programs.feedback import integral_share as integral_share
     from telenano.afm.programs.runner import Report as Report
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
     from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest
@@ -68,7 +61,6 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
-    from telenano.afm.safety import SafetyParams as SafetyParams
     from telenano.afm.safety import initial_safety_state as initial_safety_state
     from telenano.afm.sample.surface import PLANE as PLANE
     from telenano.afm.sample.surface import Surface as Surface

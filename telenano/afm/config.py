@@ -15,12 +15,10 @@ from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
 from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.felt import FeelConfig
-from telenano.afm.lateral import LateralParams
 from telenano.afm.layers import Ground, Height
 from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
-from telenano.afm.safety import SafetyParams
 from telenano.afm.sample.force_map import Span
 from telenano.afm.sample.surface import PLANE, Surface, dilated
 from telenano.afm.sample_models import checked_sample
@@ -37,6 +35,8 @@ from telenano.afm.section_config import (
 from telenano.afm.spring import spring_params
 from telenano.afm.step import AfmParams
 from telenano.afm.torsion import TorsionConfig
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.stage import LateralParams
 from telenano.settings.config import Settings, filled
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.plugins import load, refuse

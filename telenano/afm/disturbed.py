@@ -24,7 +24,8 @@ from telenano.afm.disturbances import (
     noise_start,
     noise_step,
 )
-from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register_part
+from telenano.afm.part import Part, part_start, part_step, register_part
+from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]

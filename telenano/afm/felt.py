@@ -15,8 +15,8 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from telenano.afm.lateral import Place
 from telenano.afm.sample.force_map import SI_UNITS, UNITS
+from telenano.extend.stage import Place
 from telenano.settings.config import Settings
 
 ChannelName = Literal["frequency_shift", "current", "amplitude", "phase"]

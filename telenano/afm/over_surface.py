@@ -6,17 +6,9 @@ The tip follows the stage: what friction holds it back moves it less than a pixe
 from typing import Any, NamedTuple
 
 from telenano.afm.contact.friction import FrictionParams, FrictionState, friction_step
-from telenano.afm.part import (
-    AfmSample,
-    Part,
-    PlantInputs,
-    inputs_over,
-    motion_around,
-    part_start,
-    part_step,
-    register_part,
-)
+from telenano.afm.part import Part, inputs_over, motion_around, part_start, part_step, register_part
 from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
+from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
 
 # Only the slopes matter here.

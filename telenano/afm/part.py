@@ -10,26 +10,8 @@ for a study in lockstep, and `sim.SimulatedInstrument` makes the driver of a nod
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
 from telenano.numerics.compiler import chosen_step, compiled
-
-
-class PlantInputs(NamedTuple):
-    """What acts on a part in a step.
-
-    base_m: base position towards the sample [m]; x_m, y_m: place of the tip over the sample [m], 0, 0 is its middle;
-    height_m: of the surface under the tip [m]; voltage_v: between tip and sample [V]; amplitude_m: that the drive of
-    the base gives the tip without a sample [m], 0 without a drive; temperature_k: of a cantilever that has a motion
-    [K], 0 without thermal impulses, and seed, which decides these.
-    """
-
-    base_m: float
-    x_m: float = 0.0
-    y_m: float = 0.0
-    height_m: float = 0.0
-    voltage_v: float = 0.0
-    amplitude_m: float = 0.0
-    temperature_k: float = 0.0
-    seed: int = 0
 
 
 @compiled
@@ -51,39 +33,6 @@ def inputs_over(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInp
         temperature_k=inputs.temperature_k,
         seed=inputs.seed,
     )
-
-
-class AfmSample(NamedTuple):
-    """What the device reports for one base position.
-
-    base_m: base position applied [m]; deflection_m: zeta [m], positive away from the sample; force_n: on the tip [N],
-    positive is repulsive; bridge_voltage_v: Eq. 3 [V]; distance_m: h [m], meaningful if distance_valid (a real
-    instrument does not know it); in_contact; meniscus: a bridge exists (`as_printed`: the retract law is in force);
-    lateral_x_n, lateral_y_n: force on the tip by the sample in x and y [N].
-    """
-
-    base_m: float
-    deflection_m: float
-    force_n: float
-    bridge_voltage_v: float
-    distance_m: float
-    distance_valid: bool
-    in_contact: bool
-    meniscus: bool
-    lateral_x_n: float = 0.0
-    lateral_y_n: float = 0.0
-
-
-class Oscillation(NamedTuple):
-    """Amplitude of the deflection at the frequency of the drive [m], and its lag behind the drive [rad].
-
-    The lag is pi/2 in free motion at the resonance, more in attraction and less in repulsion (`dynamic.lag_rad`).
-    dissipated_j: energy that the sample takes in a period [J].
-    """
-
-    amplitude_m: float
-    phase_rad: float
-    dissipated_j: float = 0.0
 
 
 class Motion(NamedTuple):

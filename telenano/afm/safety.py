@@ -26,6 +26,7 @@ can still be read when the operator comes back.
 import math
 from typing import NamedTuple
 
+from telenano.extend.instruments import SafetyParams
 from telenano.numerics.compiler import compiled
 
 MODE_RETRACTED, MODE_FOLLOW, MODE_HOLD, MODE_RETRACTING, MODE_ESTOP = range(5)
@@ -54,21 +55,6 @@ ARM_REFUSAL_NAMES: dict[int, str] = {
 
 LIMITED_BY_RANGE = 1  # bits of `limited`
 LIMITED_BY_SPEED = 2
-
-
-class SafetyParams(NamedTuple):
-    """Limits; base positions and speeds along the paper's axis, towards the sample."""
-
-    base_min_m: float
-    base_max_m: float
-    base_speed_m_per_s: float
-    resume_acceleration_m_per_s2: float
-    retract_position_m: float
-    retract_speed_m_per_s: float
-    force_limit_n: float
-    command_deadline_s: float
-    hold_time_s: float
-    lateral_limit_n: float = math.inf
 
 
 class SafetyState(NamedTuple):

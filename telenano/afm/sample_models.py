@@ -6,34 +6,12 @@ measures there. It may have a state of its own: of hysteresis, of particles that
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel
-
-from telenano.afm.part import Part, PlantInputs, register_part
+from telenano.afm.part import Part, register_part
+from telenano.extend.samples import PlantInputs, SampleModel
 
 Step = Callable[..., Any]
-
-
-@dataclass(frozen=True)
-class SampleModel:
-    """A sample under the tip.
-
-    config: settings with `to_params()`, which gives a `params`; params: a NamedTuple of the sample's own;
-    `start(params, base_m) -> state`, for a base at base_m [m] towards the sample;
-    `measure(params, state, inputs, dt) -> (state, AfmSample)`, pure and compiled, with inputs.base_m, the place of the
-    tip over the sample inputs.x_m and inputs.y_m [m], and the time since the last step dt [s], which is 0 at the start.
-    stiffness_n_per_m: of the contact where it is pressed, nominal, for whoever has to know how far to press; where
-    config has a field of that name, studies set it.
-    """
-
-    name: str
-    config: type[BaseModel]
-    params: type
-    start: Step
-    measure: Step
-    stiffness_n_per_m: float
 
 
 def checked_sample(name: str, value: Any) -> SampleModel:

@@ -10,21 +10,13 @@ from telenano.afm.cantilever import Plant
 from telenano.afm.contact.friction import FrictionParams
 from telenano.afm.disturbances import DisturbanceConfig, NoiseState, noise_start, noise_step
 from telenano.afm.disturbed import DisturbedState, PiezoState, disturbed_params, disturbed_step, piezo_at_rest
-from telenano.afm.driver import LateralStage, Relief, Simulation, VibratingCantilever
 from telenano.afm.over_surface import over_surface
-from telenano.afm.part import (
-    AfmSample,
-    Oscillation,
-    PlantInputs,
-    motion_of,
-    part_of,
-    part_start,
-    part_step,
-    truths_of,
-)
+from telenano.afm.part import motion_of, part_of, part_start, part_step, truths_of
 from telenano.afm.sample.surface import Surface
 from telenano.afm.spring import SpringParams, spring_params
 from telenano.afm.step import AfmParams
+from telenano.extend.instruments import LateralStage, Relief, Simulation, VibratingCantilever
+from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
 
 _AT_REST = Oscillation(0.0, 0.0)
 _QUIET = DisturbanceConfig()

@@ -6,7 +6,8 @@ It is a spring on the base itself, so there is no deflection. The distance repor
 import math
 from typing import NamedTuple
 
-from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
+from telenano.afm.part import Part, register_part
+from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
 
 

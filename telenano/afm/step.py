@@ -11,15 +11,10 @@ at most base_speed dt.
 import math
 from typing import Any, NamedTuple
 
-from telenano.afm.part import AfmSample, inputs_at, part_start, part_step
-from telenano.afm.safety import (
-    SafetyInputs,
-    SafetyOutputs,
-    SafetyParams,
-    SafetyState,
-    initial_safety_state,
-    safety_step,
-)
+from telenano.afm.part import inputs_at, part_start, part_step
+from telenano.afm.safety import SafetyInputs, SafetyOutputs, SafetyState, initial_safety_state, safety_step
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.samples import AfmSample
 from telenano.numerics.compiler import compiled
 
 # the guard's speed limit allows no more than this much motion at once, however long the process was held up

@@ -11,10 +11,10 @@ from telenano.afm.safety import (
     MODE_FOLLOW,
     REASON_NAMES,
     SafetyInputs,
-    SafetyParams,
     initial_safety_state,
     safety_step,
 )
+from telenano.extend.instruments import SafetyParams
 
 
 class TipGuard:

@@ -15,18 +15,8 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from telenano.afm.part import (
-    AfmSample,
-    Motion,
-    Oscillation,
-    Part,
-    PlantInputs,
-    motion_of,
-    part_start,
-    part_step,
-    register_part,
-    truths_of,
-)
+from telenano.afm.part import Motion, Part, motion_of, part_start, part_step, register_part, truths_of
+from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from telenano.cli.sample_options import results_in as results_in
     from telenano.cli.sample_options import sample_config as sample_config
     from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
+    from telenano.cli.simulated_instrument import hand_of as hand_of
     from telenano.cli.simulated_instrument import simulated_afm as simulated_afm
     from telenano.cli.tables import rows_table as rows_table
 else:

@@ -1,10 +1,10 @@
 """What stands behind an emulated AFM controller: a simulated instrument, and converters in front of it."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from telenano.afm.driver import AfmDriver
 from telenano.cli.commands.device_files import section_of
+from telenano.extend.instruments import AfmDriver
 
 
 class SimulatedAfm(NamedTuple):
@@ -28,3 +28,14 @@ def simulated_afm(scenario: Path | None = None) -> SimulatedAfm:
     afm, plant = driver_of(config), config.to_params().plant
     afm.open()
     return SimulatedAfm(afm, plant.volts_per_m, plant.stiffness_n_per_m)
+
+
+def hand_of(scenario: Path | None = None) -> Any:
+    """Return the simulated hand of a scenario that is named or a file, or the default one, for `operator_step`.
+
+    Raises:
+        ConfigError: There is no such scenario, or a key of it cannot be read.
+    """
+    from telenano.hand.config import HapticConfig
+
+    return section_of(scenario, "haptic_node", HapticConfig).operator.to_params()

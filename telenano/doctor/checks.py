@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from telenano.extend.checks import Finding, Level
 from telenano.launcher.processors import FOR_A_RIG, fits_text
 from telenano.signals import children
 from telenano.wire.errors import ConfigError
@@ -18,7 +19,6 @@ from telenano.wire.extras import extra_in
 if TYPE_CHECKING:
     from telenano.runtime.security.keyring import Keyring
 
-Level = Literal["ok", "warning", "problem"]
 
 _OLDEST_PYTHON = (3, 11)
 _LEAST_PROCESSORS = 2
@@ -38,15 +38,6 @@ _ENDPOINT_ADVICE: dict[str, tuple[Level, str]] = {
     ),
 }
 _TCP = re.compile(r"tcp://(?P<host>.+):(?P<port>[0-9]+)")
-
-
-class Finding(NamedTuple):
-    """The result of a check; `advice` is empty where nothing has to be done."""
-
-    name: str
-    level: Level
-    found: str
-    advice: str = ""
 
 
 class KernelClock(NamedTuple):

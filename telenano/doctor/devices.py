@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from telenano.doctor.checks import Finding
+from telenano.extend.checks import Finding
 
 _TTYS = ("ttyACM", "ttyUSB")
 _GOOD_LATENCY_MS = 1

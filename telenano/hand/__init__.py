@@ -10,19 +10,29 @@ if TYPE_CHECKING:
     from telenano.hand.config import DeviceConfig as DeviceConfig
     from telenano.hand.config import HapticConfig as HapticConfig
     from telenano.hand.config import LimitsConfig as LimitsConfig
+    from telenano.hand.coupled import arm_step as arm_step
     from telenano.hand.coupling import FAULTS as FAULTS
     from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE
     from telenano.hand.coupling import GATE_DEADMAN as GATE_DEADMAN
+    from telenano.hand.coupling import GATE_DEVICE_SILENT as GATE_DEVICE_SILENT
     from telenano.hand.coupling import GATE_FROZEN as GATE_FROZEN
     from telenano.hand.coupling import GATE_JUMP as GATE_JUMP
     from telenano.hand.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
+    from telenano.hand.coupling import GATE_READY as GATE_READY
+    from telenano.hand.coupling import GATE_RELEASED as GATE_RELEASED
+    from telenano.hand.coupling import GATE_REST as GATE_REST
     from telenano.hand.coupling import GATE_RUNAWAY as GATE_RUNAWAY
+    from telenano.hand.coupling import GATE_SILENT as GATE_SILENT
     from telenano.hand.coupling import GATES as GATES
     from telenano.hand.coupling import STABLE_MARGIN as STABLE_MARGIN
     from telenano.hand.coupling import ZERO as ZERO
+    from telenano.hand.coupling import CouplingReading as CouplingReading
+    from telenano.hand.coupling import CouplingReference as CouplingReference
     from telenano.hand.coupling import CouplingSettings as CouplingSettings
     from telenano.hand.coupling import Vector as Vector
-    from telenano.hand.driver import DriveCommand as DriveCommand
+    from telenano.hand.coupling import coupling_at_start as coupling_at_start
+    from telenano.hand.coupling import coupling_step as coupling_step
+    from telenano.hand.impedance_config import CouplingConfig as CouplingConfig
     from telenano.hand.impedance_config import bounds_of as bounds_of
     from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.motor import MotorParams as MotorParams
@@ -31,8 +41,8 @@ if TYPE_CHECKING:
     from telenano.hand.motor import closed_loop_coefficients as closed_loop_coefficients
     from telenano.hand.motor import closed_loop_poles as closed_loop_poles
     from telenano.hand.operator_config import ARMS as ARMS
-    from telenano.hand.safety import MODE_OFF as MODE_OFF
-    from telenano.hand.safety import MODE_POSITION as MODE_POSITION
+    from telenano.hand.operator_models import operator_at_rest as operator_at_rest
+    from telenano.hand.operator_models import operator_step as operator_step
     from telenano.hand.step import initial_plant as initial_plant
     from telenano.hand.step import plant_step as plant_step
 else:

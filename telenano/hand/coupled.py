@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from telenano.extend.hands import MODE_POSITION, UPRIGHT, DeviceReading, DriveCommand, Pair, SpatialReading
+from telenano.extend.operators import OperatorInputs
 from telenano.hand.coupling import (
     GATE_ACTIVE,
     GATE_READY,
@@ -25,10 +27,8 @@ from telenano.hand.coupling import (
     coupling_at_start,
     coupling_step,
 )
-from telenano.hand.driver import UPRIGHT, DeviceReading, DriveCommand, Pair, SpatialReading
-from telenano.hand.operator import OperatorInputs, interpolate
+from telenano.hand.operator import interpolate
 from telenano.hand.operator_models import operator_at_rest, operator_step
-from telenano.hand.safety import MODE_POSITION
 from telenano.numerics.compiler import compiled
 
 

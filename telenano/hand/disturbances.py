@@ -11,8 +11,8 @@ from typing import NamedTuple, cast
 
 from pydantic import Field
 
+from telenano.extend.hands import Capabilities, DeviceReading
 from telenano.hand.coupled import CoupledParams
-from telenano.hand.driver import Capabilities, DeviceReading
 from telenano.hand.sim import SimulatedHaptic
 from telenano.hand.step import PlantParams
 from telenano.numerics.normal_numbers import normal_number

@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
 from telenano.hand.coupled import CoupledParams, LateralHand
 from telenano.hand.coupling import (
     STABLE_MARGIN,
@@ -13,11 +14,9 @@ from telenano.hand.coupling import (
     passive_stiffness_n_per_m,
     stable_stiffness_n_per_m,
 )
-from telenano.hand.driver import Capabilities, DeviceError
 from telenano.hand.lateral_hand import Course, LateralPoint
 from telenano.hand.operator import OperatorParams
 from telenano.hand.reacting import ReactingParams
-from telenano.hand.safety import MODE_OFF, MODE_POSITION
 from telenano.settings.config import Settings, filled
 
 # From no force to the greatest one takes so long at least [s].

@@ -16,7 +16,7 @@ of 10 N at the arm is 0.28 mN m at the motor, a tenth of its friction.
 import math
 from typing import NamedTuple
 
-from telenano.hand.safety import MODE_POSITION
+from telenano.extend.hands import MODE_POSITION
 from telenano.numerics.compiler import compiled
 
 # Inside one regime (servo, voltage limit, torque limit) a sub-step of any length is exact. Where a limit acts at one of

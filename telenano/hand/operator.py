@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from telenano.extend.operators import OperatorInputs, OperatorOutputs
 from telenano.numerics.compiler import compiled
 
 FORCE_PROFILE = 0
@@ -41,21 +42,6 @@ class OperatorState(NamedTuple):
 
     hand_position_m: float
     hand_velocity_m_per_s: float
-
-
-class OperatorInputs(NamedTuple):
-    """Session time (negative: not started) at the end of the step, and the arm's position at its two ends."""
-
-    session_time_s: float
-    start_position_m: float
-    end_position_m: float
-
-
-class OperatorOutputs(NamedTuple):
-    """F_m on the device, positive towards the sample, after the limit of hand and sensor."""
-
-    force_n: float
-    limited: bool
 
 
 @compiled

@@ -1,11 +1,11 @@
 """The models of the simulated hand: those of `operator`, and those of installed packages (`telenano.operators`)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, Self, cast, get_args
 
 from pydantic import BaseModel, model_validator
 
+from telenano.extend.operators import OperatorModel
 from telenano.hand import operator, reacting
 from telenano.hand.operator import OperatorParams, OperatorState
 from telenano.hand.reacting import ReactingParams
@@ -13,22 +13,6 @@ from telenano.numerics.compiler import chosen_step
 from telenano.settings.plugins import load
 
 Step = Callable[..., Any]
-
-
-@dataclass(frozen=True)
-class OperatorModel:
-    """A model of the hand on the device.
-
-    config: settings with `kind: Literal[name]`, `max_force_n` [N] and `to_params()`, which gives a `params`;
-    params: a NamedTuple of the model's own, with `max_force_n`; `start(params, position_m) -> state`, a hand at rest;
-    `step(params, state, OperatorInputs, dt) -> (state, OperatorOutputs)`, pure and compiled, over dt [s] > 0.
-    """
-
-    name: str
-    config: type[BaseModel]
-    params: type
-    start: Step
-    step: Step
 
 
 def _checked(name: str, value: Any) -> OperatorModel:

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from telenano.hand.operator import OperatorInputs, OperatorOutputs, interpolate
+from telenano.extend.operators import OperatorInputs, OperatorOutputs
+from telenano.hand.operator import interpolate
 from telenano.numerics.compiler import compiled
 
 

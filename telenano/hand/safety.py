@@ -14,10 +14,8 @@ Arming is for the tip: it follows only a hand that a person has armed since its 
 import math
 from typing import NamedTuple
 
+from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION
 from telenano.numerics.compiler import compiled
-
-MODE_OFF, MODE_POSITION, MODE_FORCE = range(3)
-MODE_NAMES: dict[int, str] = {MODE_OFF: "off", MODE_POSITION: "position", MODE_FORCE: "force"}
 
 REASON_NONE, REASON_ESTOP, REASON_COMMAND_STALE, REASON_MODE_UNKNOWN, REASON_MODE_REFUSED = range(5)
 REASON_REFERENCE_INVALID, REASON_TRAVEL_LIMIT, REASON_SPEED_LIMIT, REASON_FORCE_LIMIT = range(5, 9)

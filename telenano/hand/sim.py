@@ -8,10 +8,18 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
+from telenano.extend.hands import (
+    MODE_NAMES,
+    MODE_OFF,
+    MODE_POSITION,
+    Capabilities,
+    DeviceError,
+    DeviceReading,
+    DriveCommand,
+    Pair,
+)
 from telenano.hand.coupled import CoupledParams
-from telenano.hand.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, Pair
 from telenano.hand.operator_models import operator_at_rest
-from telenano.hand.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
 from telenano.hand.step import PlantParams, found, initial_plant, plant_step
 
 SAMPLE_TIME_S = 1e-3

@@ -6,9 +6,10 @@ studies. Both are the same functions, so a study and a rig cannot differ.
 
 from typing import Any, NamedTuple
 
-from telenano.hand import motor, operator, safety
+from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand, SpatialCommand
+from telenano.extend.operators import OperatorInputs
+from telenano.hand import motor, safety
 from telenano.hand.coupled import CoupledParams, coupled_plant_step, initial_coupled, waits
-from telenano.hand.driver import DeviceReading, DriveCommand, SpatialCommand
 from telenano.hand.operator_models import operator_at_rest, operator_step
 from telenano.numerics.compiler import chosen_step, compiled
 
@@ -74,7 +75,7 @@ def initial_plant(params: Any, position_m: float) -> Any:
 
 def initial_state(params: Any, position_m: float) -> HapticStepState:
     """Return the chain at rest at position_m [m], off, not latched."""
-    return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(params, position_m))
+    return HapticStepState(safety.SafetyState(False, MODE_OFF, position_m), initial_plant(params, position_m))
 
 
 @compiled
@@ -84,7 +85,7 @@ def motor_plant_step(
     """Advance device and hand by dt [s], > 0, under a guarded command."""
     inputs = motor.MotorInputs(command.mode, command.position_reference_m)
     motion, drive = motor.step(params.motor, state.motor, inputs, dt)
-    ends = operator.OperatorInputs(session_time_s, state.motor.position_m, motion.position_m)
+    ends = OperatorInputs(session_time_s, state.motor.position_m, motion.position_m)
     hand, felt = operator_step(params.operator, state.operator, ends, dt)
     reading = DeviceReading(
         position_m=motion.position_m,

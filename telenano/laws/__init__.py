@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.extend.laws import changed_in_contact as changed_in_contact
-    from telenano.extend.laws import longest_pause_periods as longest_pause_periods
-    from telenano.extend.laws import paced as paced
     from telenano.laws.config import LAWS as LAWS
     from telenano.laws.config import OWN_LAWS as OWN_LAWS
     from telenano.laws.config import ControllerConfig as ControllerConfig

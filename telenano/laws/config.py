@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, create_model, field_validator, model_validator
 
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
+from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from telenano.laws.clamp import ClampConfig, ClampParams
 from telenano.laws.deadband import DeadbandConfig
 from telenano.laws.integration import TimingParams
@@ -16,7 +17,6 @@ from telenano.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
 from telenano.laws.tactile import TACTILE, TactileConfig
-from telenano.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from telenano.laws.wave import WAVE, WaveConfig
 from telenano.settings.config import Settings, merge, nested, validate
 from telenano.settings.known_packages import where_it_is

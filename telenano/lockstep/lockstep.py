@@ -29,8 +29,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.safety import REASON_NAMES, SafetyParams, placing_s
+from telenano.afm.safety import REASON_NAMES, placing_s
 from telenano.afm.step import AfmParams, initial_afm_state
+from telenano.extend.instruments import SafetyParams
 from telenano.extend.laws import NO_SIGNAL, TipMeasurement
 from telenano.hand.config import HapticConfig
 from telenano.hand.step import HapticParams

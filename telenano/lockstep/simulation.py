@@ -20,7 +20,7 @@ from telenano.afm.config import SAMPLES, AfmConfig
 from telenano.afm.disturbed import noisy_params
 from telenano.afm.over_map import read_params
 from telenano.afm.over_surface import over_surface
-from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
+from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.afm.step import AfmParams
 from telenano.analysis.holds import (
     NO_PROGRAMME,
@@ -34,6 +34,7 @@ from telenano.analysis.holds import (
     verdict_of,
 )
 from telenano.analysis.interruptions import Told, in_words, interruptions_of
+from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.link.config import EVEN, LinkSettings, network_name

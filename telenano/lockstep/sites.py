@@ -10,8 +10,8 @@ import numpy as np
 from telenano.afm import safety as afm_safety
 from telenano.afm.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
 from telenano.afm.step import step as instrument_step
+from telenano.extend.hands import MODE_OFF, MODE_POSITION
 from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
-from telenano.hand import safety as haptic_safety
 from telenano.hand.step import HapticInputs, HapticParams, found
 from telenano.hand.step import HapticStepState as HapticChainState
 from telenano.hand.step import step as haptic_step
@@ -181,7 +181,7 @@ def hand_stepped(
         felt.reading.position_m,
         felt.reading.velocity_m_per_s,
         felt.reading.operator_force_n,
-        felt.applied.mode != haptic_safety.MODE_OFF,
+        felt.applied.mode != MODE_OFF,
     )
     return state, hand
 
@@ -194,7 +194,7 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
     round_trip_s = integration.round_trip_periods(m.timing, halves.master) * halves.period_s
     signal = _latest(m.signal, m.timing.heard, now_ns, round_trip_s)
     law, reference = master_receive(halves.law, m.law, m.hand, signal, m.timing.due * halves.period_s)
-    mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
+    mode = MODE_POSITION if reference.active else MODE_OFF
     return Master(
         timing=integration.master_settled(m.timing),
         law=law,
@@ -434,7 +434,7 @@ def master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainSta
         signal=NO_SIGNAL,
         answered_ns=-1,
         band=initial_deadband_state(NO_SIGNAL),
-        command=HandCommand(haptic_safety.MODE_OFF, 0.0, -1, -1),
+        command=HandCommand(MODE_OFF, 0.0, -1, -1),
         rendered_n=0.0,
     )
 

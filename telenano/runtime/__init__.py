@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from telenano.runtime.loop.commands import CommandName as CommandName
     from telenano.runtime.loop.log import StructuredLog as StructuredLog
     from telenano.runtime.loop.node import NodeContext as NodeContext
+    from telenano.runtime.loop.own_process import schedule_as_node as schedule_as_node
+    from telenano.runtime.loop.own_process import start_process as start_process
     from telenano.runtime.loop.realtime import apply_realtime as apply_realtime
     from telenano.runtime.security.access_control import AccessControl as AccessControl
     from telenano.runtime.security.keyring import KeyPair as KeyPair

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from telenano.settings.config import read_yaml as read_yaml
     from telenano.settings.config import refused_code as refused_code
     from telenano.settings.config import validate as validate
+    from telenano.settings.device_drivers import DeviceDriver as DeviceDriver
+    from telenano.settings.device_drivers import haptic_driver as haptic_driver
     from telenano.settings.file_readers import FileReader as FileReader
     from telenano.settings.file_readers import read_by_package as read_by_package
     from telenano.settings.known_packages import where_it_is as where_it_is

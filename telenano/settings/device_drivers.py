@@ -21,16 +21,17 @@ class DeviceDriver:
     """A driver for one of the two nodes that have a device.
 
     `name` is the value of the node's key `driver`, and the name of the section with the settings of `config`.
-    `build(settings, limits)` returns a `HapticDevice` or an `AfmDriver`, not yet open: limits are those of the guard,
-    of the AFM node `AfmLimits` (all of `telenano.extend.devices`). The guard stays in front of it. `simulated`: its
-    readings follow from what it was sent alone, so that its node can be run again from a recording.
+    `build(settings, limits)` returns a `HapticDevice` (`telenano.extend.hands`) or an `AfmDriver`
+    (`telenano.extend.instruments`), not yet open: limits are those of the guard, of the AFM node `SafetyParams`.
+    The guard stays in front of it. `simulated`: its readings follow from what it was sent alone, so that its node
+    can be run again from a recording.
 
     `told` names what build takes by keyword besides: `period_s`, the period of the loop [s], and keys of the node's
     section, such as `coupling` of `haptic_node`, or `attended` of `afm_node`, whether a person stands by who retracts
     the tip. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
     with which laws and programs it is used; one without them is not judged. `what` names the
     devices in a list. `own` is what the package needs of it in a process of its own, which finds the driver by its name
-    (`haptic_driver` of `telenano.extend.devices`). `calibration` is the model of a file whose key
+    (`telenano.settings.haptic_driver`). `calibration` is the model of a file whose key
     `controller` names this driver; the settings then have a key `calibration` with its path.
     """
 
@@ -126,3 +127,12 @@ class _Name:
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         return {"enum": list(self._known()), "type": "string"}
+
+
+def haptic_driver(name: str) -> DeviceDriver | None:
+    """Return the driver of an installed package for the haptic node, imported now; None where no package has it.
+
+    Raises:
+        ValueError: It cannot be used; the message says why.
+    """
+    return Drivers("haptic_node", (), ()).find(name)

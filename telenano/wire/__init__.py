@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from telenano.wire.errors import ReportError as ReportError
     from telenano.wire.errors import RigError as RigError
     from telenano.wire.errors import TelenanoError as TelenanoError
+    from telenano.wire.errors import cause as cause
     from telenano.wire.errors import known_names as known_names
     from telenano.wire.errors import probably_meant as probably_meant
     from telenano.wire.examples import example as example

@@ -25,11 +25,11 @@ from test_files_and_loops import ROOT, TABLES
 
 from services.player import node as player
 from services.viz_node import live
-from telenano.afm.driver import DeviceError
 from telenano.console import command_client, emergency_stop
 from telenano.console.live_recording import LiveRecording
+from telenano.extend.hands import DeviceError as HandError
+from telenano.extend.instruments import DeviceError
 from telenano.files import limited_child
-from telenano.hand.driver import DeviceError as HandError
 from telenano.runtime.security import zap_authenticator
 from telenano.runtime.wiring.observer import Observer
 

@@ -13,7 +13,7 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.afm import DeviceError
+from telenano.extend.instruments import DeviceError
 from telenano.settings import merge, validate
 from telenano.testing import afm_config, afm_node, instrument_of
 from telenano.wire import ConfigError

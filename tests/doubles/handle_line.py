@@ -9,8 +9,8 @@ from telenano_emulators.emulated_handle import EmulatedHandle, calibration_of
 from services.haptic_node.node import HapticNode
 from telenano.devices.hand.calibration import HandleCalibration
 from telenano.devices.hand.serial_driver import SerialHandle
+from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
-from telenano.hand.driver import DeviceError
 from telenano.settings.config import parse_yaml, validate
 
 PATH = "/dev/serial/by-id/telenano"

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from services.afm_node.node import AfmNode
 from telenano.afm import recorded_map
 from telenano.afm.config import AfmConfig
-from telenano.afm.part import PlantInputs
 from telenano.afm.recorded_map import MapState
 from telenano.devices.afm.instrument import driver_of
+from telenano.extend.samples import PlantInputs
 
 Array = npt.NDArray[np.float64]
 STIFFNESS_N_PER_M = 2.0

@@ -20,12 +20,11 @@ from telenano_haptic_devices.servo import ServoCommand
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
-from telenano.afm.driver import DeviceError as InstrumentError
 from telenano.devices.hand import wire
+from telenano.extend.hands import MODE_POSITION, DeviceError, DriveCommand
+from telenano.extend.instruments import DeviceError as InstrumentError
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupling import ZERO, CouplingSettings
-from telenano.hand.driver import DeviceError, DriveCommand
-from telenano.hand.safety import MODE_POSITION
 
 REALS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 0.0, -1.0, 2.0**63)
 TICKS = 120

@@ -31,8 +31,8 @@ from references import (
 )
 
 import telenano.wire.codec
+from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.virtual_impedance import VirtualImpedanceConfig
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import filter_recording

@@ -21,9 +21,9 @@ from services.afm_node import __main__ as afm
 from services.controller import half
 from services.haptic_node import __main__ as haptic
 from telenano.afm.config import AfmConfig
-from telenano.afm.part import AfmSample, PlantInputs
-from telenano.afm.sample_models import SampleModel, register_sample
+from telenano.afm.sample_models import register_sample
 from telenano.afm.sim import SimulatedInstrument
+from telenano.extend.samples import AfmSample, PlantInputs, SampleModel
 from telenano.numerics.compiler import compiled
 from telenano.recording.reader import RawMessage, Recording
 from telenano.recording.rewrite import filter_recording

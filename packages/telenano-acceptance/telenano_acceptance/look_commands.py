@@ -13,7 +13,7 @@ from telenano.afm import DRIVERS as INSTRUMENTS
 from telenano.afm import AfmConfig
 from telenano.cli import JsonOption, print_answer, report_errors
 from telenano.devices import driver_of_file
-from telenano.extend.devices import MODE_OFF, DriveCommand
+from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.hand import DRIVERS as HANDLES
 from telenano.hand import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
 from telenano.settings import fault_of_package, flag_overrides, validate, where_it_is

@@ -41,7 +41,7 @@ from typer.testing import CliRunner
 
 from telenano.cli import run_ahead
 from telenano.cli.root import app
-from telenano.extend.impedance import CouplingConfig
+from telenano.hand import CouplingConfig
 from telenano.hand.config import HapticConfig
 from telenano.runtime.loop import realtime
 from telenano.wire.errors import ConfigError

@@ -5,18 +5,19 @@ from typing import Any
 
 from telenano.afm import AfmControllerConfig as ControllerSettings
 from telenano.devices import AfmCapabilities, read_controller
-from telenano.extend.devices import AfmDriver, AfmLimits, DeviceDriver
+from telenano.extend.instruments import AfmDriver, SafetyParams
+from telenano.settings import DeviceDriver
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 
 
-def _gwyscope(settings: ControllerSettings, limits: AfmLimits, **told: Any) -> AfmDriver:
+def _gwyscope(settings: ControllerSettings, limits: SafetyParams, **told: Any) -> AfmDriver:
     from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 
     found = read_controller(Path(settings.calibration), GwyscopeCalibration)
     return GwyscopeAfm(found.reached_at(settings.host, settings.port), limits, **told)
 
 
-def _nanonis(settings: ControllerSettings, limits: AfmLimits, **told: Any) -> AfmDriver:
+def _nanonis(settings: ControllerSettings, limits: SafetyParams, **told: Any) -> AfmDriver:
     from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
     found = read_controller(Path(settings.calibration), NanonisCalibration)

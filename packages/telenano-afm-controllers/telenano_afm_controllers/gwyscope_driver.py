@@ -12,8 +12,7 @@ from collections.abc import Generator
 from itertools import pairwise
 from typing import Any
 
-from telenano.afm import DeviceError
-from telenano.extend.devices import AfmLimits
+from telenano.extend.instruments import DeviceError, SafetyParams
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration
 from telenano_afm_controllers.request_answer import Talk
@@ -38,7 +37,7 @@ Answers = Generator[bytes, bytes, dict[str, Any]]
 class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
     """An `AfmDriver` on a Gwyscope server; arguments as of `RequestDriver`."""
 
-    def __init__(self, calibration: GwyscopeCalibration, limits: AfmLimits, **options: Any) -> None:
+    def __init__(self, calibration: GwyscopeCalibration, limits: SafetyParams, **options: Any) -> None:
         super().__init__(calibration, limits, gwyscope_wire.cut, "Gwyscope", **options)
         self._stamp_s = -math.inf
         self._stamp_ns = 0

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from telenano.extend.devices import AfmDriver
+from telenano.extend.instruments import AfmDriver
 
 VERSION = "4.1.19 (telenano's emulator)"
 TICK_S = 3e-3

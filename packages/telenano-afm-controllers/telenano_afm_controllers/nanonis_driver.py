@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from telenano.afm import DeviceError, OwnImage, OwnLine
 from telenano.devices import Line
-from telenano.extend.devices import AfmLimits
+from telenano.extend.instruments import DeviceError, OwnImage, OwnLine, SafetyParams
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.calibration import NanonisCalibration
 from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
@@ -52,7 +51,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
 
     lost_ns = _LOST_NS
 
-    def __init__(self, calibration: NanonisCalibration, limits: AfmLimits, **options: Any) -> None:
+    def __init__(self, calibration: NanonisCalibration, limits: SafetyParams, **options: Any) -> None:
         super().__init__(calibration, limits, nanonis_wire.cut, "Nanonis", **options)
         self._indexes: list[int] = []
         self._channels: dict[str, float] = {}

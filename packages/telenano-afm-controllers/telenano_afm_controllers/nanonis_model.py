@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.devices import AfmDriver, AfmSample
+from telenano.extend.instruments import AfmDriver
+from telenano.extend.samples import AfmSample
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.request_answer import WireError
 

@@ -6,7 +6,8 @@ from pydantic import AwareDatetime, Field, model_validator
 
 from telenano.afm import ChannelName
 from telenano.devices import CantileverCalibration, Readings
-from telenano.extend.devices import AfmLimits, AfmSample
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.samples import AfmSample
 from telenano.settings import Settings
 
 _REACH_M = 1e-3
@@ -148,7 +149,7 @@ class ControllerCalibration(Settings):
         sample = AfmSample(self.base_m(z_m), zeta, force, value, 0.0, False, contact, False)
         return Readings(sample, abs(value) < self.deflection.limit)
 
-    def check(self, limits: AfmLimits) -> list[str]:
+    def check(self, limits: SafetyParams) -> list[str]:
         """Return what does not fit between this file and the limits of the node; empty if all does."""
         faults = []
         for name, position_m in (("base_min_m", limits.base_min_m), ("base_max_m", limits.base_max_m)):

@@ -9,9 +9,8 @@ from abc import abstractmethod
 from collections import deque
 from typing import Any, TypeVar
 
-from telenano.afm import DeviceError
 from telenano.devices import LOST_NS, STALE_CYCLES, STEP_NS, Line, TcpDriver
-from telenano.extend.devices import AfmLimits, AfmReport
+from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Cut, Incoming, Talk
 
@@ -43,7 +42,7 @@ class RequestDriver(TcpDriver[K]):
     def __init__(
         self,
         calibration: K,
-        limits: AfmLimits,
+        limits: SafetyParams,
         cut: Cut,
         model: str,
         *,

@@ -35,9 +35,9 @@ from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.afm import DeviceError
 from telenano.devices import read_controller
 from telenano.devices.afm import modbus_line
+from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of
 from telenano.wire import ConfigError, RefusedError
 

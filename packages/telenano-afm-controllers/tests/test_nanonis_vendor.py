@@ -13,7 +13,7 @@ from telenano_afm_controllers import nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_server import Pushed, serve_requests
 
-from telenano.afm import DeviceError
+from telenano.extend.instruments import DeviceError
 from telenano.testing import instrument_of
 
 PATIENCE_S = 30.0

@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
+from telenano.afm import gain_fault, integral_share
 from telenano.extend.programs import (
     APPROACH,
     ARRIVED,
@@ -26,17 +27,15 @@ from telenano.extend.programs import (
     Inputs,
     Instrument,
     Length,
-    Place,
     Position,
     Program,
     ProgramSettings,
     Progress,
     Speed,
     Wanted,
-    gain_fault,
-    integral_share,
     way_to_surface,
 )
+from telenano.extend.stage import Place
 from telenano.wire import RefusedError, Scalar
 from telenano_assembly.particles.steering import steered
 from telenano_assembly.particles.tip_shape import TipShape, tip_shape, touch_distance_m

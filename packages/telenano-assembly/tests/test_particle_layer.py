@@ -9,10 +9,11 @@ import pytest
 from telenano_assembly.particles.tip_shape import ride_height_m, tip_shape
 
 from telenano.afm.config import AfmConfig
-from telenano.afm.part import PlantInputs, part_step
+from telenano.afm.part import part_step
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.torsion import TorsionParams, _step
 from telenano.devices.afm.instrument import driver_of
+from telenano.extend.samples import PlantInputs
 from telenano.numerics.compiler import compiled_form
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError

@@ -12,11 +12,11 @@ from telenano_assembly.push_program import Push, PushSettings, PushState
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from telenano.afm.config import AfmConfig
-from telenano.afm.driver import Oscillation
-from telenano.afm.lateral import LateralParams, Place
 from telenano.afm.programs import scan
-from telenano.afm.programs.program import Inputs, Instrument
 from telenano.afm.programs.settings import requested
+from telenano.extend.programs import Inputs, Instrument
+from telenano.extend.samples import Oscillation
+from telenano.extend.stage import LateralParams, Place
 from telenano.settings.config import validate
 from telenano.wire.errors import RefusedError
 

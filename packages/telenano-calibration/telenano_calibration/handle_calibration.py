@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from telenano.devices import HandleHello, SerialHandle
-from telenano.extend.devices import DeviceError
+from telenano.extend.hands import DeviceError
 from telenano_calibration.line_fit import mean_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665

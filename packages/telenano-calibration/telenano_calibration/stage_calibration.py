@@ -10,9 +10,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from telenano.afm import DeviceError
 from telenano.devices import InstrumentCalibration
-from telenano.extend.devices import AfmDriver
+from telenano.extend.instruments import AfmDriver, DeviceError
 from telenano_calibration.line_fit import CalibrationError, LineFit, fit_line, mean_of
 
 # The tip touches when the deflection departs by more than so many times the noise of the free cantilever.

@@ -8,7 +8,7 @@ from telenano_calibration.handle_calibration import sample_raw
 from telenano_calibration.line_fit import CalibrationError, fit_line
 from telenano_emulators.emulated_handle import FORCE_ZERO, M_PER_COUNT, N_PER_COUNT, POSITION_ZERO
 
-from telenano.hand.driver import DeviceError
+from telenano.extend.hands import DeviceError
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 

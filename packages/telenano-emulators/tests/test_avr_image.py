@@ -9,7 +9,7 @@ from telenano_emulators.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ,
 from telenano_emulators.firmware import FirmwareError
 
 from telenano.devices.hand import wire
-from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION
 
 WATCHDOG_MS = 20
 LIMITS = wire.Limits(

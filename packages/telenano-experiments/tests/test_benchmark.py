@@ -21,7 +21,7 @@ from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.laws.virtual_impedance import VirtualImpedanceConfig
+from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.laws.wave import WaveConfig
 from telenano.link.profiles import PROFILES
 from telenano.lockstep.link import schedule_of

@@ -4,7 +4,7 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
-from telenano.doctor import Finding
+from telenano.extend.checks import Finding
 
 _PATIENCE_S = 0.3
 

@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from telenano.extend.emulators import OperatorInputs, arm_step, operator_at_rest, operator_step
-from telenano.extend.impedance import ZERO, Vector
+from telenano.extend.operators import OperatorInputs
+from telenano.hand import ZERO, Vector, arm_step, operator_at_rest, operator_step
 from telenano_haptic_devices.haply import EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG
 
 # half of the workspace, and the step of the encoders [m]

@@ -19,8 +19,8 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
-from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, Vector
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, UPRIGHT, Capabilities, DeviceError, Quaternion
+from telenano.hand import ZERO, Vector
 from telenano.runtime import StructuredLog
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample

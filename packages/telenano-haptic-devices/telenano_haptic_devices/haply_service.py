@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from telenano.extend.devices import DeviceError
-from telenano.extend.impedance import ZERO, Vector
+from telenano.extend.hands import DeviceError
+from telenano.hand import ZERO, Vector
 from telenano_haptic_devices.emulated_arm import EmulatedArm, HandMotion
 from telenano_haptic_devices.haply import BUTTONS, EMULATED, NEEDS_WEBSOCKETS, SESSION_RUNS
 

@@ -11,8 +11,8 @@ import ctypes
 import time
 from collections.abc import Callable
 
-from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
-from telenano.extend.impedance import ZERO, Quaternion, Vector
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DeviceError, Quaternion
+from telenano.hand import ZERO, Vector
 from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HdConfig

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel
 
-from telenano.extend.devices import DeviceDriver, HapticDevice
-from telenano.extend.impedance import CouplingConfig
+from telenano.extend.hands import HapticDevice
+from telenano.hand import CouplingConfig
+from telenano.settings import DeviceDriver
 
 if TYPE_CHECKING:
     from telenano_haptic_devices.impedance_wire import ImpedanceWire

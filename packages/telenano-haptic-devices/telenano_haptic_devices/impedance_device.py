@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Literal
 
-from telenano.extend.devices import (
+from telenano.extend.hands import (
     MODE_OFF,
     MODE_POSITION,
     Capabilities,
@@ -12,8 +12,9 @@ from telenano.extend.devices import (
     DeviceReading,
     DriveCommand,
     HapticReport,
+    SpatialReading,
 )
-from telenano.extend.impedance import ZERO, CouplingConfig, SpatialReading
+from telenano.hand import ZERO, CouplingConfig
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
 # A sample that is older than this is stale, and one that is older than the silence of the coupling is lost.

@@ -14,15 +14,13 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from telenano.extend.devices import Capabilities
-from telenano.extend.impedance import (
+from telenano.extend.hands import UPRIGHT, Capabilities, Quaternion
+from telenano.hand import (
     GATE_REST,
-    UPRIGHT,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
-    Quaternion,
     Vector,
     coupling_at_start,
     coupling_step,

@@ -20,9 +20,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from telenano.extend.devices import Capabilities, DeviceError, haptic_driver
-from telenano.extend.impedance import Vector
-from telenano.extend.processes import cause, schedule_as_node, start_process
+from telenano.extend.hands import Capabilities, DeviceError
+from telenano.hand import Vector
+from telenano.runtime import schedule_as_node, start_process
+from telenano.settings import haptic_driver
+from telenano.wire import cause
 from telenano_haptic_devices.impedance import takes_force
 from telenano_haptic_devices.impedance_wire import ImpedanceWire
 from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.extend.devices import DeviceError
+from telenano.extend.hands import DeviceError
 from telenano.settings import refused_code
 
 

@@ -19,9 +19,9 @@ from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
-from telenano.extend.devices import DeviceError
-from telenano.extend.emulators import GATE_ACTIVE, GATE_READY, hand_of
-from telenano.extend.impedance import CouplingSettings
+from telenano.cli import hand_of
+from telenano.extend.hands import DeviceError
+from telenano.hand import GATE_ACTIVE, GATE_READY, CouplingSettings
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000

@@ -27,8 +27,8 @@ from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample, ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 
-from telenano.extend.devices import Capabilities
-from telenano.extend.impedance import CouplingConfig, Quaternion, Vector
+from telenano.extend.hands import Capabilities, Quaternion
+from telenano.hand import CouplingConfig, Vector
 
 PACE, MASS_KG = 0.15, 0.05
 STEPS = steps_of(MASS_KG, PACE)

@@ -22,8 +22,9 @@ from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 from telenano_haptic_devices.simulate import whole_lines
 
-from telenano.extend.devices import DeviceError
-from telenano.extend.emulators import GATE_ACTIVE, hand_of
+from telenano.cli import hand_of
+from telenano.extend.hands import DeviceError
+from telenano.hand import GATE_ACTIVE
 
 # The coupling takes so much for silence.
 SILENCE_S = 0.05

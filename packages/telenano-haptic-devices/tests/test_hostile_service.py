@@ -9,7 +9,7 @@ from servo_bench import VirtualTime
 from telenano_haptic_devices import haply
 from telenano_haptic_devices.settings import HaplyConfig
 
-from telenano.extend.devices import DeviceError
+from telenano.extend.hands import DeviceError
 from telenano.testing import HOSTILITIES, HostileService, TakenReading, unseen
 
 MS = 1_000_000

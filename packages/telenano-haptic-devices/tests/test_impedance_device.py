@@ -12,11 +12,10 @@ from telenano_haptic_devices.servo import ServoCommand, ServoSample, Slot
 
 from services.haptic_node.__main__ import build
 from services.haptic_node.node import HapticNode
+from telenano.extend.hands import MODE_FORCE, MODE_POSITION, Capabilities, DeviceError, DriveCommand
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupling import ZERO, CouplingSettings
-from telenano.hand.driver import Capabilities, DeviceError, DriveCommand
 from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
-from telenano.hand.safety import MODE_FORCE, MODE_POSITION
 from telenano.wire.node_state import pack, restore
 
 MS = 1e-3

@@ -15,8 +15,8 @@ if shutil.which("cc") is None:
 
 from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
 
-from telenano.extend.devices import DeviceError
-from telenano.extend.emulators import (
+from telenano.extend.hands import DeviceError
+from telenano.hand import (
     GATE_ACTIVE,
     GATE_DEADMAN,
     GATE_DEVICE_SILENT,
@@ -25,11 +25,11 @@ from telenano.extend.emulators import (
     GATE_NOT_A_NUMBER,
     GATE_READY,
     GATE_RELEASED,
+    GATE_REST,
     GATE_RUNAWAY,
     GATE_SILENT,
     GATES,
 )
-from telenano.extend.impedance import GATE_REST
 
 HAND_N = 1.0
 # The hand pushes, something breaks, the hand holds the arm, it is mended, and the hand pushes again.

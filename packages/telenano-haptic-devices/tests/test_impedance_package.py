@@ -36,7 +36,7 @@ KNOB = impedance_driver("knob", Config, wire, "a knob")
 WIRE = """
 import time
 
-from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities
 from telenano_haptic_devices import DeviceSample
 
 class KnobWire:

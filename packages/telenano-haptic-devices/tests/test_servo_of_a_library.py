@@ -18,8 +18,8 @@ from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_haptic_devices.settings import DhdConfig, HdConfig
 from telenano_haptic_devices.vendor_library import DHD, HD, find
 
-from telenano.extend.devices import DeviceError
-from telenano.extend.impedance import ZERO, CouplingSettings
+from telenano.extend.hands import DeviceError
+from telenano.hand import ZERO, CouplingSettings
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 

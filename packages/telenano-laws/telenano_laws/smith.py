@@ -30,11 +30,10 @@ import numpy.typing as npt
 from pydantic import Field
 
 from telenano.extend import pass_through, ranges, virtual_mass
+from telenano.extend import virtual_impedance as impedance
 from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
 from telenano.extend.virtual_mass import periods_in
-from telenano.laws import virtual_impedance as impedance
-from telenano.numerics import compiled
-from telenano.numerics.discretisation import decay
+from telenano.numerics import compiled, decay
 
 VirtualImpedanceParams = impedance.VirtualImpedanceParams
 is_retracted = virtual_mass.is_retracted

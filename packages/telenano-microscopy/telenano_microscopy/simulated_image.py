@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, FinishedLine, height_at, requested
+from telenano.afm import AfmConfig, Surface, height_at, requested
 from telenano.analysis import LiveImage
 from telenano.devices import line_fields
+from telenano.extend.programs import FinishedLine
 from telenano.wire import AfmScanline, ConfigError, RefusedError, Scalar
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
@@ -95,7 +96,7 @@ def _add(instrument: VirtualInstrument, line: FinishedLine, lines: int, found: S
         found.truth_m = np.full((lines, len(line.height_m)), math.nan)
     xs = np.linspace(line.start.x_m, line.end.x_m, len(line.height_m)).tolist()
     relief = instrument.device.relief
-    surface = None if relief is None else relief.surface
+    surface: Surface | None = None if relief is None else relief.surface
     if surface is None:
         found.truth_m[line.line] = 0.0
         return

@@ -3,17 +3,10 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from telenano.afm import (
-    ACTION_RETRACT,
-    MODE_RETRACTING,
-    AfmConfig,
-    InstrumentRequest,
-    Report,
-    Simulation,
-    Wanted,
-    initial_safety_state,
-)
+from telenano.afm import ACTION_RETRACT, MODE_RETRACTING, AfmConfig, InstrumentRequest, Report, initial_safety_state
 from telenano.devices import AfmMemory, AfmPart, GuardedInstrument, Stage, Step, driver_of, reach_of, runner_of
+from telenano.extend.instruments import Simulation
+from telenano.extend.programs import Wanted
 from telenano.wire import RefusedError
 
 PERIOD_S = 1e-3

@@ -11,8 +11,8 @@ from telenano_studies.loops import body as model
 from telenano_studies.loops.body import BodyParams, body_params
 from telenano_studies.loops.cells import Cell, run_cell
 
-from telenano.afm.safety import SafetyParams
 from telenano.afm.section_config import SafetyConfig
+from telenano.extend.instruments import SafetyParams
 
 DT = 1e-3
 pushed: Any = model.pushed

@@ -23,10 +23,10 @@ from telenano_studies.loops.theory import (
     wave_hybrid,
 )
 
+from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.hand.config import DeviceConfig
 from telenano.hand.motor import closed_loop_coefficients
 from telenano.laws.position_force import PositionForceConfig
-from telenano.laws.virtual_impedance import VirtualImpedanceConfig
 from telenano.laws.wave import WaveConfig
 
 OMEGA = np.geomspace(0.1, 3000.0, 2000)

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from telenano.afm.lateral import Place
-from telenano.afm.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
-from telenano.afm.programs.program_settings import Force, ProgramSettings, Speed
+from telenano.extend.programs import Begun, Force, Inputs, Instrument, Program, ProgramSettings, Progress, Speed, Wanted
+from telenano.extend.stage import Place
 from telenano.wire.errors import RefusedError
 
 # phases, in order

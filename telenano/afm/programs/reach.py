@@ -9,23 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano.afm.lateral import Place
-from telenano.afm.safety import SafetyParams
 from telenano.afm.sample.surface import Surface
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.programs import Span
+from telenano.extend.stage import Place
 
-# The base needs this time besides that of its whole way, because it may still be taking up its speed after a hold.
-_SPARE_S = 1.0
 _RETRACT_FURTHER = (
     "Start the rig with afm_node.safety.retract_position_m={base:g} or less, and afm_node.safety.base_min_m no higher"
     " than that"
 )
-
-
-class Span(NamedTuple):
-    """Lowest and highest point of a part of a surface [m]."""
-
-    low_m: float
-    high_m: float
 
 
 class Reach(NamedTuple):
@@ -116,9 +108,3 @@ def _pixels(middle_m: float, length_m: float, step_m: float, count: int) -> slic
 def _outwards(base_m: float) -> float:
     """Return the next whole nanometre [m] that is further towards the sample."""
     return round(math.ceil(base_m * 1e9 - 1e-6) * 1e-9, 9)
-
-
-def approach_limit_s(limits: SafetyParams, clear_m: float, speed_m_per_s: float) -> float:
-    """Return the time [s] in which a base that approaches from clear_m [m] has certainly gone its whole way."""
-    speed = min(speed_m_per_s, limits.base_speed_m_per_s)
-    return (limits.base_max_m - clear_m) / speed + _SPARE_S

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from telenano.afm import safety
-from telenano.afm.lateral import Place
 from telenano.afm.programs.own_scan import OWN_SCAN
-from telenano.afm.programs.program import Inputs, Instrument, Wanted
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS, AnyProgram
+from telenano.extend.programs import Inputs, Instrument, Wanted
+from telenano.extend.stage import Place
 from telenano.wire.errors import RefusedError
 from telenano.wire.instrument import MOST_TEXT
 from telenano.wire.messages import Scalar

@@ -13,23 +13,27 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.afm.lateral import LateralParams, Place, moved
 from telenano.afm.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
-from telenano.afm.programs.program import (
+from telenano.extend.programs import (
     APPROACH,
     ARRIVED,
     RISE,
     WAY_TEXTS,
     Begun,
     FinishedLine,
+    Force,
     Inputs,
     Instrument,
+    Length,
+    Position,
     Program,
+    ProgramSettings,
     Progress,
+    Speed,
     Wanted,
     way_to_surface,
 )
-from telenano.afm.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.extend.stage import LateralParams, Place, moved
 from telenano.wire.errors import RefusedError
 
 Array = npt.NDArray[np.float64]

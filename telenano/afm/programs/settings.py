@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from telenano.afm.driver import AfmDriver
-from telenano.afm.programs.program_settings import Position
 from telenano.afm.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
+from telenano.extend.instruments import AfmDriver
+from telenano.extend.programs import Position
 from telenano.settings.config import Settings, changed_disturbances, nested, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import refuse

@@ -3,9 +3,9 @@
 from typing import Any
 
 from telenano.afm.programs.curve import Curve
-from telenano.afm.programs.program import Program
 from telenano.afm.programs.scan import Scan
 from telenano.afm.programs.tactile import Tactile
+from telenano.extend.programs import Program
 from telenano.settings.config import Settings
 from telenano.settings.plugins import load
 

@@ -12,22 +12,26 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.afm.lateral import LateralParams, Place, moved
 from telenano.afm.programs.feedback import gain_fault, integral_share
-from telenano.afm.programs.program import (
+from telenano.extend.programs import (
     APPROACH,
     ARRIVED,
     RISE,
     WAY_TEXTS,
     Begun,
+    Force,
     Inputs,
     Instrument,
+    Length,
+    Position,
     Program,
+    ProgramSettings,
     Progress,
+    Speed,
     Wanted,
     way_to_surface,
 )
-from telenano.afm.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from telenano.extend.stage import LateralParams, Place, moved
 from telenano.wire.errors import RefusedError
 
 # the phases after the way to the surface

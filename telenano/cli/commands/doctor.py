@@ -21,8 +21,8 @@ from rich.text import Text
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
-from telenano.doctor.checks import Finding
 from telenano.doctor.devices import check_instrument, check_serial_ports
+from telenano.extend.checks import Finding
 from telenano.launcher.processors import held, shared_folder
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.settings.package_topics import installed_topics, row_of

@@ -6,9 +6,9 @@ from typing import Literal, NamedTuple, TypeVar
 
 from pydantic import AwareDatetime, Field, model_validator
 
-from telenano.afm.part import AfmSample
-from telenano.afm.safety import SafetyParams
 from telenano.devices.afm.register_map import MapName, RegisterMap
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.samples import AfmSample
 from telenano.settings.config import Settings, read_yaml, validate
 
 _C = TypeVar("_C", bound=Settings)

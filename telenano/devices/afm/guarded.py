@@ -12,15 +12,15 @@ import msgspec
 
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
-from telenano.afm.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
 from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
-from telenano.afm.lateral import LateralParams, Place, moved
 from telenano.afm.layers import Said
 from telenano.afm.made_samples import layers_on
-from telenano.afm.part import AfmSample
-from telenano.afm.programs.program import FinishedLine, Inputs, Wanted
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.section_config import FrictionConfig
+from telenano.extend.instruments import AfmDriver, AfmReport, LateralStage, OwnScan, SafetyParams, Simulation
+from telenano.extend.programs import FinishedLine, Inputs, Wanted
+from telenano.extend.samples import AfmSample, Oscillation
+from telenano.extend.stage import LateralParams, Place, moved
 from telenano.runtime.loop.device_node import DeviceNode, Parts, StepPart
 from telenano.runtime.loop.node import Node
 from telenano.timing.clock import NEVER_NS
@@ -219,7 +219,7 @@ class RealDevice(AfmPart):
         self._driver, self._node = driver, node
 
     def measure(self, step: Step, memory: AfmMemory) -> None:
-        self._report = found = cast(DeviceReport, self._driver.report)
+        self._report = found = cast(AfmReport, self._driver.report)
         if not found.force_valid:
             # A force beyond the range of the input is no number for the guard.
             memory.force_n = math.nan
@@ -287,7 +287,7 @@ class _Still:
 class GuardedInstrument:
     """A driver behind the guard with these limits, and the parts around both."""
 
-    def __init__(self, limits: safety.SafetyParams, driver: AfmDriver, parts: Sequence[AfmPart]) -> None:
+    def __init__(self, limits: SafetyParams, driver: AfmDriver, parts: Sequence[AfmPart]) -> None:
         self._limits, self._driver = limits, driver
         self._vibration = driver.vibration or _Still()
         own_scan = getattr(driver, "own_scan", None)

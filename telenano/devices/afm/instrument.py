@@ -6,19 +6,18 @@ from typing import Any
 from pydantic import BaseModel
 
 from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
-from telenano.afm.driver import AfmDriver
-from telenano.afm.lateral import Place
 from telenano.afm.made_samples import layers_on
 from telenano.afm.over_map import read_params
 from telenano.afm.programs.feedback import remaining
-from telenano.afm.programs.program import Instrument
 from telenano.afm.programs.reach import Reach
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.programs.settings import LateralTarget
-from telenano.afm.safety import SafetyParams
 from telenano.afm.sample.surface import Surface
 from telenano.afm.section_config import ModbusConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.extend.instruments import AfmDriver, SafetyParams
+from telenano.extend.programs import Instrument
+from telenano.extend.stage import Place
 from telenano.runtime.loop.node import LOOP_PERIOD_S
 from telenano.settings.config import read_yaml, validate
 from telenano.settings.device_drivers import DeviceDriver

@@ -6,8 +6,6 @@ retract, read back) is a generator of requests that opening runs to its end, and
 
 from typing import Any
 
-from telenano.afm.driver import DeviceError, DeviceReport
-from telenano.afm.safety import SafetyParams
 from telenano.devices.afm import modbus_line
 from telenano.devices.afm.converter_calibration import InstrumentCalibration
 from telenano.devices.afm.modbus_frames import Answer, Conversation, Operation
@@ -15,6 +13,7 @@ from telenano.devices.afm.modbus_handshake import EXCEPTIONS, Handshake, heartbe
 from telenano.devices.afm.modbus_line import Line
 from telenano.devices.afm.register_map import RegisterMap
 from telenano.devices.afm.tcp_driver import STALE_CYCLES, TcpDriver
+from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 
 _MS = 1_000_000
 _BUSY = (5, 6)
@@ -246,5 +245,5 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         # an exchange in the loop's time takes whole periods
         is_fresh = age_s <= STALE_CYCLES * (self._map.device_cycle_s + self._period_s)
         volts = self._output_v, self._readings.sample.bridge_voltage_v
-        status = DeviceReport("ok" if is_fresh else "stale", age_s, self._readings.in_range, self._text, *volts)
+        status = AfmReport("ok" if is_fresh else "stale", age_s, self._readings.in_range, self._text, *volts)
         self._report = status if self._ready else status._replace(status="lost", force_valid=True)

@@ -6,8 +6,8 @@ import socket
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from telenano.afm.driver import DeviceError
 from telenano.devices.afm.host_address import HostAddress
+from telenano.extend.instruments import DeviceError
 
 _MS = 1_000_000
 LOST_NS = 50 * _MS

@@ -9,12 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from telenano.afm.driver import DeviceError, DeviceReport
-from telenano.afm.part import AfmSample
-from telenano.afm.safety import SafetyParams
 from telenano.devices.afm import modbus_line
 from telenano.devices.afm.converter_calibration import Readings
 from telenano.devices.afm.modbus_line import Connect, Line, TcpConnector, go_on_connecting
+from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
+from telenano.extend.samples import AfmSample
 from telenano.wire.errors import cause
 
 STALE_CYCLES = 3
@@ -95,7 +94,7 @@ class TcpDriver(ABC, Generic[C]):
         self.retractions: int | None = None
         self._text = ""
         self._readings = readings
-        self._report = DeviceReport("lost", 0.0, True, f"the {self.kind} is not open")
+        self._report = AfmReport("lost", 0.0, True, f"the {self.kind} is not open")
 
     @abstractmethod
     def _restart(self) -> None:
@@ -136,7 +135,7 @@ class TcpDriver(ABC, Generic[C]):
         """Return the base position of the safe state [m]."""
 
     @property
-    def report(self) -> DeviceReport:
+    def report(self) -> AfmReport:
         return self._report
 
     @property

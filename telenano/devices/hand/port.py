@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from telenano.hand.driver import DeviceError
+from telenano.extend.hands import DeviceError
 from telenano.wire.extras import how_to_install
 
 # A device sends far less than this in 50 ms at 1 Mbaud.

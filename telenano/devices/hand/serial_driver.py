@@ -14,9 +14,19 @@ from telenano.devices.hand import wire
 from telenano.devices.hand.calibration import HandleCalibration
 from telenano.devices.hand.port import OpenPort, Port, SerialPort
 from telenano.devices.hand.sample_clock import RecentMinimum, SampleClock
+from telenano.extend.hands import (
+    MODE_FORCE,
+    MODE_NAMES,
+    MODE_OFF,
+    MODE_POSITION,
+    Capabilities,
+    DeviceError,
+    DeviceReading,
+    DriveCommand,
+    HapticReport,
+    Status,
+)
 from telenano.hand.config import LimitsConfig
-from telenano.hand.driver import Capabilities, DeviceError, DeviceReading, DeviceReport, DriveCommand, Status
-from telenano.hand.safety import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
 from telenano.wire.errors import cause
 
 _MS = 1_000_000
@@ -101,7 +111,7 @@ class SerialHandle:
         self._slow_since_ns = self._noticed_ns = 0
         self._errors_noticed = 0
         self._text = ""
-        self._report = DeviceReport("lost", 0.0, False, "the handle is not open")
+        self._report = HapticReport("lost", 0.0, False, "the handle is not open")
         # The position of the arm has not been measured yet; it is not used before a sample is there.
         self._reading = DeviceReading(
             position_m=0.0,
@@ -154,7 +164,7 @@ class SerialHandle:
         return 0.5 * _PERIOD_S + self._period_s * (1.0 + math.ceil(on_line_s / self._period_s))
 
     @property
-    def report(self) -> DeviceReport:
+    def report(self) -> HapticReport:
         return self._report
 
     def open(self) -> None:
@@ -373,7 +383,7 @@ class SerialHandle:
             status = "stale"
         self._notice(now_ns, age_s, status)
         counts = counts_of(self.state) if self.state is not None else {}
-        self._report = DeviceReport(status, age_s, bool(flags & wire.HandleFlag.ESTOP_PRESSED), self._text, counts)
+        self._report = HapticReport(status, age_s, bool(flags & wire.HandleFlag.ESTOP_PRESSED), self._text, counts)
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
         """Say once what goes on for long: samples that are old, frames that are bad (once a second at most)."""

@@ -3,7 +3,8 @@ import math
 import pytest
 
 from telenano.afm import safety
-from telenano.afm.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
+from telenano.afm.safety import SafetyInputs, SafetyState, initial_safety_state, safety_step
+from telenano.extend.instruments import SafetyParams
 
 DT = 1e-3
 PARAMS = SafetyParams(

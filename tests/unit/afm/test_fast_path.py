@@ -15,8 +15,8 @@ from telenano_afm_controllers.nanonis_client import approach
 from telenano_afm_controllers.nanonis_model import ExternalInput
 from telenano_emulators.t7_model import T7Model
 
-from telenano.afm.driver import DeviceError
 from telenano.afm.sim import simulated_afm
+from telenano.extend.instruments import DeviceError
 
 # The node holds the base at -100 nm while it is retracted, so this leaves 10 nm at 0.
 LIFT_M, SETPOINT_V = 110e-9, 5e-3

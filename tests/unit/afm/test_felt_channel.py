@@ -9,7 +9,7 @@ import pytest
 from recorded_maps import Rig, config_of, frequency_shift_hz, write_npz
 
 from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, FeelConfig, Felt, FeltInputs, FeltState, felt_step
-from telenano.afm.lateral import Place
+from telenano.extend.stage import Place
 
 HERE = Place(0.0, 0.0)
 # the frequency shift of `recorded_maps` falls to its minimum of -8 Hz at 0.4 nm

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import pytest
 
 from telenano.afm import safety
-from telenano.afm.driver import Oscillation
-from telenano.afm.lateral import Place
-from telenano.afm.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
 from telenano.afm.programs.runner import ProgramRunner, RunnerState
 from telenano.afm.programs.table import PROGRAMS
+from telenano.extend.programs import Begun, Inputs, Instrument, Program, Progress, Wanted
+from telenano.extend.samples import Oscillation
+from telenano.extend.stage import Place
 from telenano.settings.config import Settings
 from telenano.wire.errors import RefusedError
 

@@ -9,9 +9,9 @@ import pytest
 from recorded_maps import Rig, adhesive, config_of, force_n, forces, hysteretic, members, near, write_npz
 
 from telenano.afm import recorded_map
-from telenano.afm.part import PlantInputs
 from telenano.afm.recorded_map import MapState, value_at
 from telenano.afm.sample.force_map import checked_map, gates, map_params, read_map, write_map
+from telenano.extend.samples import PlantInputs
 from telenano.numerics.compiler import compiled_form
 from telenano.wire.errors import ConfigError, RefusedError
 

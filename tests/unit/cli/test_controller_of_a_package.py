@@ -24,7 +24,7 @@ line_afm = "telenano_line_afm:LINE_AFM"
 PACKAGE = """
 from pathlib import Path
 from typing import Literal
-from telenano.extend.devices import DeviceDriver
+from telenano.settings import DeviceDriver
 from telenano.devices import AfmCapabilities, read_controller
 from telenano.afm import AfmControllerConfig as ControllerSettings
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration

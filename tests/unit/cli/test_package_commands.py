@@ -13,8 +13,8 @@ from typing import Any, get_args
 
 import pytest
 
-from telenano.afm.part import AfmSample
 from telenano.cli.new_package import Kind, new_package
+from telenano.extend.samples import AfmSample
 from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
@@ -40,7 +40,7 @@ from telenano.laws.law_rules import broken_rules
 from services.haptic_node.__main__ import _device
 from telenano.hand.config import HapticConfig
 from msgspec import msgpack
-from telenano.hand.driver import DriveCommand
+from telenano.extend.hands import DriveCommand
 from telenano.wire.node_state import Part, part
 
 import sys

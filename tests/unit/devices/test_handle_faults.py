@@ -15,8 +15,8 @@ from handle_line import MS, PATH, Line, Rig
 
 from services.haptic_node.node import HapticNode
 from telenano.devices.hand import serial_driver, wire
+from telenano.extend.hands import MODE_OFF, MODE_POSITION
 from telenano.hand.config import HapticConfig
-from telenano.hand.safety import MODE_OFF, MODE_POSITION
 from telenano.wire.errors import ConfigError
 
 SPEED_M_PER_S = HapticConfig().limits.max_speed_m_per_s

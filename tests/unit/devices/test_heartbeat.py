@@ -13,8 +13,8 @@ from telenano_emulators.t7_model import HeartbeatScript, T7Model
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
-from telenano.afm.driver import DeviceError
 from telenano.devices.afm.register_map import MAPS, RegisterMap, read_map
+from telenano.extend.instruments import DeviceError
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 

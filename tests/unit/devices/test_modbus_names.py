@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from stage_line import MS, PARAMS, StageLine, calibration
 
-from telenano.afm.driver import DeviceError
 from telenano.devices.afm.host_address import HostAddress
 from telenano.devices.afm.modbus_driver import ModbusAfm
 from telenano.devices.afm.modbus_line import NAME_NS, STEP_NS, TcpConnector
 from telenano.devices.afm.register_map import read_map
+from telenano.extend.instruments import DeviceError
 
 NAME = "instrument.test"
 ANSWER = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", 502))]

@@ -12,9 +12,8 @@ from handle_line import PATH, Line, Rig, calibration
 from telenano_emulators.simulate import handled
 
 from telenano.devices.hand.serial_driver import refusal
+from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION, DeviceError, DriveCommand
 from telenano.hand.config import HapticConfig
-from telenano.hand.driver import DeviceError, DriveCommand
-from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 from telenano.hand.sim import SimulatedHaptic
 from telenano.wire.errors import ConfigError, RefusedError
 

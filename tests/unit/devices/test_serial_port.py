@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from telenano.devices.hand.port import SerialPort, holder_of
+from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig, LimitsConfig
-from telenano.hand.driver import DeviceError
 
 # of Linux: the exclusive mark of a terminal
 TIOCGEXCL = 0x80045440

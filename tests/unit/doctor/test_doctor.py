@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 from telenano.cli.commands import doctor
 from telenano.cli.root import app
 from telenano.doctor import checks
-from telenano.doctor.checks import Endpoint, Finding, KernelClock
+from telenano.doctor.checks import Endpoint, KernelClock
+from telenano.extend.checks import Finding
 from telenano.laws.config import KNOWN_LAWS
 from telenano.runtime.bus.address_book import AddressBook, NodeEntry
 from telenano.runtime.security.keyring import Keyring

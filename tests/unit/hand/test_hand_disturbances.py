@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from services.haptic_node.node import HapticNode
+from telenano.extend.hands import DeviceReading
 from telenano.hand.config import HapticConfig
 from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, HandDisturbanceState, disturbed
-from telenano.hand.driver import DeviceReading
 from telenano.hand.sim import SimulatedHaptic
 from telenano.wire.errors import RefusedError
 

@@ -10,9 +10,9 @@ import yaml
 from pydantic import ValidationError
 
 import services.haptic_node
+from telenano.extend.hands import DriveCommand
 from telenano.hand import motor
 from telenano.hand.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
-from telenano.hand.driver import DriveCommand
 from telenano.hand.operator import FORCE_PROFILE, IMPEDANCE
 from telenano.hand.operator_config import ImpedanceConfig
 from telenano.hand.sim import SimulatedHaptic

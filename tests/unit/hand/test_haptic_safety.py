@@ -4,8 +4,9 @@ import math
 
 import pytest
 
+from telenano.extend.hands import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
 from telenano.hand import safety
-from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION, SafetyInputs, SafetyParams, SafetyState
+from telenano.hand.safety import SafetyInputs, SafetyParams, SafetyState
 
 DT = 1.0 / 1024.0  # exact in binary, as are the limits below: the bound is the bound
 PARAMS = SafetyParams(0.050, -0.25, 0.75, 0.5, 4.0, True, False)
@@ -172,7 +173,7 @@ def test_every_code_has_its_words():
     codes = {value for name, value in vars(safety).items() if name.startswith("REASON_")}
     assert codes == set(safety.REASONS)
     modes = {value for name, value in vars(safety).items() if name.startswith("MODE_") and isinstance(value, int)}
-    assert modes == set(safety.MODE_NAMES)
+    assert modes == set(MODE_NAMES)
 
 
 def test_a_hand_is_armed_by_a_person_and_by_nothing_else() -> None:

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION, DeviceError, DriveCommand, HapticDevice
 from telenano.hand import safety, sim, step
 from telenano.hand.config import HapticConfig
-from telenano.hand.driver import DeviceError, DriveCommand, HapticDevice
-from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 from telenano.hand.sim import SimulatedHaptic
 from telenano.hand.step import HapticInputs
 

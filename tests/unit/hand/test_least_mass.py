@@ -10,9 +10,9 @@ from coupling_theory import radius
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
+from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupling import least_mass_kg, stable_stiffness_n_per_m
-from telenano.hand.driver import DeviceError
 from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 
 DRAWN = 3000

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION
 from telenano.hand import motor
 from telenano.hand.config import DeviceConfig
 from telenano.hand.motor import MotorInputs, MotorParams, MotorState
-from telenano.hand.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 
 PRESETS = ("paper_bandwidth", "paper_gain")
 FREE = {

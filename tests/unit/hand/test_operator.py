@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from telenano.extend.operators import OperatorInputs, OperatorOutputs
 from telenano.hand import operator
-from telenano.hand.operator import OperatorInputs, OperatorState
+from telenano.hand.operator import OperatorState
 from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig, PathPoint
 
 REST = OperatorState(0.0, 0.0)
@@ -58,7 +59,7 @@ def test_zero_before_the_first_point_and_last_value_held():
 @pytest.mark.parametrize("params", [FIG12, impedance(((0.0, 0.01),))])
 def test_no_force_before_the_session_starts_and_the_hand_goes_along(params):
     state, out = operator.step(params, REST, OperatorInputs(-1.0, 0.001, 0.002), 1e-3)
-    assert out == operator.OperatorOutputs(0.0, False)
+    assert out == OperatorOutputs(0.0, False)
     assert state == OperatorState(0.002, (0.002 - 0.001) / 1e-3)
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from telenano.extend.operators import OperatorInputs
 from telenano.hand.config import HapticConfig
-from telenano.hand.operator import OperatorInputs
 from telenano.hand.reacting import ReactingState, at_rest, step
 from telenano.settings.config import validate
 

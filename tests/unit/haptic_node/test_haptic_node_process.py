@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from services.haptic_node.node import HapticNode
+from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
-from telenano.hand.driver import DeviceError
 from telenano.hand.sim import SimulatedHaptic
 from telenano.wire.errors import RefusedError
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from telenano.laws.virtual_impedance import VirtualImpedanceConfig
+from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.numerics.discretisation import approach, decay, exact_discretisation
 
 T = 1e-3

@@ -7,7 +7,7 @@ import pytest
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
 from telenano.extend.pass_through import slave_receive, slave_send, slave_start
-from telenano.laws.virtual_impedance import (
+from telenano.extend.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,
     master_receive,

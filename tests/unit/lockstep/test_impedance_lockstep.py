@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from telenano.extend.hands import DriveCommand, SpatialCommand
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupled import coupled_plant_step, initial_coupled
-from telenano.hand.driver import DriveCommand, SpatialCommand
 from telenano.lockstep.simulation import simulate_scenario
 from telenano.numerics.compiler import compiled_form
 

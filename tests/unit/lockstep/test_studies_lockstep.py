@@ -11,8 +11,8 @@ from telenano.afm import step as afm
 from telenano.afm.config import AfmConfig
 from telenano.afm.safety import MODE_FOLLOW
 from telenano.extend.laws import NO_SIGNAL, HandSample
+from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.lockstep import lockstep
 from telenano.lockstep.link import schedule_of
 

@@ -18,8 +18,7 @@ from telenano_afm_controllers.nanonis_driver import FrameLog
 from telenano_afm_controllers.nanonis_model import DEFLECTION
 
 from telenano.devices.hand import wire
-from telenano.hand.driver import DriveCommand
-from telenano.hand.safety import MODE_OFF
+from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.testing import HOSTILITIES, HostileService, TakenReading, unseen
 
 MS = 1_000_000

@@ -17,8 +17,8 @@ from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_networks import measured_lines
 
 from telenano.cli.commands.node import node as run_node
+from telenano.extend.hands import DeviceError
 from telenano.files.limited_child import read_in_child
-from telenano.hand.driver import DeviceError
 from telenano.launcher.child_session import run_session
 from telenano.launcher.fan_out import fan_out
 from telenano.launcher.processes import NodeProcesses

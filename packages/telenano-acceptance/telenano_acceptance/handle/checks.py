@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.devices import MODE_POSITION, Capabilities
+from telenano.extend.hands import MODE_POSITION, Capabilities
 from telenano_acceptance.handle.take import ROW, STATUSES, Facts
 from telenano_acceptance.take import PERIOD_S, Kind, Result, Rows, Take, drift, median_age, noise, passes
 

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from telenano.devices import HandleCalibration
-from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DriveCommand
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DriveCommand
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 

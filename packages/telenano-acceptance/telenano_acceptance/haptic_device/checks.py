@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.devices import Capabilities
+from telenano.extend.hands import Capabilities
 from telenano.hand import (
     GATE_ACTIVE,
     GATE_DEADMAN,

@@ -12,10 +12,8 @@ from typing import NamedTuple
 from telenano_haptic_devices.emulated_arm import HandMotion
 from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample
 
-from telenano.extend.devices import Capabilities
-from telenano.extend.emulators import arm_step
-from telenano.extend.impedance import UPRIGHT, Quaternion
-from telenano.hand import ZERO, Vector
+from telenano.extend.hands import UPRIGHT, Capabilities, Quaternion
+from telenano.hand import ZERO, Vector, arm_step
 from telenano.numerics import normal_number
 
 

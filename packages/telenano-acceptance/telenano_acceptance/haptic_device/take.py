@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
-from telenano.extend.devices import Capabilities
+from telenano.extend.hands import Capabilities
 from telenano.hand import FAULTS, GATE_ACTIVE, STABLE_MARGIN, ZERO, CouplingSettings, Vector, bounds_of
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of

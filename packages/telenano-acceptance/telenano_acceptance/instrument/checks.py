@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.devices import AfmLimits
+from telenano.extend.instruments import SafetyParams
 from telenano_acceptance.instrument.take import PULLED, ROW, STATUSES, Facts
 from telenano_acceptance.take import Kind, Result, Rows, Take, drift, median_age, noise, passes
 
@@ -233,7 +233,7 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 
 
 def _facts_of(limits: Any, **known: Any) -> Facts:
-    return Facts(limits=AfmLimits(**limits), **known)
+    return Facts(limits=SafetyParams(**limits), **known)
 
 
 INSTRUMENT = Kind(ROW, _facts_of, _CHECKS, say_what_is_missing=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 from telenano.afm import AfmConfig
 from telenano.devices import TABLE, calibration_of_file, capabilities_of, driver_of
-from telenano.extend.devices import AfmDriver
+from telenano.extend.instruments import AfmDriver
 from telenano.settings import merge, validate
 from telenano.wire import ConfigError
 from telenano_acceptance.instrument.take import Facts, press_of, record_take

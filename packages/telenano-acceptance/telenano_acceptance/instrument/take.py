@@ -10,7 +10,8 @@ import math
 from typing import NamedTuple
 
 from telenano.afm import TipGuard
-from telenano.extend.devices import AfmDriver, AfmLimits, AfmSample
+from telenano.extend.instruments import AfmDriver, SafetyParams
+from telenano.extend.samples import AfmSample
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
@@ -58,7 +59,7 @@ class Facts(NamedTuple):
     sample_hz: float
     stiffness_n_per_m: float
     contact_force_n: float
-    limits: AfmLimits
+    limits: SafetyParams
     press_n: float
     safe_m: float
     heartbeat_s: float = 0.0
@@ -153,7 +154,7 @@ def press_of(contact_force_n: float, force_limit_n: float) -> float:
 class _Motion:
     """A motion behind the guard, a row a millisecond."""
 
-    def __init__(self, driver: AfmDriver, limits: AfmLimits, recorder: Recorder, clock: Clock) -> None:
+    def __init__(self, driver: AfmDriver, limits: SafetyParams, recorder: Recorder, clock: Clock) -> None:
         self._driver, self._limits, self._recorder, self._clock = driver, limits, recorder, clock
         self._guard = TipGuard(limits)
         self._force_n, self._lost = 0.0, False

@@ -89,8 +89,8 @@ def make_trial(driver: str, device: "Tried", guide: "Guide", computer: "Callable
     Raises:
         ConfigError: It cannot be tried in this way.
     """
-    from telenano.afm import DeviceError as InstrumentError
-    from telenano.extend.devices import DeviceError
+    from telenano.extend.hands import DeviceError
+    from telenano.extend.instruments import DeviceError as InstrumentError
     from telenano_acceptance.take import LOADS, EndedError, Result, Verdict, overall
     from telenano_acceptance.trial.questions import ENDED
     from telenano_acceptance.trial.scrub import Scrubber

@@ -14,10 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import (
-    AfmSample,
     Ground,
     Part,
-    PlantInputs,
     Surface,
     height_over_middle,
     inputs_over,
@@ -27,6 +25,7 @@ from telenano.afm import (
     register_part,
     truths_of,
 )
+from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics import compiled
 from telenano_assembly.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
 from telenano_assembly.particles.settings import ParticlesConfig

@@ -27,12 +27,12 @@ from telenano.afm import (
     DisturbanceConfig,
     Plant,
     SafetyConfig,
-    SafetyParams,
     noisy_params,
     spring_params,
 )
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
 from telenano.analysis import FactKind, judge_holds
+from telenano.extend.instruments import SafetyParams
 from telenano.hand import ARMS, HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.link import LinkSettings, parse_settings

@@ -116,7 +116,7 @@ class DeviceReading(NamedTuple):
     spatial: SpatialReading | None = None
 
 
-class DeviceReport(NamedTuple):
+class HapticReport(NamedTuple):
     """How a real device is doing; a simulated one is sampled in the moment of the reading and has none.
 
     status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
@@ -145,7 +145,7 @@ class HapticDevice(Protocol):
         """Return what the device can do; constant, and of a real device known once it is open."""
 
     @property
-    def report(self) -> DeviceReport | None:
+    def report(self) -> HapticReport | None:
         """Return how the device was at the last reading; None if it is simulated."""
 
     def open(self) -> None:
@@ -179,3 +179,9 @@ class HapticDevice(Protocol):
 
     def make_safe(self) -> None:
         """Bring the drive to its safe state (off) now; never raises, also when closed."""
+
+
+MODE_OFF, MODE_POSITION, MODE_FORCE = range(3)
+
+
+MODE_NAMES: dict[int, str] = {MODE_OFF: "off", MODE_POSITION: "position", MODE_FORCE: "force"}

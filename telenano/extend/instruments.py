@@ -3,16 +3,15 @@
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.disturbances import DisturbanceConfig
-from telenano.afm.part import AfmSample
-from telenano.afm.part import Oscillation as Oscillation
-from telenano.afm.sample.surface import Surface
+from telenano.extend.samples import AfmSample
+from telenano.extend.samples import Oscillation as Oscillation
 from telenano.wire.errors import ConfigError
 
 
@@ -20,7 +19,7 @@ class DeviceError(ConfigError, OSError):
     """The instrument cannot be driven: not reachable, not the one that was configured, or not able."""
 
 
-class DeviceReport(NamedTuple):
+class AfmReport(NamedTuple):
     """How a real instrument is doing; a simulated one is measured in the moment of the exchange and has none.
 
     status: `stale` repeats the last sample, `lost` means that nothing reaches the base. age_s: of the sample [s].
@@ -100,12 +99,13 @@ class OwnScan(Protocol):
 
 
 class Relief(NamedTuple):
-    """What is known in advance of the heights under the tip: the surface as the tip sees it, None for a plane at 0.
+    """What is known in advance of the heights under the tip.
 
-    above_m: how far what lies on it stands above it [m], wherever that is.
+    surface: the heights as the tip sees them (`telenano.afm.Surface`), None for a plane at 0; above_m: how far what
+    lies on it stands above it [m], wherever that is.
     """
 
-    surface: Surface | None
+    surface: Any
     above_m: float = 0.0
 
 
@@ -116,10 +116,10 @@ class Simulation(Protocol):
         """Note that the next exchange comes so much later [s]."""
 
     @property
-    def disturbances(self) -> DisturbanceConfig | None:
-        """Return what disturbs it, None for one that cannot be disturbed."""
+    def disturbances(self) -> Any:
+        """Return what disturbs it (`telenano.afm.DisturbanceConfig`), None for one that cannot be disturbed."""
 
-    def configure(self, config: DisturbanceConfig) -> None:
+    def configure(self, config: Any) -> None:
         """Take other disturbances from now on."""
 
     @property
@@ -166,7 +166,7 @@ class AfmDriver(Protocol):
         """Return which calibration of a real instrument is in use; empty if simulated."""
 
     @property
-    def report(self) -> DeviceReport | None:
+    def report(self) -> AfmReport | None:
         """Return how the instrument was at the last exchange; None if it is simulated."""
 
     @property
@@ -211,3 +211,18 @@ class AfmDriver(Protocol):
 
     def close(self) -> None:
         """Go to the safe state and disconnect; harmless when already closed."""
+
+
+class SafetyParams(NamedTuple):
+    """Limits; base positions and speeds along the paper's axis, towards the sample."""
+
+    base_min_m: float
+    base_max_m: float
+    base_speed_m_per_s: float
+    resume_acceleration_m_per_s2: float
+    retract_position_m: float
+    retract_speed_m_per_s: float
+    force_limit_n: float
+    command_deadline_s: float
+    hold_time_s: float
+    lateral_limit_n: float = math.inf

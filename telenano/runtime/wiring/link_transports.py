@@ -8,16 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from telenano.runtime.bus.address_book import AddressBook as AddressBook
-from telenano.runtime.bus.bus import Reader as Reader
-from telenano.runtime.bus.bus import Subscriber as Subscriber
-from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
-from telenano.runtime.bus.transports import LinkTransport as LinkTransport
-from telenano.runtime.wiring.main import run_beside as run_beside
-from telenano.runtime.wiring.participant import LinkEnds as LinkEnds
-from telenano.runtime.wiring.transport import NetworkHandler as NetworkHandler
-from telenano.runtime.wiring.transport import Transport as Transport
-from telenano.settings.config import Settings as Settings
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.wiring.participant import LinkEnds
+from telenano.runtime.wiring.transport import Transport
 
 
 class OpenEnds(Protocol):

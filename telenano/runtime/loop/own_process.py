@@ -13,7 +13,6 @@ from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime, freeze_garbage, ordinary_scheduling
 from telenano.settings.scenario import RealtimeConfig
 from telenano.signals import children
-from telenano.wire.errors import cause as cause
 
 
 def start_process(module: str) -> "subprocess.Popen[bytes]":
