@@ -1,23 +1,18 @@
 """A way of one's own between two machines, beside or in place of TCP; docs/extending.md has an example.
 
-The runtime of a node and the launcher call these: `LinkTransport` is what the entry of the package is, and the
-protocols are what it names.
+The entry of the package is a `LinkTransport` of `telenano.runtime`, and what it names has these shapes. The runtime of
+a node and the launcher call it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from telenano.runtime.bus.address_book import AddressBook as AddressBook
-from telenano.runtime.bus.bus import Reader as Reader
-from telenano.runtime.bus.bus import Subscriber as Subscriber
-from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
-from telenano.runtime.bus.transports import LinkTransport as LinkTransport
-from telenano.runtime.wiring.main import run_beside as run_beside
-from telenano.runtime.wiring.participant import LinkEnds as LinkEnds
-from telenano.runtime.wiring.transport import NetworkHandler as NetworkHandler
-from telenano.runtime.wiring.transport import Transport as Transport
-from telenano.settings.config import Settings as Settings
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.wiring.participant import LinkEnds
+from telenano.runtime.wiring.transport import Transport
 
 
 class OpenEnds(Protocol):
@@ -43,7 +38,10 @@ class OpenEnds(Protocol):
 
 
 class SendsPieces(Protocol):
-    """What sends the recording of the slave's site, in the launcher there."""
+    """What `LinkTransport.sender` makes, called with the folder of recordings and with what publishes for the launcher.
+
+    It sends the recording of the slave's site.
+    """
 
     def request(self, parameters: Mapping[str, Any], now_ns: int) -> str:
         """Take what the other site asks for by a command `set`; return in words what is done.
@@ -57,12 +55,6 @@ class SendsPieces(Protocol):
 
     def close(self) -> None:
         """End what is being sent."""
-
-
-class MakeSender(Protocol):
-    """`LinkTransport.sender`: makes what sends the recordings in a folder, by the publisher of the launcher."""
-
-    def __call__(self, folder: Path, publish: Callable[..., Any]) -> SendsPieces: ...
 
 
 class FetchRecording(Protocol):

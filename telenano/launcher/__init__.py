@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.launcher.child_session import reason_of as reason_of
+    from telenano.launcher.child_session import run_session as run_session
     from telenano.launcher.run import FAR_LIST as FAR_LIST
     from telenano.launcher.run import own_recordings as own_recordings
 else:

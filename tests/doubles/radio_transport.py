@@ -8,7 +8,8 @@ from typing import Any
 
 from pydantic import Field
 
-from telenano.extend.transports import LinkEnds, LinkTransport, Settings, Subscriber, Transport, ZmqPublisher
+from telenano.runtime import LinkEnds, LinkTransport, Subscriber, Transport, ZmqPublisher
+from telenano.settings import Settings
 
 
 class RadioSettings(Settings):

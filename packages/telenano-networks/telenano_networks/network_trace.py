@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from telenano.timing.clock_line import ClockLine, fitted
-from telenano.wire import SETTLE_NS
-from telenano.wire.errors import TelenanoError
-from telenano.wire.network_messages import LinkNetwork
+from telenano.timing import ClockLine, fitted
+from telenano.wire import SETTLE_NS, LinkNetwork, TelenanoError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import JsonOption, SiteFileOption, print_document, report_errors
-from telenano.extend.sessions import open_recordings
+from telenano.cli import JsonOption, SiteFileOption, print_document, report_errors
 from telenano.launcher import own_recordings
+from telenano.recording import open_recordings
 from telenano.runtime import load_site
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import RecordingError

@@ -13,8 +13,8 @@ from telenano_wide_area.datagram.place import Outlets, Place
 from telenano_wide_area.datagram.sparse import SPARSE
 from telenano_wide_area.settings import DatagramSettings
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.bus import Subscriber
+from telenano.testing import VirtualClock
 from telenano.wire import compose
 from telenano.wire.messages import Message
 from telenano.wire.received import Received

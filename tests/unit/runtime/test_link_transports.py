@@ -10,7 +10,6 @@ import pytest
 from free_ports import free_ports
 from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_machine_book
 
-from telenano.extend.testing import NodeBench
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
@@ -20,6 +19,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.wiring.participant import LinkEnds, Participant
 from telenano.settings import TWO_SITES_FILE, plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.testing import NodeBench
 from telenano.wire.errors import ConfigError, RefusedError
 
 PACKAGE = KNOWN_PACKAGES["transport datagram"]

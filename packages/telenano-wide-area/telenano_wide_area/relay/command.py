@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import SiteFileOption, report_errors
+from telenano.cli import SiteFileOption, report_errors
 from telenano.runtime import AccessControl, Keyring, StructuredLog, beside_the_loop, load_site
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import ConfigError
