@@ -12,6 +12,7 @@ from typing import Any, BinaryIO, NamedTuple
 import zmq
 
 from telenano.console import console_of
+from telenano.extend.transports import FetchRecording
 from telenano.launcher import FAR_LIST
 from telenano.recording import Recording, merge_sites
 from telenano.runtime import AddressBook, Command, CommandClient, Participant, ZmqPublisher, open_participant
@@ -314,3 +315,7 @@ def fetch_and_merge(
     fetched = fetch(book, far, folder / FOLDER_NAME, kbit_per_s, Shown(show))
     show("merging the recordings of both sites")
     return merged(own, fetched, folder / MERGED_NAME)
+
+
+# what the entry of the package promises
+_: FetchRecording = fetch_and_merge

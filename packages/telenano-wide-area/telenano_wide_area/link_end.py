@@ -4,6 +4,7 @@ import ipaddress
 import socket
 from collections.abc import Sequence
 
+from telenano.extend.transports import OpenEnds
 from telenano.runtime import AccessControl, AddressBook, LinkEnds, Subscriber, Transport, ZmqPublisher
 from telenano.wire import FAR_END, LINK, ConfigError
 from telenano_wide_area.datagram.end import DatagramEnd
@@ -96,3 +97,7 @@ def relayed_place(relay: str, access: AccessControl, machine: str, *, direct: bo
         direct=direct,
     )
     return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), None, port, path)
+
+
+# what the entry of the package promises
+_: OpenEnds = open_ends

@@ -9,6 +9,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from telenano.extend.transports import SendsPieces
 from telenano.wire import Array, RefusedError, Scalar
 
 TOPIC = "recording/piece"
@@ -96,3 +97,7 @@ class PieceSender:
         self._allowance -= len(data)
         if not data or self._next >= min(self._end, size):
             self.close()
+
+
+# what the entry of the package promises
+_: Callable[[Path, Callable[..., Any]], SendsPieces] = PieceSender

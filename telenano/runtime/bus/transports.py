@@ -28,7 +28,7 @@ class LinkTransport(NamedTuple):
         ends: Opens an end, in the two processes that the link ends in (`telenano.extend.transports.OpenEnds`).
         beside: A module that is run with `--site SITE --site-file FILE` beside the nodes of each site where the site
             file has a relay; empty where the transport knows none.
-        sender: Sends the recording of the slave's site (`telenano.extend.transports.MakeSender`); empty for none.
+        sender: Sends the recording of the slave's site (`telenano.extend.transports.SendsPieces`); empty for none.
         fetch: Fetches it at the master's (`telenano.extend.transports.FetchRecording`); empty for none.
     """
 

@@ -1,7 +1,7 @@
 """A way of one's own between two machines, beside or in place of TCP; docs/extending.md has an example.
 
-The runtime of a node and the launcher call these: `LinkTransport` is what the entry of the package is, and the
-protocols are what it names.
+The entry of the package is a `LinkTransport` of `telenano.runtime`, and what it names has these shapes. The runtime of
+a node and the launcher call it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +38,10 @@ class OpenEnds(Protocol):
 
 
 class SendsPieces(Protocol):
-    """What sends the recording of the slave's site, in the launcher there."""
+    """What `LinkTransport.sender` makes, called with the folder of recordings and with what publishes for the launcher.
+
+    It sends the recording of the slave's site.
+    """
 
     def request(self, parameters: Mapping[str, Any], now_ns: int) -> str:
         """Take what the other site asks for by a command `set`; return in words what is done.
@@ -52,12 +55,6 @@ class SendsPieces(Protocol):
 
     def close(self) -> None:
         """End what is being sent."""
-
-
-class MakeSender(Protocol):
-    """`LinkTransport.sender`: makes what sends the recordings in a folder, by the publisher of the launcher."""
-
-    def __call__(self, folder: Path, publish: Callable[..., Any]) -> SendsPieces: ...
 
 
 class FetchRecording(Protocol):

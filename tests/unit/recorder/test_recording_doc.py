@@ -15,7 +15,8 @@ from telenano.cli.commands.bag import app
 ROOT = Path(__file__).resolve().parents[3]
 GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
 # of `telenano up` and `telenano session`, which have a guide of their own
-ELSEWHERE = {"--set", "--without", "--target", "--scenario", "--help"}
+# options of other commands; --kbit-per-s is of `bag fetch`, which a package has
+ELSEWHERE = {"--set", "--without", "--target", "--scenario", "--help", "--kbit-per-s"}
 
 
 def options() -> set[str]:

@@ -16,7 +16,7 @@ from typing import Any, Literal, cast
 
 from telenano.runtime import ConnectionEvent, Subscriber
 from telenano.timing import NEVER_NS, Clock, Exchange, OffsetFilter, PlayOut
-from telenano.wire import InputHealth, LinkKey, Message, Received
+from telenano.wire import LinkKey, Message, Received
 from telenano_wide_area.datagram.agreement import Agreement
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
 from telenano_wide_area.datagram.body import (
@@ -268,7 +268,7 @@ class DatagramEnd:
         """Return whether datagrams were left when the last batch was full."""
         return not self.drained
 
-    def input_health(self) -> tuple[InputHealth, ...]:
+    def input_health(self) -> tuple[()]:
         """Return nothing: what arrives is in the sequence statistics of the subscriber."""
         return ()
 
