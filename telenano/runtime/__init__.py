@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from telenano.runtime.security.access_control import AccessControl as AccessControl
     from telenano.runtime.security.keyring import KeyPair as KeyPair
     from telenano.runtime.security.keyring import Keyring as Keyring
+    from telenano.runtime.wiring.link_transports import FetchRecording as FetchRecording
+    from telenano.runtime.wiring.link_transports import OpenEnds as OpenEnds
+    from telenano.runtime.wiring.link_transports import SendsPieces as SendsPieces
     from telenano.runtime.wiring.main import beside_the_loop as beside_the_loop
     from telenano.runtime.wiring.main import run_beside as run_beside
     from telenano.runtime.wiring.observer import RIG_HINT as RIG_HINT

@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from telenano.wire.nodes import EXPERIMENT as EXPERIMENT
     from telenano.wire.nodes import FAR_END as FAR_END
     from telenano.wire.nodes import HAND as HAND
-    from telenano.wire.nodes import FAR_END as FAR_END
     from telenano.wire.nodes import LINK as LINK
     from telenano.wire.nodes import RECORDER as RECORDER
     from telenano.wire.nodes import TIP as TIP

@@ -19,8 +19,6 @@ from telenano.wire.extras import how_to_add_package
 ROOT = Path(__file__).parents[3]
 DRIVER = """
 from telenano.settings import Settings
-from telenano.extend.impedance import impedance_driver
-from telenano.settings import Settings
 from telenano_haptic_devices import impedance_driver
 
 class Config(Settings):

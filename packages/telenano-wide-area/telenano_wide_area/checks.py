@@ -1,6 +1,6 @@
 """What `telenano doctor` checks for this package."""
 
-from telenano.doctor import Finding
+from telenano.extend.checks import Finding
 from telenano_wide_area.datagram.sealing import KeyPair, Opener, Sealer
 
 

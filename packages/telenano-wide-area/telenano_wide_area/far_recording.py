@@ -12,10 +12,17 @@ from typing import Any, BinaryIO, NamedTuple
 import zmq
 
 from telenano.console import console_of
-from telenano.extend.transports import FetchRecording
 from telenano.launcher import FAR_LIST
 from telenano.recording import Recording, merge_sites
-from telenano.runtime import AddressBook, Command, CommandClient, Participant, ZmqPublisher, open_participant
+from telenano.runtime import (
+    AddressBook,
+    Command,
+    CommandClient,
+    FetchRecording,
+    Participant,
+    ZmqPublisher,
+    open_participant,
+)
 from telenano.wire import (
     LINK,
     TOPICS,

@@ -4,8 +4,7 @@ import ipaddress
 import socket
 from collections.abc import Sequence
 
-from telenano.extend.transports import OpenEnds
-from telenano.runtime import AccessControl, AddressBook, LinkEnds, Subscriber, Transport, ZmqPublisher
+from telenano.runtime import AccessControl, AddressBook, LinkEnds, OpenEnds, Subscriber, Transport, ZmqPublisher
 from telenano.wire import FAR_END, LINK, ConfigError
 from telenano_wide_area.datagram.end import DatagramEnd
 from telenano_wide_area.datagram.place import Outlets, Place

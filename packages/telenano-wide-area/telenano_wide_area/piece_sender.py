@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from telenano.extend.transports import SendsPieces
+from telenano.runtime import SendsPieces
 from telenano.wire import Array, RefusedError, Scalar
 
 TOPIC = "recording/piece"
