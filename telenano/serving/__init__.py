@@ -1,1 +1,13 @@
-"""What serves a page: address, access, connections, certificates."""
+"""What serves a page: address, access, connections, certificates, and the panels of packages."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.serving.panels import Asked as Asked
+    from telenano.serving.panels import Guests as Guests
+    from telenano.serving.panels import Panel as Panel
+    from telenano.serving.panels import PanelRig as PanelRig
+else:
+    __getattr__, __dir__ = face(__name__)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import fields_of as fields_of
     from telenano.wire.codec import read_header as read_header
+    from telenano.wire.errors import RefusedError as RefusedError
     from telenano.wire.faults import made as made
     from telenano.wire.messages import Array as Array
     from telenano.wire.messages import Count as Count

@@ -14,7 +14,7 @@ from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
 
-from services.viz_node.commander import RigHand
+from telenano.console import RigHand
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings import DEFAULT_SITE_FILE

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from services.viz_node.commander import RigHand
+from telenano.console import RigHand
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.laws.config import ControllerConfig
 from telenano.lockstep.across import steering_force_n
