@@ -45,7 +45,8 @@ def page() -> Iterator[RigHand]:
 
 
 def give(page: RigHand, number: int, cue: str, role: str = "participant", **values: Any) -> None:
-    page.answer(id=f"a-{number}", cue=cue, role=role, values=values, given_ns=1000 + number, shown_s=0.5)
+    facts = {"id": f"a-{number}", "cue": cue, "role": role, "values": values, "given_ns": 1000 + number}
+    page.publish("experiment/answer", **facts, shown_s=0.5)
 
 
 def until(found: Callable[[], Any]) -> Any:

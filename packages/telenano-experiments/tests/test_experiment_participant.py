@@ -426,3 +426,9 @@ def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_t
     assert rig.hub.desk.lease.holder is None and rig.hub.desk.lease.asking == ()
     page.assert_blind()
     assert rig.hub.desk.refused.rejected["role"] > 20
+
+
+def test_a_delay_beyond_what_is_held_is_shortened_to_it() -> None:
+    picture = ParticipantPicture(described())
+    picture.take(state_of(1e9), 0.0)
+    assert picture.delay_s < 10.0
