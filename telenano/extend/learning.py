@@ -12,4 +12,4 @@ from telenano.afm.particles.tip_shape import TipShape as TipShape
 from telenano.afm.particles.tip_shape import tip_shape as tip_shape
 from telenano.afm.particles.tip_shape import touch_distance_m as touch_distance_m
 from telenano.analysis.intervals import wilson as wilson
-from telenano.numerics.compiled import always_compiled as always_compiled
+from telenano.numerics.compiler import always_compiled as always_compiled

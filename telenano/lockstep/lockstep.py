@@ -73,7 +73,7 @@ from telenano.lockstep.sites import (
     slave_with_signal,
     went_on,
 )
-from telenano.numerics.compiled import borrowed, compiled, compiled_call, inlined, is_compiled
+from telenano.numerics.compiler import borrowed, compiled, compiled_call, inlined, is_compiled
 from telenano.wire.errors import ConfigError, RigError
 
 Series = npt.NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.particles.steering import steered
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveRe
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
 from telenano.lockstep.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
-from telenano.numerics.compiled import inlined
+from telenano.numerics.compiler import inlined
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire.topics import LOOP_DEADLINE_S
 

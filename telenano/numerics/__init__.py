@@ -1,1 +1,14 @@
 """Compiled steps and small numerical tools that give the same bits on every processor."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.numerics.compiler import compiled as compiled
+    from telenano.numerics.compiler import compiled_form as compiled_form
+    from telenano.numerics.digests import source_digest as source_digest
+    from telenano.numerics.frames import to_site_frame as to_site_frame
+    from telenano.numerics.normal_numbers import normal_number as normal_number
+else:
+    __getattr__, __dir__ = face(__name__)

@@ -11,7 +11,7 @@ from telenano_microscopy.program_view import LiveOption
 
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
-from telenano.cli.progress import progress
+from telenano.cli.progress_bar import progress
 from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
 from telenano.files.whole_files import whole_file
 from telenano.settings import DEFAULT_SITE_FILE

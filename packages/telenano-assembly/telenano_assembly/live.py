@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.config import AfmConfig
+from telenano.analysis import LiveImage
 from telenano.console.live_program import run_program
-from telenano.extend.images import LiveImage
 from telenano.wire.errors import RigError
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import Scalar

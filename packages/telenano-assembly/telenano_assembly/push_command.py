@@ -9,19 +9,12 @@ import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 from telenano.afm.programs.push import AT_GOAL, PushSettings
+from telenano.cli import JsonOption, SiteFileOption, print_document, progress, report_errors
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.sample_options import AfmOption
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    ConfigError,
-    JsonOption,
-    SiteFileOption,
-    flag_overrides,
-    print_document,
-    progress,
-    report_errors,
-)
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides
 from telenano.settings.config import merge, validate
+from telenano.wire import ConfigError
 from telenano.wire.errors import RigError
 
 if TYPE_CHECKING:
@@ -79,7 +72,7 @@ def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
 
 
 def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
-    from telenano.extend.images import LiveImage
+    from telenano.analysis import LiveImage
 
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:

@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 from telenano_experiments.messages import ANSWER, CUE, TRIAL
 
-from telenano.extend.messages import decode, encode
-from telenano.wire import Topic, decode_header
+from telenano.wire import Topic, decode, decode_header, encode, json_schema, take_up
 
 HERE = Path(__file__).parent
+for _row in (ANSWER, CUE, TRIAL):
+    take_up(_row)
 VECTORS = json.loads((HERE / "golden_messages.json").read_text(encoding="utf-8"))
 
 
@@ -31,8 +32,6 @@ def test_every_topic_has_its_vectors() -> None:
 
 @pytest.mark.parametrize("row", [ANSWER, CUE, TRIAL], ids=lambda row: row.name)
 def test_the_schema_is_the_one_that_clients_in_other_languages_have(row: Topic) -> None:
-    from telenano.extend.exports import json_schema
-
     committed = json.loads((HERE / "schemas" / f"{row.model.__name__}.json").read_text(encoding="utf-8"))
     schema = json_schema(row.model)
     assert (committed["x-topic"], committed["x-version"]) == (row.name, row.model.version)

@@ -11,7 +11,7 @@ import math
 from typing import Literal, NamedTuple
 
 from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Motion = Literal["slide", "roll", "auto"]
 

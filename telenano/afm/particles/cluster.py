@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.particles.tip_shape import distance_m
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from telenano.afm.part import (
 from telenano.afm.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
 from telenano.afm.particles.tip_shape import Spring, TipShape
 from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from telenano.afm.particles.tip_shape import (
     ride_height_m,
     touch_distance_m,
 )
-from telenano.numerics.compiled import always_compiled, compiled
+from telenano.numerics.compiler import always_compiled, compiled
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]

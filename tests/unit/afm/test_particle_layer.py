@@ -13,7 +13,7 @@ from telenano.afm.particles.tip_shape import ride_height_m, tip_shape
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.torsion import TorsionParams, _step
 from telenano.devices.afm.instrument import driver_of
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 
