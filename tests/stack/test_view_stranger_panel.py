@@ -75,7 +75,10 @@ def shown(chromium: Any, site: Path, folder: Path, what: str) -> Any:
     with closing(View(found, str(folder / what / "session.mcap"))) as view:
         page = open_page(chromium, view.operator)
         if what == "wind":
-            page.until("/m.s/.test(document.querySelector('#wind')?.textContent)", "the panel of the package")
+            page.until("document.querySelector('#wind') !== null", "the panel of the package")
+            # in a narrow window it is a tab, and only what is seen is written
+            page.value("document.querySelector('#tab-wind')?.click()")
+            page.until("/m.s/.test(document.querySelector('#wind').textContent)", "the speed of the wind")
             page.until("/no such sensor/.test(document.querySelector('#answers').textContent)", "what failed")
         else:
             page.until("telenano.store.events.length > 0", "an event of the recording")
