@@ -1,6 +1,5 @@
-"""How the commands of a page, and the force of its operator, reach the nodes of a running rig; what it can set."""
+"""How the commands of a page reach the nodes of a running rig; what it can set."""
 
-import contextlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -8,14 +7,10 @@ from typing import Any
 from telenano.console.command_client import arm_devices, send_control
 from telenano.console.coupling import couple_anew
 from telenano.console.emergency_stop import Answer, LocalRig, emergency_stop
-from telenano.numerics.frames import to_site_frame
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.commands import Command, CommandName
-from telenano.runtime.wiring.participant import open_participant
-from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.errors import ConfigError
 from telenano.wire.messages import Scalar
-from telenano.wire.nodes import TIP, VIEW
+from telenano.wire.nodes import TIP
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
 # This one consists of several commands: hand and tip are coupled anew.
@@ -74,38 +69,6 @@ class RigCommander:
                 by=by,
             )
         return answers
-
-
-class RigHand:
-    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows."""
-
-    def __init__(self, site_file: Path) -> None:
-        """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
-        self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(VIEW, load_site(site_file)))
-        self._clock = participant.clock
-        try:
-            self._publisher = participant.bind(VIEW)
-        except TelenanoError:
-            self._open.close()
-            raise
-
-    def push(self, force_n: float, across_n: tuple[float, float] = (0.0, 0.0), by: str = "") -> None:
-        named = {"by": by} if by else {}
-        self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]), **named)
-
-    def answer(self, **fields: Any) -> None:
-        """Publish what a person answered to a cue of an experiment."""
-        self._publisher.publish("experiment/answer", **fields)
-
-    def now_ns(self) -> int:
-        """Return the time on the clock of this endpoint [ns]."""
-        return self._clock.now_ns()
-
-    def close(self) -> None:
-        """Publish the last message, and close the endpoint."""
-        publish_end(self._publisher, VIEW)
-        self._open.close()
 
 
 def forms() -> dict[str, Any]:

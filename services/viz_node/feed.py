@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from services.viz_node.participant import CUE, CUE_KEYS, TRIAL, TRIAL_KEYS
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
 from telenano.recording.messages import LeftOut
+from telenano.serving.panels import installed_panels
 from telenano.wire import Message, fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.nodes import site_of
@@ -70,6 +70,7 @@ class Feed:
         # what the clock of the slave's machine is ahead, as the link measures it
         self._slave_ahead_ns = 0
         self._loss = LinkLoss()
+        self._of_panels = installed_panels().topics
 
     def record(self, seen: Seen) -> None:
         """Take a message."""
@@ -92,10 +93,9 @@ class Feed:
             "lines": list(self._lines.values()),
         }
 
-    @property
-    def cue(self) -> Mapping[str, Any]:
-        """Return the cue of an experiment that stands, with the ids of the answers taken last; empty without one."""
-        return self._state.get(CUE, {})
+    def state(self, name: str) -> Mapping[str, Any]:
+        """Return what pages were told last of a topic; empty before the first message."""
+        return self._state.get(name, {})
 
     def _record(self, seen: Seen) -> None:
         if not 0 <= seen.t_ns < LATEST_NS:
@@ -126,9 +126,8 @@ class Feed:
             self._record_health(seen)
         elif seen.topic == "session/event":
             self._record_event(seen)
-        elif seen.topic in (CUE, TRIAL):
-            keys = CUE_KEYS if seen.topic == CUE else TRIAL_KEYS
-            self._set_state(seen.topic, {key: seen.fields[key] for key in keys})
+        elif of_panel := self._of_panels.get(seen.topic):
+            self._set_state(seen.topic, {key: seen.fields[key] for key in of_panel})
         elif seen.topic == "afm/scanline":
             self._record_line(seen)
 

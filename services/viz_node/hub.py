@@ -16,15 +16,14 @@ from services.viz_node.feed import Feed
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.metrics import metrics_text
 from services.viz_node.page_session import REQUESTS_PER_S, Session
-from services.viz_node.participant import ParticipantPicture
 from services.viz_node.requests import (
-    AnswerRequest,
     CommandRequest,
     DocumentRequest,
     EstopRequest,
     HandRequest,
     HereRequest,
     LeaseRequest,
+    PanelRequest,
     PartRequest,
     Request,
     TransportRequest,
@@ -35,6 +34,7 @@ from telenano.console.lease import FREE_COMMANDS, Party
 from telenano.console.lease_register import LeaseRegister
 from telenano.recording.messages import LeftOut
 from telenano.serving.access import Role
+from telenano.serving.panels import Asked, Picture, installed_panels
 from telenano.serving.people import Person
 from telenano.timing.loop_age import LoopAge, Part
 from telenano.wire.errors import RefusedError, TelenanoError
@@ -63,12 +63,8 @@ _MOST_STOPS = 4
 _STOPS_END_S = 6.0
 # Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
 _MOST_READS = 8
-# An answer is sent again until the experiment has taken it, and given up after this time.
-_ANSWER_EVERY_S = 0.2
-_ANSWER_DEADLINE_S = 5.0
-# Of the values of one answer: sixteen choices of 128 letters and their names.
-_MOST_ANSWER_BYTES = 4096
-_LONGEST_SHOWN_S = 1e6
+# Of the values of one request to a panel: sixteen choices of 128 letters and their names.
+_MOST_ASKED_BYTES = 4096
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 _METRICS_NS = 1_000_000_000
@@ -108,8 +104,8 @@ class HandOutlet(Protocol):
     def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
         """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go. `by`: whose it is."""
 
-    def answer(self, **fields: Any) -> None:
-        """Publish the answer of a person to a cue of an experiment."""
+    def publish(self, topic: str, **fields: Any) -> object:
+        """Publish on a topic of a package's panel."""
 
     def now_ns(self) -> int:
         """Return the time on the clock of the endpoint [ns]."""
@@ -146,6 +142,13 @@ class Wish:
         if self._command != _STOP and waited_s > VALIDITY_S:
             text = f"it waited for {waited_s:.1f} s behind other commands and was valid for {VALIDITY_S:.1f} s"
             raise RefusedError(f"{self._command} expired: {text}")
+
+
+class _PanelRig:
+    """What the desk of a panel has of the rig."""
+
+    def __init__(self, outlet: HandOutlet, state: Callable[[str], Mapping[str, Any]]) -> None:
+        self.publish, self.now_ns, self.state = outlet.publish, outlet.now_ns, state
 
 
 class Hub:
@@ -200,7 +203,11 @@ class Hub:
         # what was said last, and the share of it that is in force
         self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
         self._share = 1.0
-        self._picture = ParticipantPicture()
+        self.panels = installed_panels()
+        self._desks = {row.id: row.desk() for row in self.panels.rows if row.desk is not None}
+        guests = self.panels.of_guests
+        self._guests_panel = "" if guests is None else guests.id
+        self._picture: Picture = guests.guests.picture(described()) if guests and guests.guests else _NoPicture()
         # the age of the loop by its parts, as it was taken last [s], and what it is of
         self._age, self._age_s, self._parts = LoopAge(), time.monotonic(), list[Part]()
         # the text of the newest reports, and when it was made [ns]
@@ -379,6 +386,8 @@ class Hub:
                 "forms": self._forms,
                 "source": self._source.about(),
                 "me": session.party.id,
+                "panels": [row.about() for row in self.panels.rows],
+                "problems": list(self.panels.problems),
                 "lease": self.desk.facts(),
                 **self._feed.snapshot(),
             }
@@ -441,8 +450,8 @@ class Hub:
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
             raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
-        if isinstance(request, AnswerRequest) and session.role is not Role.OBSERVER:
-            return await self._answer(session, request)
+        if isinstance(request, PanelRequest) and session.role is not Role.OBSERVER:
+            return await self._ask_desk(session, request)
         if session.role in (Role.OBSERVER, Role.PARTICIPANT) and not isinstance(request, EstopRequest):
             whose = "an observer, who may look" if session.role is Role.OBSERVER else "a participant, who may answer"
             self.desk.refused.note("role", f"{session.party.label}: {type(request).__name__}")
@@ -468,43 +477,21 @@ class Hub:
     def _outlet(self) -> HandOutlet:
         """Return the endpoint of the page, and open it the first time."""
         if self._open_hand is None:
-            raise RefusedError("a recording is no experiment that could be answered")
+            raise RefusedError("a recording cannot be answered")
         if self._hand is None:
             self._hand = self._open_hand()
         return self._hand
 
-    async def _answer(self, session: Session, request: AnswerRequest) -> Answers:
-        """Publish an answer until the experiment says in a cue that it has taken it.
-
-        A page has one under way, because each is sent many times, and a participant answers the cue that stands.
-        """
-        outlet, is_own = self._outlet(), session.role is Role.PARTICIPANT
-        if session.answering:
-            raise RefusedError("the answer before this one has not been taken yet: wait for it")
-        if (size := len(_packed(request.values))) > _MOST_ANSWER_BYTES:
-            raise RefusedError(f"an answer has {size} bytes, {_MOST_ANSWER_BYTES} are allowed")
-        given_ns = outlet.now_ns()
-        end_s = time.monotonic() + _ANSWER_DEADLINE_S
-        session.answering = True
-        try:
-            while time.monotonic() < end_s:
-                if is_own and request.cue != self._feed.cue.get("id"):
-                    raise RefusedError(f"cue {request.cue} does not stand: answer the one that is shown")
-                outlet.answer(
-                    id=request.id,
-                    cue=request.cue,
-                    role="participant" if is_own else "experimenter",
-                    values=request.values,
-                    given_ns=given_ns,
-                    shown_s=min(max(0.0, request.shown_s), _LONGEST_SHOWN_S),
-                )
-                for _ in range(round(_ANSWER_EVERY_S / TICK_S)):
-                    await asyncio.sleep(TICK_S)
-                    if request.id in self._feed.cue.get("answered", ()):
-                        return {"experiment": ("ack", "taken")}
-        finally:
-            session.answering = False
-        raise RefusedError("no experiment takes the answer: does one run?")
+    async def _ask_desk(self, session: Session, request: PanelRequest) -> Answers:
+        """Let the desk of a panel carry out what a page asks of it; a guest asks that of the guests alone."""
+        is_guest = session.role is Role.PARTICIPANT
+        desk = self._desks.get(request.panel)
+        if desk is None or (is_guest and request.panel != self._guests_panel):
+            raise RefusedError(f"{request.panel[:80]!r}: no panel of this name can be asked")
+        if (size := len(_packed(request.values))) > _MOST_ASKED_BYTES:
+            raise RefusedError(f"an answer has {size} bytes, {_MOST_ASKED_BYTES} are allowed")
+        asked = Asked(request.id, session.party.id, session.role.value, request.values)
+        return {request.panel: ("ack", await desk.ask(asked, _PanelRig(self._outlet(), self._feed.state)))}
 
     async def _stop(self, commander: Commander, by: str) -> Answers:
         """Stop the devices beside whatever else is being sent, and give up every command of every page."""
@@ -669,6 +656,19 @@ class Hub:
         if holder is not None and self._hand is not None:
             with contextlib.suppress(TelenanoError):
                 self._hand.push(0.0, (0.0, 0.0), holder.party.name)
+
+
+class _NoPicture:
+    """What guests are told where no package has a page for them: nothing."""
+
+    def take(self, changes: Mapping[str, Any], now_s: float) -> list[dict[str, Any]]:
+        return []
+
+    def snapshot(self, snapshot: Mapping[str, Any], *, hand: bool) -> dict[str, Any]:
+        return {"k": "refused", "text": "no installed package has a page for this address"}
+
+    def said(self, *, is_ok: bool) -> str:
+        return "done" if is_ok else "not carried out"
 
 
 def _packed(fields: Mapping[str, Any]) -> bytes:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from services.viz_node.feed import Seen, seen
-from services.viz_node.source import AGE_TOPICS, LOOP_TOPICS, TOPICS_SHOWN, NoTransport
+from services.viz_node.source import AGE_TOPICS, LOOP_TOPICS, NoTransport, is_shown
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.participant import OBSERVER, open_participant
 from telenano.wire.nodes import site_of
@@ -27,7 +27,7 @@ class LiveSource(NoTransport):
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self.subscribers = participant.observe(lambda topic, node: topic in TOPICS_SHOWN + AGE_TOPICS)
+        self.subscribers = participant.observe(lambda topic, node: is_shown(topic) or topic in AGE_TOPICS)
         self._watched = True
         self._watch(False)
 

@@ -4,12 +4,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
-from services.viz_node.commander import RigCommander, RigHand, forms
+from services.viz_node.commander import RigCommander, forms
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_server import PageServer
 from telenano.console.lease import Party
 from telenano.console.lease_register import LeaseRegister
+from telenano.console.page_hand import RigHand
 from telenano.runtime.bus.bus import Refusals, ZmqBus
 from telenano.runtime.bus.publisher import NullPublisher, Publisher
 from telenano.runtime.loop.node import Node, NodeContext

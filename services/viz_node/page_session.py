@@ -36,8 +36,6 @@ class Session:
         # An address that is revoked ends its pages, after the frame that says so.
         self.ended = False
         self.ready = asyncio.Event()
-        # An answer of this page to a cue is being sent until the experiment has taken it.
-        self.answering = False
         self._frames: deque[bytes] = deque()
         # What a page was told once is not in the snapshot with which it begins anew.
         self._answers: deque[bytes] = deque(maxlen=_MOST_ANSWERS)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from services.viz_node.feed import Seen
-from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN
+from services.viz_node.source import LOOP_TOPICS, is_shown
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
 from telenano.wire.errors import RecordingError, RefusedError
@@ -160,7 +160,7 @@ def _begins_image(line: RecordedMessage) -> bool:
 
 
 def _is_shown(channel: RecordedChannel) -> bool:
-    return channel.topic in TOPICS_SHOWN and channel.via == "direct"
+    return is_shown(channel.topic) and channel.via == "direct"
 
 
 def _seen(message: RecordedMessage) -> Seen:

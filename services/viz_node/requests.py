@@ -117,12 +117,11 @@ class HereRequest(_Frame, tag="here", frozen=True):
     waited_s: float = 0.0
 
 
-class AnswerRequest(_Frame, tag="experiment", frozen=True):
-    """What a person answers to a cue of an experiment, and how long that had been shown [s]."""
+class PanelRequest(_Frame, tag="panel", frozen=True):
+    """What a page asks of the half of a package's panel that runs in the server."""
 
     id: _Id
-    cue: _Text
-    shown_s: float
+    panel: _Text
     values: _Values = {}
 
 
@@ -134,7 +133,7 @@ Request = (
     | HandRequest
     | DocumentRequest
     | PartRequest
-    | AnswerRequest
+    | PanelRequest
     | LeaseRequest
     | HereRequest
 )

@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -167,7 +167,15 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
     async def missing(request: Request) -> PlainTextResponse:
         return PlainTextResponse("telenano: the page has not been built: make page\n", 503)
 
+    # Only these files are served: no path of a request is made into one of a file.
+    files = {f"{row.base}{name}": path for row in hub.panels.rows for name, path in row.files().items()}
+
+    async def of_panel(request: Request) -> Response:
+        path = files.get(request.url.path.removeprefix("/"))
+        return PlainTextResponse("telenano: no such file\n", 404) if path is None else FileResponse(path)
+
     routes: list[BaseRoute] = [
+        Route("/panels/{path:path}", of_panel),
         WebSocketRoute("/bus", _PageSocket(hub, access, connections).serve),
         Route("/health", health),
         Route("/metrics", metrics),

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
 from services.viz_node.feed import Seen
+from telenano.serving.panels import installed_panels
 from telenano.wire.errors import RefusedError
 
 # what only curves are made of: most of the traffic of a rig, and of no use while no page is open
@@ -16,13 +17,16 @@ TOPICS_SHOWN = (
     "link/network",
     "node/health",
     "session/event",
-    "experiment/cue",
-    "experiment/trial",
 )
 
 
 # of which the age of the loop is told by its parts
 AGE_TOPICS = ("haptic/state", "haptic/command", "afm/state", "link/delay")
+
+
+def is_shown(topic: str) -> bool:
+    """Return whether pages are told of a topic, of their own or of a panel of a package."""
+    return topic in TOPICS_SHOWN or topic in installed_panels().topics
 
 
 class Source(Protocol):

@@ -42,7 +42,8 @@ def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) 
     tls, access = config.tls(), config.access()
     bound = stack.enter_context(config.bind())
     addresses = addresses_of(bound, access, tls, config.name)
-    stack.enter_context(announced({"view": addresses["operator"], "participant": addresses["participant"]}, show))
+    shown = {"view": addresses["operator"]} | {name: each for name, each in addresses.items() if name == "participant"}
+    stack.enter_context(announced(shown, show))
     tokens = {
         OPERATOR_VARIABLE: access.operator_token,
         OBSERVER_VARIABLE: access.observer_token,

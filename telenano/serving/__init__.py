@@ -1,4 +1,4 @@
-"""What serves a page: address, access, connections, certificates."""
+"""What serves a page: address, access, connections, certificates, and the panels of packages."""
 
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from telenano.serving.gate import client_of as client_of
     from telenano.serving.gate import end_quietly as end_quietly
     from telenano.serving.gate import guarded as guarded
+    from telenano.serving.panels import Asked as Asked
+    from telenano.serving.panels import Guests as Guests
+    from telenano.serving.panels import Panel as Panel
+    from telenano.serving.panels import PanelRig as PanelRig
     from telenano.serving.serve import Tls as Tls
     from telenano.serving.serve import announced as announced
     from telenano.serving.serve import bind as bind

@@ -16,6 +16,7 @@ from telenano.runtime.bus.local_endpoint import rig_directory, rigs_with_folders
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.serving.access import LOOPBACK, Access, is_loopback
 from telenano.serving.connections import Listener
+from telenano.serving.panels import installed_panels
 from telenano.wire.errors import ConfigError, EndpointError, TelenanoError
 from telenano.wire.extras import how_to_install
 from telenano.wire.nodes import PAGE, module_of, name_of
@@ -116,11 +117,10 @@ def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: st
     host, port = bound.getsockname()[:2]
     shown = name or (f"[{host}]" if ":" in host else host)
     base = f"{'https' if tls else 'http'}://{shown}:{port}/"
-    return {
-        "operator": f"{base}#{access.operator_token}",
-        "observer": f"{base}#{access.observer_token}",
-        "participant": f"{base}participant.html#{access.participant_token}",
-    }
+    found = {"operator": f"{base}#{access.operator_token}", "observer": f"{base}#{access.observer_token}"}
+    if (panel := installed_panels().of_guests) and panel.guests:
+        found["participant"] = f"{base}{panel.base}{panel.guests.page}#{access.participant_token}"
+    return found
 
 
 @contextlib.contextmanager

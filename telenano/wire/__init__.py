@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from telenano.wire.messages import about as about
     from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
     from telenano.wire.network_messages import LinkKey as LinkKey
+    from telenano.wire.messages import about as about
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
     from telenano.wire.network_messages import RecordingPiece as RecordingPiece
     from telenano.wire.nodes import EXPERIMENT as EXPERIMENT
@@ -77,5 +78,6 @@ if TYPE_CHECKING:
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
     from telenano.wire.topics import deadline_of as deadline_of
+    from telenano.wire.topics import take_up as take_up
 else:
     __getattr__, __dir__ = face(__name__)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
-import msgspec
 import numpy as np
 import pytest
 import zmq
@@ -148,10 +147,6 @@ def test_pages_of_all_roles_and_the_metrics_outlive_them(reader: Subscriber, mes
     assert sum(reader.rejected.values()) > 0.5 * len(shown)
     assert set(reader.rejected) <= {"schema", "range", "malformed", "oversized", "source", "newer_version"}
     assert sum(hub.left_out.rejected.values()) < 0.05 * len(shown)
-    trial = examples(TOPICS["experiment/trial"])["ordinary"]
-    source.waiting.append(("experiment/trial", encode(msgspec.structs.replace(trial, picture_delay_s=1e9))))
-    hub.tick()
-    assert hub._picture.delay_s < 10.0
 
 
 def test_a_recorder_keeps_them_as_they_came(
@@ -216,7 +211,10 @@ class Outlets:
 # Each bridge, and the topics of which it hands on every valid message.
 BRIDGES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "foxglove": (lambda: FoxgloveBridge(Outlets(), 0.0), tuple(set(TOPICS) - set(LEFT_OUT))),
-    "lsl": (lambda: LslBridge(Outlets().lsl, lambda: 1.0, 0), (*STATES, *MARKERS)),
+    "lsl": (
+        lambda: LslBridge(Outlets().lsl, lambda: 1.0, 0),
+        tuple(topic for topic in (*STATES, *MARKERS) if topic in TOPICS),
+    ),
     "ros2": (lambda: Ros2Bridge(Outlets().ros2, 0.0), TEXTS),
 }
 

@@ -14,7 +14,7 @@ from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
 
-from services.viz_node.commander import RigHand
+from telenano.console import RigHand
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings import DEFAULT_SITE_FILE
@@ -45,7 +45,8 @@ def page() -> Iterator[RigHand]:
 
 
 def give(page: RigHand, number: int, cue: str, role: str = "participant", **values: Any) -> None:
-    page.answer(id=f"a-{number}", cue=cue, role=role, values=values, given_ns=1000 + number, shown_s=0.5)
+    facts = {"id": f"a-{number}", "cue": cue, "role": role, "values": values, "given_ns": 1000 + number}
+    page.publish("experiment/answer", **facts, shown_s=0.5)
 
 
 def until(found: Callable[[], Any]) -> Any:

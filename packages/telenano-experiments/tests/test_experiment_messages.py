@@ -8,8 +8,11 @@ import pytest
 from telenano_experiments.messages import ANSWER, CUE, TRIAL
 
 from telenano.wire import Topic, decode, decode_header, encode
+from telenano.wire import Topic, decode, decode_header, encode, json_schema, take_up
 
 HERE = Path(__file__).parent
+for _row in (ANSWER, CUE, TRIAL):
+    take_up(_row)
 VECTORS = json.loads((HERE / "golden_messages.json").read_text(encoding="utf-8"))
 
 

@@ -1,14 +1,28 @@
-import { defineConfig } from "vite";
+import { defineConfig } from "vitest/config";
+
+const here = (path: string): string => new URL(path, import.meta.url).pathname;
 
 export default defineConfig({
   base: "./",
+  // the tests of panels of packages lie with them
+  test: { include: ["test/**/*.test.ts", here("../../../packages/*/tests/web/*.test.ts")], server: { deps: { inline: true } } },
+  resolve: { alias: { "../../kit.js": here("src/kit.ts"), vitest: here("node_modules/vitest") } },
   build: {
     target: "es2022",
     // the content security policy of the server permits no inline script or style
     modulePreload: { polyfill: false },
     assetsInlineLimit: 0,
     chunkSizeWarningLimit: 1200,
-    // the cockpit, and the page of a participant, who is told nothing of what the cockpit shows
-    rolldownOptions: { input: ["index.html", "participant.html"] },
+    // one file of styles, which pages of packages have too
+    cssCodeSplit: false,
+    // the page, and what panels of packages import from it by a name that stays
+    rolldownOptions: {
+      input: { index: "index.html", kit: "src/kit.ts" },
+      preserveEntrySignatures: "strict",
+      output: {
+        entryFileNames: ({ name }) => (name === "kit" ? "kit.js" : "assets/[name]-[hash].js"),
+        assetFileNames: ({ names }) => (names.some((name) => name.endsWith(".css")) ? "kit.css" : "assets/[name]-[hash][extname]"),
+      },
+    },
   },
 });

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from recorder_samples import sample
 
-from services.viz_node.commander import RigHand
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_session import Session
+from telenano.console import RigHand
 from telenano.console.command_client import send_control
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.bus.publisher import ZmqPublisher

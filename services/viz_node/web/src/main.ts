@@ -7,7 +7,8 @@ import { Document } from "./document";
 import { part } from "./dom";
 import { Hand } from "./hand";
 import { Image } from "./image";
-import { PANELS, hasExperiment } from "./panels";
+import { PackagePanels } from "./packages";
+import { PANELS } from "./panels";
 import type { HandPanel } from "./panels/hand";
 import type { ScenePanel } from "./panels/scene";
 import type { ScopesPanel } from "./panels/scopes";
@@ -47,6 +48,7 @@ store.recorded = (stream, column) => cockpit.document.value(stream, column, perf
 store.recordedSwing = () => cockpit.document.swingAt(cockpit.document.at(performance.now()));
 const status = new StatusPanel(part("status"), cockpit);
 const regions = new Regions(PANELS, cockpit);
+const packages = new PackagePanels(regions, cockpit);
 const view = (regions.panel("scene") as ScenePanel).view;
 const scopes = regions.panel("curves") as ScopesPanel;
 const handPanel = regions.panel("hand") as HandPanel;
@@ -88,19 +90,19 @@ connection.onFrame = (frame: ServerFrame) => {
       document.body.dataset["source"] = frame.source.kind;
       begin();
     }
+    packages.begin(frame.panels ?? [], frame.problems ?? []);
   } else if (frame.k === "forms") {
     store.forms = frame.forms;
     cockpit.image.build();
     begin();
   } else if (frame.k === "tick") {
-    const had = hasExperiment(cockpit);
     if (pictureAt) pictures.push(begun - pictureAt);
     if (pictures.length > FRAMES_KEPT) pictures.shift();
     pictureAt = begun;
     store.pictureS = medianFrame(pictures);
     store.take(frame);
-    // an experiment has begun: its panel is there from now on
-    if (!had && hasExperiment(cockpit)) regions.begin();
+    // what a package shows has come: its panel is there from now on
+    if (frame.state) packages.follow();
   }
   else if (frame.k === "way") store.wayS = frame.way_s ?? NaN;
   else if (frame.k === "hand") cockpit.hand.notice(frame);

@@ -1,13 +1,11 @@
 import type { Cockpit, PanelRow } from "./cockpit";
 import { DelayPanel } from "./panels/delay";
 import { EventsPanel } from "./panels/events";
-import { ExperimentPanel } from "./panels/experiment";
 import { HandPanel } from "./panels/hand";
 import { ImagePanel } from "./panels/image";
 import { InstrumentPanel } from "./panels/instrument";
 import { LawPanel } from "./panels/law";
 import { LinkPanel } from "./panels/link";
-import { ParticlesPanel } from "./panels/particles";
 import { NodesPanel } from "./panels/nodes";
 import { ScenePanel } from "./panels/scene";
 import { ScopesPanel } from "./panels/scopes";
@@ -17,10 +15,9 @@ import { SummaryPanel } from "./panels/summary";
 import { TimelinePanel } from "./panels/timeline";
 
 const isLive = ({ store }: Cockpit): boolean => store.commands;
-export const hasExperiment = ({ store }: Cockpit): boolean => store.state.has("experiment/cue");
 const isRecording = ({ store }: Cockpit): boolean => store.source.kind === "recording";
 
-/** Every panel of the page in the order of its region: one file, and one row here. */
+/** Every panel of the page itself in the order of its region: one file, and one row here. Those of packages come after. */
 export const PANELS: readonly PanelRow[] = [
   { id: "recording", title: "Recording", region: "timeline", shows: isRecording, make: (root, cockpit) => new TimelinePanel(root, cockpit) },
   { id: "scene", title: "Tip and sample", region: "stage", make: (root, cockpit) => new ScenePanel(root, cockpit) },
@@ -32,10 +29,8 @@ export const PANELS: readonly PanelRow[] = [
   { id: "link", title: "Link", region: "controls", shows: isLive, make: (root, cockpit) => new LinkPanel(root, cockpit) },
   { id: "summary", title: "Summary", region: "dock", shows: isRecording, make: (root, cockpit) => new SummaryPanel(root, cockpit) },
   { id: "image", title: "Image", region: "dock", make: (root, cockpit) => new ImagePanel(root, cockpit) },
-  { id: "particles", title: "Particles", region: "dock", make: (root, cockpit) => new ParticlesPanel(root, cockpit) },
   { id: "gallery", title: "Delay", region: "dock", make: (root, cockpit) => new DelayPanel(root, cockpit) },
   { id: "settings", title: "Settings", region: "dock", shows: isLive, make: (root, cockpit) => new SettingsPanel(root, cockpit) },
-  { id: "experiment", title: "Experiment", region: "watch", shows: hasExperiment, make: (root, cockpit) => new ExperimentPanel(root, cockpit) },
   { id: "nodes", title: "Nodes", region: "watch", make: (root, cockpit) => new NodesPanel(root, cockpit) },
   { id: "events", title: "Events", region: "watch", pane: true, make: (root, cockpit) => new EventsPanel(root, cockpit) },
 ];

@@ -102,6 +102,15 @@ export interface Tick extends Changes {
   streams?: Record<string, StreamData>;
 }
 
+/** A panel of a package that is installed where the server runs; `shows` is the state without which it is left out. */
+export interface PanelAbout {
+  id: string;
+  title: string;
+  region: string;
+  shows: string;
+  url: string;
+}
+
 export interface Snapshot extends Changes {
   k: "snapshot";
   role: Role;
@@ -112,6 +121,9 @@ export interface Snapshot extends Changes {
   streams: StreamAbout[];
   forms: Facts;
   source: SourceAbout;
+  panels?: PanelAbout[];
+  /** A sentence for each panel of a package that cannot be used. */
+  problems?: string[];
 }
 
 export interface Answer {

@@ -26,18 +26,39 @@ export class Regions {
     private readonly cockpit: Cockpit,
   ) {
     part("dock").append(this.tabs);
-    for (const row of rows) {
-      const hasTitle = row.region === "controls" || row.region === "watch";
-      const root = make("section", { class: "panel", id: row.id, "aria-label": row.title }, ...(hasTitle ? [make("h2", {}, row.title)] : []));
-      // what is longer than its place is scrolled with the keyboard as well
-      if (row.region === "dock" || row.region === "watch") root.tabIndex = 0;
-      // it measures its place while it is made
-      part(row.region).append(root);
-      this.placed.push({ row, root, panel: row.make(root, cockpit) });
-    }
+    for (const row of rows) this.place(row);
     for (const width of [this.wide, this.pane]) width.addEventListener("change", () => this.arrange());
     this.tabs.addEventListener("keydown", (event) => this.moveByKey(event));
     this.arrange();
+  }
+
+  /** Add a panel to the page that is open. */
+  add(row: PanelRow): void {
+    const { panel } = this.place(row);
+    this.arrange();
+    panel.begin?.();
+  }
+
+  /** Whether an element of the page is called so. */
+  has(id: string): boolean {
+    return document.getElementById(id) !== null;
+  }
+
+  private place(row: PanelRow): Placed {
+    const hasTitle = row.region === "controls" || row.region === "watch";
+    const root = make("section", { class: "panel", id: row.id, "aria-label": row.title }, ...(hasTitle ? [make("h2", {}, row.title)] : []));
+    // what is longer than its place is scrolled with the keyboard as well
+    if (row.region === "dock" || row.region === "watch") root.tabIndex = 0;
+    // it measures its place while it is made
+    part(row.region).append(root);
+    try {
+      const placed = { row, root, panel: row.make(root, this.cockpit) };
+      this.placed.push(placed);
+      return placed;
+    } catch (error) {
+      root.remove();
+      throw error;
+    }
   }
 
   /** The panel of a row, by its id. */

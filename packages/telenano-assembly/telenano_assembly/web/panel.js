@@ -1,8 +1,5 @@
-import type { Cockpit, Panel } from "../cockpit";
-import { colour, make } from "../dom";
-import { ACROSS_M } from "../hand";
-import { findParticles, isBlocked, SHORT, touchDistance, travelLeft, type Particle } from "../particles";
-import { INSTRUMENT } from "../tip";
+import { ACROSS_M, INSTRUMENT, colour, make as element } from "../../kit.js";
+import { findParticles, isBlocked, SHORT, touchDistance, travelLeft } from "./particles.js";
 
 const NM = 1e9;
 const PROGRAM = "afm/program/slave";
@@ -18,65 +15,50 @@ const PUSH_M_PER_S = 300e-9;
 /** The motion of the tip is known after so much of it [nm]. */
 const MOTION_NM = 3;
 
-/** A particle of the last image: where it was found, where it is believed to be now, and where it is to go [nm]. */
-interface Known extends Particle {
-  found: readonly [number, number];
-  target?: { x: number; y: number };
-  isLost: boolean;
-}
-
-type Values = Record<string, number | string | boolean>;
-
 /** Particles in the last image, where they are believed to be now, their targets, and who pushes them: hand or program. */
-export class ParticlesPanel implements Panel {
-  private known: Known[] = [];
-  private pushed: Known | undefined;
-  private isAssembling = false;
-  private isTakenOver = false;
+class ParticlesPanel {
+  root;
+  cockpit;
+  known = [];
+  pushed;
+  isAssembling = false;
+  isTakenOver = false;
   /** The tip follows the hand that has taken over, as far as the nodes have acknowledged it. */
-  private isByHand = false;
+  isByHand = false;
   /** What the hand across is, as the nodes have acknowledged it. */
-  private chosen = "rate";
-  private words = "No image yet: Scan takes one, with its tip clear of the particles.";
-  private aside = NaN;
-  private before: [number, number] | undefined;
-  private motion: [number, number] | undefined;
-  private ran = "";
-  private drawn = "";
-  private readonly list = make("ol", { id: "particles-list", "aria-label": "Particles in the last image" });
-  private readonly state = make("p", { class: "quiet", id: "particles-state", role: "status" });
-  private readonly left = make("meter", { id: "travel-left", min: 0, max: 3, low: SHORT, optimum: 3, "aria-label": "Travel left until the particle slips off, in distances of the axes" });
-  private readonly leftText = make("span", { class: "quiet", id: "travel-left-text" });
-  private readonly find = this.button("particles-find", "Find", () => this.look());
-  private readonly assemble = this.button("assemble", "Assemble", () => void this.run());
-  private readonly takeOver = this.button("take-over", "Take over", () => void this.take());
-  private readonly giveBack = this.button("give-back", "Give back", () => void this.give());
-  private readonly mode = make("select", { id: "lateral-mode", "aria-label": "What the hand across the sample is", onchange: () => void this.choose() }, ...["rate", "position"].map((name) => make("option", { value: name }, `hand is ${name === "rate" ? "velocity" : "place"}`)));
-  private readonly switches = [
+  chosen = "rate";
+  words = "No image yet: Scan takes one, with its tip clear of the particles.";
+  aside = NaN;
+  before;
+  motion;
+  ran = "";
+  drawn = "";
+  list = element("ol", { id: "particles-list", "aria-label": "Particles in the last image" });
+  state = element("p", { class: "quiet", id: "particles-state", role: "status" });
+  left = element("meter", { id: "travel-left", min: 0, max: 3, low: SHORT, optimum: 3, "aria-label": "Travel left until the particle slips off, in distances of the axes" });
+  leftText = element("span", { class: "quiet", id: "travel-left-text" });
+  find = this.button("particles-find", "Find", () => this.look());
+  assemble = this.button("assemble", "Assemble", () => void this.run());
+  takeOver = this.button("take-over", "Take over", () => void this.take());
+  giveBack = this.button("give-back", "Give back", () => void this.give());
+  mode = element("select", { id: "lateral-mode", "aria-label": "What the hand across the sample is", onchange: () => void this.choose() }, ...["rate", "position"].map((name) => element("option", { value: name }, `hand is ${name === "rate" ? "velocity" : "place"}`)));
+  switches = [
     this.toggle("lateral-clutch", "Clutch", "The hand moves freely and the tip stands", (on) => ({ "lateral.clutch": on ? "released" : "engaged" })),
     this.toggle("hold-depth", "Hold depth", "The hand stays at its depth", (on) => ({ "lateral.depth.enabled": on })),
     this.toggle("guide", "Guide", "The hand is drawn to the line from the pushed particle to its target", (on) => ({ "lateral.guide.enabled": on, ...this.line() })),
   ];
-  private readonly pad = make("div", { class: "pad steer", id: "steer-pad", tabindex: 0, role: "application", "aria-label": "Hand across the sample: drag from the middle, or hold the arrow keys, to move the tip" });
+  pad = element("div", { class: "pad steer", id: "steer-pad", tabindex: 0, role: "application", "aria-label": "Hand across the sample: drag from the middle, or hold the arrow keys, to move the tip" });
 
   /** Whether an image was looked at since the page was opened. */
-  private hasLooked = false;
+  hasLooked = false;
   /** Whether particles were on the image when it was last drawn. */
-  private wasMeant = false;
+  wasMeant = false;
 
-  constructor(
-    private readonly root: HTMLElement,
-    private readonly cockpit: Cockpit,
-  ) {
-    const bar = make("div", { class: "row" }, make("span", { class: "quiet" }, "Travel left"), this.left, this.leftText);
-    root.append(
-      this.state,
-      make("div", { class: "row" }, this.find, this.assemble, this.takeOver, this.giveBack),
-      make("div", { class: "row" }, this.mode, ...this.switches),
-      this.pad,
-      bar,
-      this.list,
-    );
+  constructor(root, cockpit) {
+    this.root = root;
+    this.cockpit = cockpit;
+    const bar = element("div", { class: "row" }, element("span", { class: "quiet" }, "Travel left"), this.left, this.leftText);
+    root.append(this.state, element("div", { class: "row" }, this.find, this.assemble, this.takeOver, this.giveBack), element("div", { class: "row" }, this.mode, ...this.switches), this.pad, bar, this.list);
     const { image, hand } = cockpit;
     image.onDraw = (pen, at, scale) => this.draw(pen, at, scale);
     image.onGrab = (x, y) => this.grab(x, y);
@@ -92,7 +74,7 @@ export class ParticlesPanel implements Panel {
     this.pad.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && hand.steer(null));
   }
 
-  begin(): void {
+  begin() {
     const may = this.cockpit.commands.may && this.cockpit.tip.isThere;
     for (const control of [this.assemble, this.takeOver, this.giveBack, this.mode, ...this.switches]) control.disabled = !may;
     this.pad.setAttribute("aria-disabled", String(!this.cockpit.hand.isOffered));
@@ -100,7 +82,7 @@ export class ParticlesPanel implements Panel {
   }
 
   /** Keep up with images and pushes, whichever tab is shown. */
-  frame(): void {
+  frame() {
     const runs = this.cockpit.tip.program;
     if (this.ran === "scan" && !runs) this.look();
     this.ran = runs;
@@ -111,11 +93,11 @@ export class ParticlesPanel implements Panel {
   }
 
   /** Whether somebody is about particles: their panel is open, one has a target, or one is pushed. The heights of any sample may look like some. */
-  private get isMeant(): boolean {
+  get isMeant() {
     return this.root.offsetParent !== null || this.pushed !== undefined || this.known.some(({ target }) => target);
   }
 
-  write(): void {
+  write() {
     const { store, image, tip } = this.cockpit;
     const runs = tip.program;
     this.find.disabled = image.surface.isEmpty;
@@ -136,13 +118,13 @@ export class ParticlesPanel implements Panel {
     });
     if (rows.join() !== this.drawn) {
       this.drawn = rows.join();
-      this.list.replaceChildren(...rows.map((row) => make("li", {}, row)));
+      this.list.replaceChildren(...rows.map((row) => element("li", {}, row)));
       image.redraw();
     }
   }
 
   /** Find the particles of the image that is there; targets stay with those that are where they were. */
-  private look(): void {
+  look() {
     const { surface } = this.cockpit.image;
     const extent = surface.extent;
     if (!extent) return;
@@ -151,7 +133,7 @@ export class ParticlesPanel implements Panel {
     const was = this.known;
     const found = findParticles({ values: measured, rows, columns, extent }).map((one) => {
       const same = was.find((other) => Math.hypot(other.x - one.x, other.y - one.y) < one.radius);
-      return { ...one, found: [one.x, one.y] as const, isLost: false, ...(same?.target && { target: same.target }) };
+      return { ...one, found: [one.x, one.y], isLost: false, ...(same?.target && { target: same.target }) };
     });
     // an image of a part says nothing of what lies elsewhere
     const elsewhere = was.filter(({ x, y, radius }) => (Math.abs(x - extent.x) > extent.width / 2 || Math.abs(y - extent.y) > extent.depth / 2) && !found.some((one) => Math.hypot(one.x - x, one.y - y) < radius));
@@ -162,12 +144,12 @@ export class ParticlesPanel implements Panel {
   }
 
   /** Take up where the pushed particle is: from the report of a push, or from the lateral force under a hand. */
-  private follow(): void {
+  follow() {
     const { store, tip } = this.cockpit;
     const runs = tip.program;
     const [x, y] = [store.last("tip", "x") * NM, store.last("tip", "y") * NM];
     if (runs === "push") {
-      const values = store.fact(PROGRAM, "values") as Values | undefined;
+      const values = store.fact(PROGRAM, "values");
       if (values?.["in_contact"] !== true) return;
       const [bx, by] = [Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM];
       // a push that this page has not begun is that of a command or of a recording
@@ -200,7 +182,7 @@ export class ParticlesPanel implements Panel {
     this.believe(near, x + d * ex, y + d * ey);
   }
 
-  private believe(one: Known, x: number, y: number): void {
+  believe(one, x, y) {
     [one.x, one.y] = [x, y];
     one.isLost = false;
     // the force tells the place again, so the error does not outgrow the particle
@@ -209,7 +191,7 @@ export class ParticlesPanel implements Panel {
   }
 
   /** What the hand does, in words; nothing where it does not move the tip. */
-  private byHand(): string {
+  byHand() {
     const { store, hand } = this.cockpit;
     if (!hand.meantAcross) return "";
     const size = Math.hypot(store.last("tip", "force_x"), store.last("tip", "force_y"));
@@ -219,13 +201,13 @@ export class ParticlesPanel implements Panel {
   }
 
   /** Push each particle that has a target and is not there, the next one that nothing blocks. */
-  private async run(): Promise<void> {
+  async run() {
     if (this.isAssembling) return;
     this.isAssembling = true;
     this.isTakenOver = this.isByHand = false;
     while (!this.isTakenOver) {
       const open = this.known.filter((one) => one.target && !one.isLost && Math.hypot(one.target.x - one.x, one.target.y - one.y) > 2 * DONE_SHARE * one.radius);
-      const next = open.find((one) => !isBlocked(one, one.target!, this.known.filter((other) => other !== one)));
+      const next = open.find((one) => !isBlocked(one, one.target, this.known.filter((other) => other !== one)));
       if (!next) {
         const [lost, waits] = [this.known.filter((one) => one.isLost).length, open.length];
         this.words = lost ? `${lost} particles are lost: scan again.` : waits ? `${waits} particles have others in their way: move these first.` : this.known.some((one) => one.target) ? "Every particle is at its target, as far as is known: scan to see." : "No particle has a target yet: drag one in the flat image.";
@@ -236,23 +218,24 @@ export class ParticlesPanel implements Panel {
     this.isAssembling = false;
   }
 
-  private next(): void {
+  next() {
     void (this.isByHand ? this.give() : this.isAssembling || this.isTakenOver ? this.take() : this.run());
   }
 
-  private async push(one: Known): Promise<boolean> {
+  async push(one) {
     const { commands, store, tip } = this.cockpit;
     this.pushed = one;
     this.words = `Particle ${this.known.indexOf(one) + 1} of ${this.known.length}`;
-    const [x0, y0, x1, y1, radius] = [one.x, one.y, one.target!.x, one.target!.y, one.radius].map((value) => value / NM);
-    const keys = { program: "push", "push.x0_m": x0!, "push.y0_m": y0!, "push.x1_m": x1!, "push.y1_m": y1!, "push.radius_m": radius!, "push.speed_m_per_s": PUSH_M_PER_S };
+    const [x0, y0, x1, y1, radius] = [one.x, one.y, one.target.x, one.target.y, one.radius].map((value) => value / NM);
+    const keys = { program: "push", "push.x0_m": x0, "push.y0_m": y0, "push.x1_m": x1, "push.y1_m": y1, "push.radius_m": radius, "push.speed_m_per_s": PUSH_M_PER_S };
     if (!(await this.until(() => !tip.program && store.fact(AFM, "mode") !== "retracting"))) return false;
     if (!(await commands.command("push begins", "set", INSTRUMENT, keys))) return false;
     await this.until(() => tip.program === "push", 3000);
     await this.until(() => tip.program !== "push");
-    const values = store.fact(PROGRAM, "values") as Values | undefined;
+    const values = store.fact(PROGRAM, "values");
     const isThere = values?.["why"] === "the particle is at its goal";
-    if (values?.["in_contact"] === true) this.believe(one, Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM);
+    if (values?.["in_contact"] === true)
+      this.believe(one, Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM);
     if (isThere) one.error = Math.hypot(one.error, Number(values?.["believed_error_m"] ?? 0) * NM);
     else if (!this.isTakenOver) {
       one.isLost = true;
@@ -262,16 +245,17 @@ export class ParticlesPanel implements Panel {
   }
 
   /** Let the hand go on where the program is: the tip comes up, and down again at the same place. */
-  private async take(): Promise<void> {
+  async take() {
     this.isTakenOver = true;
     this.words = "The program ends, and the tip comes up.";
     this.isByHand = await this.cockpit.tip.followHand();
     this.words = this.isByHand ? "By hand: press down with Keep holding, and steer across." : "The tip does not follow the hand: take over again.";
-    if (this.isByHand) await this.set({ "lateral.mode": this.mode.value, "lateral.clutch": "engaged", ...this.line() });
+    if (this.isByHand)
+      await this.set({ "lateral.mode": this.mode.value, "lateral.clutch": "engaged", ...this.line() });
   }
 
   /** Let the program go on from where the particles are believed to be now. */
-  private async give(): Promise<void> {
+  async give() {
     const { hand, tip } = this.cockpit;
     hand.letGo();
     await this.until(() => !this.isAssembling && !tip.program, 3000);
@@ -279,24 +263,24 @@ export class ParticlesPanel implements Panel {
   }
 
   /** The guide from where the pushed particle, or the nearest with a target, is to where it is to go. */
-  private line(): Values {
+  line() {
     const one = this.pushed ?? this.known.find(({ target }) => target);
     if (!one?.target) return {};
     return { "lateral.guide.x0_m": one.x / NM, "lateral.guide.y0_m": one.y / NM, "lateral.guide.x1_m": one.target.x / NM, "lateral.guide.y1_m": one.target.y / NM };
   }
 
   /** Choose what the hand across is; the list shows again what it was where that is refused. */
-  private async choose(): Promise<void> {
+  async choose() {
     const wanted = this.mode.value;
     if (await this.set({ "lateral.mode": wanted })) this.chosen = wanted;
     else this.mode.value = this.chosen;
   }
 
-  private async set(values: Values): Promise<boolean> {
+  async set(values) {
     return this.cockpit.commands.command("hand across the sample", "set", "controller", values);
   }
 
-  private async until(holds: () => boolean, longest_ms = LONGEST_PUSH_MS): Promise<boolean> {
+  async until(holds, longest_ms = LONGEST_PUSH_MS) {
     for (let waited = 0; waited < longest_ms; waited += LOOK_MS) {
       if (holds()) return true;
       await new Promise((go) => setTimeout(go, LOOK_MS));
@@ -304,7 +288,7 @@ export class ParticlesPanel implements Panel {
     return holds();
   }
 
-  private steer(event: PointerEvent): void {
+  steer(event) {
     const { clientWidth: width, clientHeight: height } = this.pad;
     const box = this.pad.getBoundingClientRect();
     const side = Math.min(width, height) / 2;
@@ -312,7 +296,7 @@ export class ParticlesPanel implements Panel {
   }
 
   /** Begin to drag the target of the particle at a place; none where there is no particle or target. */
-  private grab(x: number, y: number): ((x: number, y: number) => void) | undefined {
+  grab(x, y) {
     const one = this.known.find((other) => Math.hypot(other.x - x, other.y - y) < other.radius || (other.target && Math.hypot(other.target.x - x, other.target.y - y) < other.radius));
     if (!one || !this.cockpit.commands.may || !this.isMeant) return undefined;
     return (toX, toY) => {
@@ -321,9 +305,9 @@ export class ParticlesPanel implements Panel {
     };
   }
 
-  private draw(pen: CanvasRenderingContext2D, at: (x: number, y: number) => [number, number], scale: number): void {
+  draw(pen, at, scale) {
     if (!this.isMeant) return;
-    const ring = (x: number, y: number, radius: number): void => {
+    const ring = (x, y, radius) => {
       pen.beginPath();
       pen.arc(...at(x, y), radius * scale, 0, 7);
     };
@@ -355,12 +339,12 @@ export class ParticlesPanel implements Panel {
     pen.setLineDash([]);
   }
 
-  private button(id: string, text: string, action: () => void): HTMLButtonElement {
-    return make("button", { type: "button", id, onclick: action }, text);
+  button(id, text, action) {
+    return element("button", { type: "button", id, onclick: action }, text);
   }
 
-  private toggle(id: string, text: string, title: string, values: (on: boolean) => Values): HTMLButtonElement {
-    const button = make("button", { type: "button", id, title, "aria-pressed": "false" }, text);
+  toggle(id, text, title, values) {
+    const button = element("button", { type: "button", id, title, "aria-pressed": "false" }, text);
     button.addEventListener("click", () => {
       const on = button.getAttribute("aria-pressed") !== "true";
       void this.set(values(on)).then((done) => done && button.setAttribute("aria-pressed", String(on)));
@@ -368,3 +352,5 @@ export class ParticlesPanel implements Panel {
     return button;
   }
 }
+
+export const make = (root, cockpit) => new ParticlesPanel(root, cockpit);

@@ -1,16 +1,7 @@
-import "./styles.css";
-import "./participant.css";
-import { Connection, type LinkState } from "./connection";
-import { make, part } from "./dom";
-import { Remaining, countOf, courseOf, cueOf, directionOf, label, type Course, type Cue, type Question } from "./experiment/cue";
-import { QuestionForm, type Given } from "./experiment/form";
-import { TargetView } from "./experiment/target";
-import { Hand } from "./hand";
-import type { ServerFrame } from "./protocol";
-import { View } from "./scene";
-import { Store } from "./store";
-import { Surface } from "./surface";
-import { socketUrl, takeToken } from "./token";
+import { Connection, Hand, Store, Surface, View, make, part, socketUrl, takeToken } from "../../kit.js";
+import { Remaining, answerOf, countOf, courseOf, cueOf, directionOf, label } from "./cue.js";
+import { QuestionForm } from "./form.js";
+import { TargetView } from "./target.js";
 
 /** The page of a participant: what to do, the target, the hand, and questions. It is told nothing of the condition. */
 const CUE = "experiment/cue";
@@ -18,17 +9,17 @@ const AGAIN_MS = 500;
 const token = takeToken(location, history, () => sessionStorage);
 addEventListener("hashchange", () => location.reload());
 const store = new Store();
-const connection = new Connection(socketUrl(location.href), token);
+const connection = new Connection(socketUrl(new URL("../../", location.href).href), token);
 const hand = new Hand(connection, store);
 const remaining = new Remaining();
 const [sheet, trial, note] = [part("sheet"), part("trial"), part("note")];
 const target = new TargetView(part("follow"), store);
 const buttons = make("div", { class: "row", id: "buttons" });
-let link: LinkState = "connecting";
+let link = "connecting";
 let linkText = "";
-let cue: Cue | undefined;
-let course: Course | undefined;
-let view: View | undefined;
+let cue;
+let course;
+let view;
 let dirty = false;
 
 hand.may = () => link === "open" && cue?.stage === "trial";
@@ -39,7 +30,7 @@ connection.onState = (state, text) => {
   document.body.dataset["link"] = state;
   show();
 };
-connection.onFrame = (frame: ServerFrame) => {
+connection.onFrame = (frame) => {
   if (frame.k === "snapshot") store.begin(frame);
   else if (frame.k === "tick") store.take(frame);
   else if (frame.k === "hand") hand.notice(frame);
@@ -54,19 +45,20 @@ connection.onFrame = (frame: ServerFrame) => {
 };
 
 /** Send an answer to the cue that is shown, again while nobody takes it and the cue stands; whether it was taken. */
-async function give(values: Given): Promise<boolean> {
+async function give(values) {
   const asked = cue;
   const shown_s = remaining.shown(performance.now());
   note.textContent = "";
   while (asked && asked.id === cue?.id) {
-    if ((await connection.ask({ k: "experiment", cue: asked.id, values, shown_s })).ok) return true;
-    if (asked.id === cue?.id) note.textContent = "Your answer has not arrived, and is sent again. Tell the experimenter if this stays.";
+    if ((await connection.ask(answerOf(asked.id, values, shown_s))).ok) return true;
+    if (asked.id === cue?.id)
+      note.textContent = "Your answer has not arrived, and is sent again. Tell the experimenter if this stays.";
     await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
   }
   return false;
 }
 
-function show(): void {
+function show() {
   note.textContent = "";
   const isTrial = link === "open" && cue?.stage === "trial";
   trial.hidden = !isTrial;
@@ -80,25 +72,25 @@ function show(): void {
     sheet.dir = directionOf(document.documentElement.lang);
     Object.assign(part("done"), { max: Math.max(1, cue.total), value: cue.done });
   }
-  if (isTrial) beginTrial(cue!);
+  if (isTrial) beginTrial(cue);
   else sheet.replaceChildren(make("div", { class: "card" }, ...card()));
-  sheet.querySelector<HTMLElement>("input, button")?.focus({ preventScroll: true });
+  sheet.querySelector("input, button")?.focus({ preventScroll: true });
 }
 
 /** What is on the sheet between trials. */
-function card(): HTMLElement[] {
+function card() {
   // The rig ends with the session, and its connection with it.
   if (link !== "open" && cue?.stage !== "end") return [make("h2", {}, "Not connected"), make("p", {}, linkText)];
   if (!cue) return [make("h2", {}, "Please wait"), make("p", {}, "The experiment has not begun.")];
-  const found: HTMLElement[] = [make("h2", {}, cue.title), ...cue.text.split("\n").map((text) => make("p", {}, text))];
+  const found = [make("h2", {}, cue.title), ...cue.text.split("\n").map((text) => make("p", {}, text))];
   if (cue.remaining_s !== null) found.push(make("p", { class: "left", id: "left" }, ""));
   if (cue.questions.length) found.push(formOf(cue.questions).root);
   else if (cue.remaining_s === null && cue.stage !== "pause" && cue.stage !== "end") found.push(goOn());
   return found;
 }
 
-function formOf(questions: Question[]): QuestionForm {
-  const answer = (given: Given): void => {
+function formOf(questions) {
+  const answer = (given) => {
     form.busy(true);
     void give(given).then((ok) => form.busy(ok));
   };
@@ -106,7 +98,7 @@ function formOf(questions: Question[]): QuestionForm {
   return form;
 }
 
-function goOn(): HTMLElement {
+function goOn() {
   const button = make("button", { type: "button", class: "go", id: "go-on" }, label(cue, cue?.stage === "instruction" ? "begin" : "go_on"));
   button.addEventListener("click", () => {
     button.disabled = true;
@@ -115,20 +107,18 @@ function goOn(): HTMLElement {
   return button;
 }
 
-function beginTrial(shown: Cue): void {
+function beginTrial(shown) {
   target.begin(shown, course);
   hand.begin();
   trial.dataset["quantity"] = shown.quantity;
-  buttons.replaceChildren(
-    ...shown.questions.map(({ name, options }) => {
-      const button = make("button", { type: "button", class: "go", id: `during-${name}` }, options[0] ?? name);
-      button.addEventListener("click", () => {
-        button.disabled = true;
-        void give({ [name]: options[0] ?? "yes" }).then((ok) => (button.disabled = ok));
-      });
-      return button;
-    }),
-  );
+  buttons.replaceChildren(...shown.questions.map(({ name, options }) => {
+    const button = make("button", { type: "button", class: "go", id: `during-${name}` }, options[0] ?? name);
+    button.addEventListener("click", () => {
+      button.disabled = true;
+      void give({ [name]: options[0] ?? "yes" }).then((ok) => (button.disabled = ok));
+    });
+    return button;
+  }));
   if (view) return;
   try {
     view = new View(part("scene"), store, new Surface());
@@ -142,10 +132,10 @@ function beginTrial(shown: Cue): void {
   }
 }
 
-function draw(): void {
+function draw() {
   const left = remaining.left(performance.now());
   if (cue?.stage === "trial" && !trial.hidden) {
-    const end = course ? course.times[course.times.length - 1]! : 0;
+    const end = course ? course.times[course.times.length - 1] : 0;
     target.draw(course && left !== null ? Math.max(0, end - left) : remaining.shown(performance.now()));
     hand.draw();
     if (dirty) view?.follow();
@@ -158,7 +148,7 @@ function draw(): void {
   requestAnimationFrame(draw);
 }
 
-function stop(): void {
+function stop() {
   hand.letGo();
   void connection.ask({ k: "estop" }).then(({ ok, text }) => (note.textContent = ok ? "Stopped." : `STOP was ${text}`));
 }
@@ -166,7 +156,7 @@ function stop(): void {
 part("estop").addEventListener("click", stop);
 addEventListener("keydown", (event) => {
   if (event.key === "Escape" && !event.repeat) stop();
-  const first = buttons.querySelector<HTMLButtonElement>("button:not(:disabled)");
+  const first = buttons.querySelector("button:not(:disabled)");
   if (event.key === " " && cue?.stage === "trial" && first) {
     event.preventDefault();
     first.click();
@@ -174,13 +164,8 @@ addEventListener("keydown", (event) => {
 });
 document.documentElement.dataset["theme"] = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
 if (token) connection.open();
-else connection.onState("refused", "Open the address that the experimenter gives you: it ends with a token.");
+else
+  connection.onState("refused", "Open the address that the experimenter gives you: it ends with a token.");
 requestAnimationFrame(draw);
-
 /** What the tests read; nothing of it changes the rig. */
-declare global {
-  interface Window {
-    participant: { store: Store; hand: Hand };
-  }
-}
 window.participant = { store, hand };

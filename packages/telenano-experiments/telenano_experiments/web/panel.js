@@ -1,11 +1,9 @@
-import type { Cockpit, Panel } from "../cockpit";
-import { make } from "../dom";
-import { cueOf } from "../experiment/cue";
-import type { Facts } from "../protocol";
+import { make as element } from "../../kit.js";
+import { answerOf, cueOf } from "./cue.js";
 
 const CUE = "experiment/cue";
 const TRIAL = "experiment/trial";
-const STAGES: Record<string, string> = {
+const STAGES = {
   consent: "asked for consent",
   instruction: "reads the instruction",
   countdown: "sees the countdown",
@@ -22,29 +20,28 @@ const ACTIONS = [
   ["disturbed", "Mark disturbed", "This trial was disturbed, and is repeated by the rule of the experiment"],
   ["skip", "Skip trial", "This trial is left out"],
   ["exclude", "Exclude", "The data of this participant do not count; give a reason"],
-] as const;
+];
 
 /** For the experimenter: the trial with its condition, the participant's page, progress, and what can be done. */
-export class ExperimentPanel implements Panel {
-  private readonly facts = make("dl", { class: "facts", id: "experiment-facts" });
-  private readonly state = make("p", { id: "experiment-state", role: "status" }, "");
-  private readonly progress = make("progress", { id: "experiment-progress", "aria-label": "Trials that are over" });
-  private readonly reason = make("input", { id: "experiment-reason", type: "text", placeholder: "Reason", "aria-label": "Reason", maxlength: 200 });
-  private readonly buttons = ACTIONS.map(([action, text, title]) => make("button", { type: "button", id: `experiment-${action}`, title, onclick: () => void this.act(action) }, text));
-  private shown = "";
+class ExperimentPanel {
+  cockpit;
+  facts = element("dl", { class: "facts", id: "experiment-facts" });
+  state = element("p", { id: "experiment-state", role: "status" }, "");
+  progress = element("progress", { id: "experiment-progress", "aria-label": "Trials that are over" });
+  reason = element("input", { id: "experiment-reason", type: "text", placeholder: "Reason", "aria-label": "Reason", maxlength: 200 });
+  buttons = ACTIONS.map(([action, text, title]) => element("button", { type: "button", id: `experiment-${action}`, title, onclick: () => void this.act(action) }, text));
+  shown = "";
 
-  constructor(
-    root: HTMLElement,
-    private readonly cockpit: Cockpit,
-  ) {
-    root.append(this.state, make("div", { class: "row" }, ...this.buttons, this.reason), this.progress, this.facts);
+  constructor(root, cockpit) {
+    this.cockpit = cockpit;
+    root.append(this.state, element("div", { class: "row" }, ...this.buttons, this.reason), this.progress, this.facts);
   }
 
-  begin(): void {
+  begin() {
     for (const control of [...this.buttons, this.reason]) control.disabled = !this.cockpit.commands.may;
   }
 
-  write(): void {
+  write() {
     const { store } = this.cockpit;
     const [trial, cue] = [store.state.get(TRIAL), cueOf(store.state.get(CUE))];
     const left = cue?.remaining_s === null || cue === undefined ? "" : `, ${Math.ceil(cue.remaining_s)} s`;
@@ -55,10 +52,10 @@ export class ExperimentPanel implements Panel {
     this.shown = text;
     this.state.textContent = state;
     Object.assign(this.progress, { max: Math.max(1, cue?.total ?? 1), value: cue?.done ?? 0 });
-    this.facts.replaceChildren(...rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
+    this.facts.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
   }
 
-  private async act(action: string): Promise<void> {
+  async act(action) {
     const { commands, store } = this.cockpit;
     const reason = this.reason.value.trim();
     if (action === "exclude" && !reason) {
@@ -67,12 +64,12 @@ export class ExperimentPanel implements Panel {
       return;
     }
     const cue = cueOf(store.state.get(CUE));
-    if (await commands.ask(action, { k: "experiment", cue: cue?.id ?? "none", values: { action, reason }, shown_s: 0 })) this.reason.value = "";
+    if (await commands.ask(action, answerOf(cue?.id ?? "none", { action, reason }, 0))) this.reason.value = "";
   }
 }
 
-function rowsOf(trial: Facts): [string, string][] {
-  const condition = Object.entries((trial["condition"] ?? {}) as Facts).map(([name, level]): [string, string] => [name, String(level)]);
+function rowsOf(trial) {
+  const condition = Object.entries((trial["condition"] ?? {})).map(([name, level]) => [name, String(level)]);
   const number = Number(trial["index"]) + 1;
   return [
     ["Participant", `${trial["participant"]}, session ${trial["session"]}`],
@@ -82,3 +79,5 @@ function rowsOf(trial: Facts): [string, string][] {
     ["Picture late by", `${(1e3 * Number(trial["picture_delay_s"])).toFixed(0)} ms`],
   ];
 }
+
+export const make = (root, cockpit) => new ExperimentPanel(root, cockpit);

@@ -1,9 +1,9 @@
 import { expect, it } from "vitest";
-import { Remaining, countOf, courseOf, cueOf, directionOf, label, targetAt, type Cue } from "../src/experiment/cue";
-import { linesIn, range } from "../src/experiment/target";
+import { Remaining, countOf, courseOf, cueOf, directionOf, label, targetAt } from "../../telenano_experiments/web/cue.js";
+import { linesIn, range } from "../../telenano_experiments/web/target.js";
 
-const array = (...values: number[]): Cue["target"] => ({ dtype: "f8", shape: [values.length], data: new Uint8Array(new Float64Array(values).buffer) });
-const cue = (changes: Partial<Cue> = {}): Cue => ({
+const array = (...values: number[]) => ({ dtype: "f8", shape: [values.length], data: new Uint8Array(new Float64Array(values).buffer) });
+const cue = (changes = {}) => ({
   id: "c-1",
   stage: "trial",
   title: "",
@@ -22,9 +22,9 @@ const cue = (changes: Partial<Cue> = {}): Cue => ({
 });
 
 it("follows a target between its corners and holds its ends", () => {
-  const course = courseOf(cue())!;
+  const course = courseOf(cue());
   expect([-1, 0, 1, 2, 3, 4, 9].map((time) => targetAt(course, time))).toEqual([0, 0, 5, 10, 8, 6, 6]);
-  const place = courseOf(cue({ quantity: "place", times_s: array(0, 1), target: array(1, 2, 3, 4) }))!;
+  const place = courseOf(cue({ quantity: "place", times_s: array(0, 1), target: array(1, 2, 3, 4) }));
   expect([targetAt(place, 0.5, 0), targetAt(place, 0.5, 1)]).toEqual([2, 3]);
   expect(courseOf(cue({ quantity: "none" }))).toBeUndefined();
   expect(cueOf(undefined)).toBeUndefined();

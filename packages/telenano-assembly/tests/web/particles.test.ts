@@ -1,7 +1,7 @@
 import { expect, it } from "vitest";
-import { findParticles, isBlocked, sphereHeight, touchDistance, travelLeft, type Heights, type Particle } from "../src/particles";
+import { findParticles, isBlocked, sphereHeight, touchDistance, travelLeft } from "../../telenano_assembly/web/particles.js";
 
-function image(places: readonly (readonly [number, number])[], noise = 0, radius = 250): Heights {
+function image(places: readonly (readonly [number, number])[], noise = 0, radius = 250) {
   const [rows, columns, side] = [49, 65, 4000];
   let seed = 7;
   const random = (): number => (seed = (seed * 16807) % 2147483647) / 2147483647 - 0.5;

@@ -7,14 +7,16 @@ browser that is told of a delay knows a part of the condition.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from services.viz_node.streams import described
+from telenano_experiments.messages import CUE as CUE_TOPIC
+from telenano_experiments.messages import TRIAL as TRIAL_TOPIC
 
-CUE, TRIAL = "experiment/cue", "experiment/trial"
+CUE = CUE_TOPIC.name
+TRIAL = TRIAL_TOPIC.name
 # The keys of the messages that pages are told of. A cue has nothing of the condition; the trial is for experimenters.
 CUE_KEYS = (
     "id", "stage", "title", "text", "remaining_s", "done", "total", "practice", "labels",
@@ -50,9 +52,11 @@ Changes = Mapping[str, Any]
 class ParticipantPicture:
     """Makes of what all pages are told what participants are told, the picture late by `delay_s` [s]."""
 
-    def __init__(self) -> None:
+    def __init__(self, streams: Sequence[Mapping[str, Any]]) -> None:
+        """Begin with the streams that pages have: name, topic and columns of each."""
         self.delay_s = 0.0
-        self._columns = _places()
+        self._streams_of_pages = streams
+        self._columns = _places(streams)
         self._held: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_MOST_HELD)
         self._contact: dict[str, Any] = {}
 
@@ -103,7 +107,7 @@ class ParticipantPicture:
                     "topic": "",
                     "columns": [each["columns"][i] for i in self._columns[each["name"]]],
                 }
-                for each in described()
+                for each in self._streams_of_pages
                 if each["name"] in self._columns
             ],
             "forms": {},
@@ -125,10 +129,10 @@ class ParticipantPicture:
         return {name: _of_columns(streams[name], self._columns[name]) for name in wanted if name in streams}
 
 
-def _places() -> dict[str, list[int]]:
+def _places(streams: Sequence[Mapping[str, Any]]) -> dict[str, list[int]]:
     """Return by stream the places of the columns that pass."""
     found = {}
-    for stream in described():
+    for stream in streams:
         if wanted := (_HAND | _PICTURE).get(stream["name"]):
             names = [column["name"] for column in stream["columns"]]
             found[stream["name"]] = [names.index(name) for name in wanted]

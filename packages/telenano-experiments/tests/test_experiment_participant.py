@@ -19,14 +19,15 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
-from telenano_experiments.messages import Question
+from telenano_experiments import panel as panels
+from telenano_experiments.messages import CUE, Question
+from telenano_experiments.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
 from wire_contract import examples
 
 from services.viz_node import hub as hubs
 from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
-from services.viz_node.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
 from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
@@ -79,7 +80,8 @@ class Outlet:
     def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
         self._rig.pushed.append(force_n)
 
-    def answer(self, **fields: Any) -> None:
+    def publish(self, topic: str, **fields: Any) -> None:
+        assert topic == "experiment/answer"
         self._rig.answers.append(fields)
         if self._rig.takes:
             self._rig.cue(answered=(fields["id"],))
@@ -196,6 +198,12 @@ def stack() -> Iterator[ExitStack]:
         yield opened
 
 
+def given(cue: str = "c-1", values: Mapping[str, Any] | None = None, shown_s: float = 0.0) -> dict[str, Any]:
+    """Return what a page sends to answer a cue."""
+    answers = {f"answer.{name}": value for name, value in (values or {"felt": "now"}).items()}
+    return {"k": "panel", "panel": "experiment", "values": {**answers, "cue": cue, "shown_s": shown_s}}
+
+
 def stage(name: str) -> Any:
     return lambda frame: frame.get("state", {}).get("experiment/cue", {}).get("stage") == name
 
@@ -204,7 +212,7 @@ def test_nothing_of_the_condition_is_in_the_traffic(rig: Rig, client: TestClient
     page, operator = Page(stack, client), Page(stack, client, ACCESS.operator_token)
     page.take(lambda frame: frame["k"] == "snapshot")
     rig.trial(PICTURE_S)
-    for topic in sorted({*TOPICS_SHOWN} - {"experiment/cue", "experiment/trial", "afm/scanline"}):
+    for topic in sorted({*TOPICS_SHOWN} - {"afm/scanline"}):
         for case in ("ordinary", "nil"):
             for src in ("controller@master", "controller@slave"):
                 fields = marked(told(examples(TOPICS[topic])[case]))
@@ -217,7 +225,7 @@ def test_nothing_of_the_condition_is_in_the_traffic(rig: Rig, client: TestClient
     for asked in ({"k": "document"}, {"k": "part", "from_s": 0.0, "to_s": 1.0, "spans": 0}):
         assert page.answer(**asked)["ok"] is False
     assert page.answer(k="estop")["ok"] is True
-    assert page.answer(k="experiment", cue="c-1", values={"felt": "now"}, shown_s=1.5)["ok"] is True
+    assert page.answer(**given(values={"felt": "now"}, shown_s=1.5))["ok"] is True
     rig.cue(stage="end")
     page.take(stage("end"))
     page.assert_blind()
@@ -256,8 +264,8 @@ def test_the_hand_is_held_and_answers_are_the_participants(rig: Rig, client: Tes
     rig.cue()
     page.take(stage("trial"))
     assert 1.25 in rig.pushed
-    assert page.answer(k="experiment", cue="c-1", values={"felt": "now"}, shown_s=2.0)["ok"]
-    assert experimenter.answer(k="experiment", cue="c-1", values={"action": "pause", "reason": ""}, shown_s=0.0)["ok"]
+    assert page.answer(**given(values={"felt": "now"}, shown_s=2.0))["ok"]
+    assert experimenter.answer(**given(values={"action": "pause", "reason": ""}))["ok"]
     kept = [{key: answer[key] for key in ("role", "values", "shown_s", "given_ns")} for answer in rig.answers]
     assert {"role": "participant", "values": {"felt": "now"}, "shown_s": 2.0, "given_ns": 1_000} in kept
     assert [answer["role"] for answer in kept] == ["participant", "experimenter"]
@@ -267,7 +275,7 @@ def test_an_answer_is_sent_until_it_is_taken(rig: Rig, client: TestClient, stack
     page, rig.takes = Page(stack, client), False
     rig.cue()
     page.take(stage("trial"))
-    page.send(id="a-7", k="experiment", cue="c-1", values={"felt": "now"}, shown_s=0.0)
+    page.send(id="a-7", **given(values={"felt": "now"}))
     end = time.monotonic() + 10.0
     while len(rig.answers) < 3 and time.monotonic() < end:
         time.sleep(0.01)
@@ -283,15 +291,14 @@ def test_a_participant_has_one_answer_under_way_to_the_cue_that_stands(
     said: list[bool] = []
     monkeypatch.setattr(ParticipantPicture, "said", lambda self, *, is_ok: said.append(is_ok) or "said")
     page, rig.takes = Page(stack, client), False
-    small = {"k": "experiment", "values": {"felt": "now"}, "shown_s": 0.0}
-    assert not page.answer(**small, cue="c-1")["ok"]
+    assert not page.answer(**given())["ok"]
     rig.cue()
     page.take(stage("trial"))
-    assert not page.answer(**small, cue="c-0")["ok"]
-    assert not page.answer(**small | {"values": {f"n{n}": "x" * 250 for n in range(17)}}, cue="c-1")["ok"]
+    assert not page.answer(**given("c-0"))["ok"]
+    assert not page.answer(**given(values={f"n{n}": "x" * 250 for n in range(17)}))["ok"]
     assert rig.answers == []
     for number in range(100):
-        page.send(id=f"b-{number}", **small, cue="c-1")
+        page.send(id=f"b-{number}", **given())
     refused = [page.take(lambda frame: frame["k"] == "answer") for _ in range(99)]
     assert not any(frame["ok"] for frame in refused)
     assert {answer["id"] for answer in rig.answers} == {"b-0"}
@@ -299,18 +306,19 @@ def test_a_participant_has_one_answer_under_way_to_the_cue_that_stands(
     rig.cue(id="c-2")
     assert page.take(lambda frame: frame["k"] == "answer")["ok"] is False
     rig.takes = True
-    assert page.answer(**small, cue="c-2")["ok"] is True
+    assert page.answer(**given("c-2"))["ok"] is True
 
 
 def test_who_answers_no_experiment_is_told_so(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "_ANSWER_DEADLINE_S", 0.05)
+    monkeypatch.setattr(panels, "_ANSWER_DEADLINE_S", 0.05)
     rig.takes = False
     operator, observer = (Page(stack, client, token) for token in (ACCESS.operator_token, ACCESS.observer_token))
-    given = {"k": "experiment", "cue": "c-1", "values": {"action": "skip"}, "shown_s": 0.0}
-    assert operator.answer(**given)["text"] == "no experiment takes the answer: does one run?"
-    assert "token of an observer" in observer.answer(**given)["text"]
+    assert (
+        operator.answer(**given(values={"action": "skip"}))["text"] == "no experiment takes the answer: does one run?"
+    )
+    assert "token of an observer" in observer.answer(**given(values={"action": "skip"}))["text"]
 
 
 def streams(at: float) -> dict[str, Any]:
@@ -329,7 +337,7 @@ def state_of(delay_s: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4])
 def test_the_picture_is_late_and_the_hand_is_not(delay_s: float) -> None:
-    picture, period_s = ParticipantPicture(), 1.0 / 30.0
+    picture, period_s = ParticipantPicture(described()), 1.0 / 30.0
     picture.take(state_of(delay_s), 0.0)
     late: list[float] = []
     for n in range(1, 60):
@@ -350,7 +358,7 @@ def test_the_picture_is_late_and_the_hand_is_not(delay_s: float) -> None:
 
 
 def test_a_shorter_delay_shows_what_was_held_and_in_order() -> None:
-    picture = ParticipantPicture()
+    picture = ParticipantPicture(described())
     picture.take(state_of(1.0), 0.0)
     for n in range(1, 4):
         assert not [each for each in picture.take(streams(0.1 * n), 0.1 * n) if "tip" in each["streams"]]
@@ -372,7 +380,7 @@ def test_a_participant_has_a_token_of_its_own() -> None:
 
 def test_a_page_is_told_all_of_a_cue_but_its_header() -> None:
     header = {"seq", "t_ns", "src", "v"}
-    assert set(CUE_KEYS) == set(TOPICS["experiment/cue"].model.__struct_fields__) - header
+    assert set(CUE_KEYS) == set(CUE.model.__struct_fields__) - header
 
 
 def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_the_condition(
@@ -403,17 +411,24 @@ def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_t
             {"k": "document"},
             {"k": "part", "from_s": draw.choice(reals), "to_s": draw.choice(reals), "spans": draw.choice((0, 2**60))},
             {"k": "estop"},
-            {"k": "experiment", "cue": draw.choice(texts), "values": draw.choice(values), "shown_s": reals[0]},
+            {"k": "panel", "panel": draw.choice(("experiment", "experiment", "particles", "")),
+             "values": {**draw.choice(values), "cue": draw.choice(texts), "shown_s": draw.choice((0.0, "now"))}},
         )  # fmt: skip
         return draw.choice(kinds)
 
     for _ in range(150):
         asked = drawn()
         is_ok = page.answer(**asked)["ok"]
-        is_own = asked["k"] == "experiment" and asked["cue"] == "c-1"
+        is_own = asked["k"] == "panel" and asked["panel"] == "experiment" and asked["values"]["cue"] == "c-1"
         assert is_ok == (asked["k"] == "estop") or is_own, asked
         page.send(k="here", stamp_s=draw.choice(reals), waited_s=draw.choice(reals))
     assert commanded == []
     assert rig.hub.desk.lease.holder is None and rig.hub.desk.lease.asking == ()
     page.assert_blind()
     assert rig.hub.desk.refused.rejected["role"] > 20
+
+
+def test_a_delay_beyond_what_is_held_is_shortened_to_it() -> None:
+    picture = ParticipantPicture(described())
+    picture.take(state_of(1e9), 0.0)
+    assert picture.delay_s < 10.0

@@ -1,19 +1,16 @@
-import { make } from "../dom";
-import type { Question } from "./cue";
-
-export type Given = Record<string, string | number>;
+import { make } from "../../kit.js";
 
 /** Questions to a participant, answered by keyboard, pointer or touch; nothing is chosen beforehand. */
 export class QuestionForm {
-  readonly root: HTMLFormElement;
-  private readonly given: Given = {};
-  private readonly submit: HTMLButtonElement;
+  questions;
+  onGiven;
+  root;
+  given = {};
+  submit;
 
-  constructor(
-    private readonly questions: readonly Question[],
-    private readonly onGiven: (given: Given) => void,
-    submit = "Continue",
-  ) {
+  constructor(questions, onGiven, submit = "Continue") {
+    this.questions = questions;
+    this.onGiven = onGiven;
     this.submit = make("button", { type: "submit", class: "go", id: "submit", disabled: true }, submit);
     const fields = questions.map((question) => (question.options.length ? this.choice(question) : this.scale(question)));
     this.root = make("form", { class: "questions" }, ...fields, make("div", { class: "row" }, this.submit));
@@ -24,21 +21,21 @@ export class QuestionForm {
   }
 
   /** Whether every question was answered. */
-  get isWhole(): boolean {
+  get isWhole() {
     return this.questions.every(({ name }) => name in this.given);
   }
 
   /** While an answer is on its way it cannot be given again. */
-  busy(is: boolean): void {
+  busy(is) {
     this.submit.disabled = is || !this.isWhole;
   }
 
-  private give(name: string, value: string | number): void {
+  give(name, value) {
     this.given[name] = value;
     this.submit.disabled = !this.isWhole;
   }
 
-  private choice(question: Question): HTMLElement {
+  choice(question) {
     const options = question.options.map((option, i) => {
       const input = make("input", { type: "radio", name: question.name, id: `${question.name}-${i}`, value: option, onchange: () => this.give(question.name, option) });
       return make("label", { class: "option", for: `${question.name}-${i}` }, input, make("span", {}, option));
@@ -47,12 +44,12 @@ export class QuestionForm {
   }
 
   /** A scale has no value until it was touched: a mark in its middle would be an answer. */
-  private scale(question: Question): HTMLElement {
+  scale(question) {
     const { name, least, most } = question;
     const step = question.step > 0 ? question.step : (most - least) / 100;
     const input = make("input", { type: "range", id: `scale-${name}`, min: least, max: most, step, value: least + step * Math.round((most - least) / 2 / step), class: "untouched", "aria-label": question.text, "aria-valuetext": "not answered" });
     const shown = make("output", { for: `scale-${name}` }, "–");
-    const take = (): void => {
+    const take = () => {
       input.classList.remove("untouched");
       input.setAttribute("aria-valuetext", `${input.value}, from ${question.low} to ${question.high}`);
       shown.textContent = input.value;

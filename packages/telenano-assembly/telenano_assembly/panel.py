@@ -1,0 +1,7 @@
+"""The panel of particles on the page of a rig: where they are believed to be, their targets, and who pushes them."""
+
+from pathlib import Path
+
+from telenano.serving import Panel
+
+PANEL = Panel("particles", "Particles", "dock", Path(__file__).with_name("web") / "panel.js")

@@ -1,0 +1,49 @@
+"""The hand of a person, or of who stands in for one, at the page of a rig.
+
+with contextlib.closing(RigHand(site_file)) as hand:
+hand.push(0.5)
+"""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from telenano.numerics.frames import to_site_frame
+from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.wiring.participant import open_participant
+from telenano.wire.errors import TelenanoError
+from telenano.wire.messages import Message
+from telenano.wire.nodes import VIEW
+
+
+class RigHand:
+    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows."""
+
+    def __init__(self, site_file: Path) -> None:
+        """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(VIEW, load_site(site_file)))
+        self._clock = participant.clock
+        try:
+            self._publisher = participant.bind(VIEW)
+        except TelenanoError:
+            self._open.close()
+            raise
+
+    def push(self, force_n: float, across_n: tuple[float, float] = (0.0, 0.0), by: str = "") -> None:
+        named = {"by": by} if by else {}
+        self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]), **named)
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Publish on a topic of a package, as a panel of the page does."""
+        return self._publisher.publish(topic, **fields)
+
+    def now_ns(self) -> int:
+        """Return the time on the clock of this endpoint [ns]."""
+        return self._clock.now_ns()
+
+    def close(self) -> None:
+        """Publish the last message, and close the endpoint."""
+        publish_end(self._publisher, VIEW)
+        self._open.close()
