@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from telenano.wire.messages import about as about
     from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
     from telenano.wire.network_messages import LinkKey as LinkKey
-    from telenano.wire.messages import about as about
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
     from telenano.wire.network_messages import RecordingPiece as RecordingPiece
     from telenano.wire.nodes import EXPERIMENT as EXPERIMENT

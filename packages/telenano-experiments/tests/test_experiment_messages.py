@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from telenano_experiments.messages import ANSWER, CUE, TRIAL
 
-from telenano.wire import Topic, decode, decode_header, encode
 from telenano.wire import Topic, decode, decode_header, encode, json_schema, take_up
 
 HERE = Path(__file__).parent
@@ -33,7 +32,6 @@ def test_every_topic_has_its_vectors() -> None:
 
 @pytest.mark.parametrize("row", [ANSWER, CUE, TRIAL], ids=lambda row: row.name)
 def test_the_schema_is_the_one_that_clients_in_other_languages_have(row: Topic) -> None:
-    from telenano.wire import json_schema
 
     committed = json.loads((HERE / "schemas" / f"{row.model.__name__}.json").read_text(encoding="utf-8"))
     schema = json_schema(row.model)
