@@ -18,7 +18,7 @@ import zmq
 from telenano_afm_controllers import nanonis_client
 from telenano_conformance import examination
 from telenano_experiments.bus import ExperimentBus
-from telenano_haptic_devices import haply, servo_process
+from telenano_haptic_devices import servo_process, vendor_service
 from telenano_networks import udp_ports
 from telenano_wide_area.relay import forwarder
 from test_files_and_loops import ROOT, TABLES
@@ -113,8 +113,10 @@ def kit_stranger(patch: Patch, folder: Path) -> None:
 
 def service_of_a_handle(patch: Patch, folder: Path) -> None:
     endless = Endless(True, 64)
-    patch.setattr(haply.select, "select", lambda readers, *rest: (readers, [], []))
-    conversation = made(haply.Conversation, _socket=endless, _service="service", _messages=[], _receive=endless.take)
+    patch.setattr(vendor_service.select, "select", lambda readers, *rest: (readers, [], []))
+    conversation = made(
+        vendor_service.Conversation, _socket=endless, _service="service", _messages=[], _receive=endless.take
+    )
     with pytest.raises(HandError, match="sends faster than it is read"):
         conversation.drop()
 
@@ -229,6 +231,7 @@ def silent_child(patch: Patch, folder: Path) -> None:
 
 CONTROLLERS = "packages/telenano-afm-controllers/telenano_afm_controllers"
 KIT = "packages/telenano-conformance/telenano_conformance/examination.py"
+HAPTIC = "packages/telenano-haptic-devices/telenano_haptic_devices"
 UDP = "packages/telenano-networks/telenano_networks/udp_ports.py"
 LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     f"{CONTROLLERS}/nanonis_client.py: NanonisClient.call": answers_of_a_controller,
@@ -236,12 +239,12 @@ LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     f"{KIT}: _connection_events": kit_events,
     f"{KIT}: _stranger": kit_stranger,
     "packages/telenano-experiments/telenano_experiments/bus.py: ExperimentBus.wait": answers_of_participants,
-    "packages/telenano-haptic-devices/telenano_haptic_devices/haply.py: Conversation.drop": service_of_a_handle,
+    f"{HAPTIC}/vendor_service.py: Conversation.drop": service_of_a_handle,
     f"{UDP}: UdpPorts._take_answers": datagrams_of_the_target,
     f"{UDP}: UdpPorts._take_from_clients": datagrams_of_clients,
     "telenano/console/command_client.py: _new_subscriptions": console_subscriptions,
     "telenano/console/emergency_stop.py: _Inlet.read_subscription": inlet_subscriptions,
-    "packages/telenano-haptic-devices/telenano_haptic_devices/servo_process.py: ProcessLink.open": answer_of_a_servo,
+    f"{HAPTIC}/servo_process.py: ProcessLink.open": answer_of_a_servo,
     "services/player/node.py: ReplayPublisher.read_subscriptions": player_subscriptions,
     "telenano/console/live_recording.py: LiveRecording.messages": messages_for_a_recorder,
     "packages/telenano-wide-area/telenano_wide_area/relay/forwarder.py: Forwarder._read": datagrams_at_a_relay,

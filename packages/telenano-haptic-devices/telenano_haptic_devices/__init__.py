@@ -2,7 +2,7 @@
 
     from telenano_haptic_devices import impedance_driver
 
-    MY_DEVICE = impedance_driver("my_device", MyConfig, make_my_wire, "the device, for a list")
+    MY_DEVICE = impedance_driver("my_device", MyConfig, "my_package.wire:MyWire", "the device, for a list")
 
 What is named here is imported when it is first used, because the node imports what declares a driver, and the process
 of the servo its wire.
@@ -18,5 +18,13 @@ if TYPE_CHECKING:
     from telenano_haptic_devices.impedance_wire import Turn as Turn
     from telenano_haptic_devices.impedance_wire import quaternion_of as quaternion_of
     from telenano_haptic_devices.servo import DeviceSample as DeviceSample
+    from telenano_haptic_devices.vendor_library import LibraryWire as LibraryWire
+    from telenano_haptic_devices.vendor_library import VendorLibrary as VendorLibrary
+    from telenano_haptic_devices.vendor_service import Conversation as Conversation
+    from telenano_haptic_devices.vendor_service import VendorService as VendorService
+    from telenano_haptic_devices.wires import Cadence as Cadence
+    from telenano_haptic_devices.wires import Declared as Declared
+    from telenano_haptic_devices.wires import Frame as Frame
+    from telenano_haptic_devices.wires import declared as declared
 else:
     __getattr__, __dir__ = face(__name__)

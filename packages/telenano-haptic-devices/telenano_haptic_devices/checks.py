@@ -18,11 +18,12 @@ def check_devices(service: str = "", folders: Sequence[Path] | None = None) -> l
         service: The address of the Inverse Service; empty for the one of the settings.
         folders: Where to look for libraries instead of their own folders.
     """
+    from telenano_haptic_devices import dhd, hd
     from telenano_haptic_devices.haply import INSTALL, SERVICE
-    from telenano_haptic_devices.vendor_library import DHD, HD, find
+    from telenano_haptic_devices.vendor_library import find
 
     findings = [_inverse_service(service or SERVICE, INSTALL)]
-    for name, library in (("dhd", DHD), ("hd", HD)):
+    for name, library in (("dhd", dhd.LIBRARY), ("hd", hd.LIBRARY)):
         at = find(library if folders is None else library._replace(folders=tuple(map(str, folders))))
         missing = f"{library.what} is not installed, which haptic_node.driver {name} needs"
         advice = "" if at else library.install

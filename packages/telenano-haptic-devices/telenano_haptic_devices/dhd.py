@@ -3,13 +3,12 @@
 Every call takes the device as its last argument, which is always passed. On failure it returns -1, and the reason is in
 dhdErrorGetLast. The device's own watchdog is set, because it alone takes the force away when this process dies.
 
-Frames: the device has +x towards the person, +y to the right and +z up.
+The device has +x towards the person, +y to the right and +z up.
 """
 
 import ctypes
-import time
-from collections.abc import Callable
-from typing import NamedTuple
+import platform
+from typing import Any
 
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, UPRIGHT, Capabilities, DeviceError, Quaternion
 from telenano.hand import ZERO, Vector
@@ -17,10 +16,15 @@ from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import DhdConfig
 from telenano_haptic_devices.vendor_library import DHD, declare, is_double, load, tell_session
+from telenano.extend.devices import Capabilities, DeviceError
+from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, Vector
+from telenano_haptic_devices.impedance_wire import Turn
+from telenano_haptic_devices.vendor_library import LibraryWire, VendorLibrary, is_double
+from telenano_haptic_devices.wires import Cadence, Declared, Frame, Mechanics, declared
 
 _ID, _REAL, _INT, _BYTE = ctypes.c_byte, ctypes.c_double, ctypes.c_int, ctypes.c_ubyte
 _REALS, _INTS = ctypes.POINTER(_REAL), ctypes.POINTER(_INT)
-_CALLS: dict[str, tuple[type | None, tuple[type, ...]]] = {
+_CALLS: dict[str, tuple[type, tuple[type, ...]]] = {
     "dhdGetAvailableCount": (_INT, ()),
     "dhdErrorGetLast": (_INT, ()),
     "dhdErrorGetLastStr": (ctypes.c_char_p, ()),
@@ -42,10 +46,25 @@ _CALLS: dict[str, tuple[type | None, tuple[type, ...]]] = {
     "dhdDisableExpertMode": (_INT, ()),
     "dhdSetWatchdog": (_INT, (_BYTE, _ID)),
 }
+LIBRARY = VendorLibrary(
+    "Force Dimension SDK (libdhd)",
+    # DRD has all of DHD; the versions are those of the SDK.
+    ("libdrd.so.3", "libdhd.so.3", "libdrd.so", "libdhd.so", "drd64.dll", "dhd64.dll", "libdhd.dylib"),
+    (f"$FDSDK/lib/release/lin-{platform.machine()}-gcc", "~/.local/lib", "/usr/local/lib", "/usr/lib"),
+    "haptic_node.dhd.library",
+    "get the SDK at forcedimension.com (Software), unpack it, and set FDSDK to its folder; it needs libusb-1.0",
+    _CALLS,
+)
+_FRAME = Frame("y -x z")
 # 160 steps of 125 us are 20 ms.
 _WATCHDOG_STEPS = 160
-# Indices of dhdGetStatus, and the words of its cause of a force that is off.
-_CONNECTED, _RESET, _WRIST, _ERROR, _FORCE_OFF = 1, 3, 8, 9, 14
+# indices of dhdGetStatus
+_CONNECTED = 1
+_RESET = 3
+_WRIST = 8
+_ERROR = 9
+_FORCE_OFF = 14
+# What dhdGetStatus has as the cause of a force that is off.
 _CAUSES = {
     1: "its force button",
     2: "its speed",
@@ -54,18 +73,8 @@ _CAUSES = {
     5: "its USB",
     6: "its dead-man button",
 }
-_STATUS_EVERY_S = 0.02
-
-
-class Declared(NamedTuple):
-    """What CHAI3D declares for a make: greatest force [N], stiffness [N/m], damping [N s/m], radius [m]."""
-
-    force_n: float
-    stiffness_n_per_m: float
-    damping_n_s_per_m: float
-    radius_m: float
-
-
+_STATUS_EVERY_NS = 20_000_000
+# What CHAI3D declares for a make.
 _OMEGA, _DELTA = Declared(12.0, 5000.0, 30.0, 0.075), Declared(20.0, 5000.0, 30.0, 0.15)
 _SIGMA, _LAMBDA = Declared(12.0, 4000.0, 30.0, 0.075), Declared(12.0, 8000.0, 30.0, 0.1125)
 _FALCON = Declared(8.0, 3000.0, 20.0, 0.04)
@@ -77,42 +86,20 @@ _MAKES = {
     **dict.fromkeys((108, 109), _LAMBDA),
     60: _FALCON,
 }
-# The emulated omega of the tests: chosen, not measured.
-_EMULATED_DAMPING_N_S_PER_M, _EMULATED_MASS_KG = 0.5, 0.25
+# the emulated omega of the tests
+_ARM = Mechanics(mass_kg=0.25, damping_n_s_per_m=0.5)
 
 
-class DhdWire:
-    """An `ImpedanceWire` to one device of Force Dimension; a test replaces its clock [ns] and how it waits."""
+class DhdWire(LibraryWire):
+    """An `ImpedanceWire` to one device of Force Dimension."""
 
-    def __init__(
-        self,
-        settings: DhdConfig,
-        *,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._settings, self._now_ns, self._sleep = settings, now_ns, sleep
-        self._lib: ctypes.CDLL | None = None
+    library = LIBRARY
+
+    def __init__(self, settings: Any, **clock: Any) -> None:
+        super().__init__(settings, **clock)
         self._id = _ID(-1)
         self._name = "the device of Force Dimension"
         self._has_wrist = False
-
-    def open(self) -> Capabilities:
-        if self._lib is None:
-            self._lib = load(DHD, self._settings.library)
-            declare(self._lib, DHD.what, _CALLS)
-        lib = self._lib
-        if lib.dhdGetAvailableCount() <= 0:
-            text = "no device of Force Dimension is free: switch it on, plug it in, end other programs that use it"
-            raise DeviceError(text)
-        serial = self._settings.serial
-        opened = lib.dhdOpen() if serial is None else lib.dhdOpenSerial(serial)
-        self._id = _ID(self._checked(opened, "dhdOpen"))
-        try:
-            return self._come_up(lib)
-        except DeviceError:
-            self.close()
-            raise
 
     def run(self, turn: Turn) -> None:
         """Read, step and send at an absolute cadence; a call that takes longer than a period sets the rate itself."""
@@ -121,30 +108,20 @@ class DhdWire:
             raise DeviceError(f"{self._name} is not open")
         x, y, z = _REAL(), _REAL(), _REAL()
         place = ctypes.byref(x), ctypes.byref(y), ctypes.byref(z), self._id
-        period_ns, deadman = round(1e9 / self._settings.rate_hz), self._settings.deadman_button
-        due_ns = status_ns = self._now_ns()
-        error = ""
+        cadence, deadman = Cadence(self._settings.rate_hz, self._now_ns, self._sleep), self._settings.deadman_button
+        status_ns, error = self._now_ns(), ""
         while True:
             taken_ns = self._now_ns()
             self._checked(lib.dhdGetPosition(*place), "dhdGetPosition")
             if taken_ns >= status_ns:
-                status_ns = taken_ns + round(_STATUS_EVERY_S * 1e9)
-                error = self._trouble(lib)
-            buttons = lib.dhdGetButtonMask(self._id)
-            held = deadman is None or bool(buttons >> deadman & 1)
-            orientation = self._orientation(lib)
-            at = (y.value, -x.value, z.value)
-            force = turn(DeviceSample(at, taken_ns, orientation, buttons, held, taken_ns, error))
+                status_ns, error = taken_ns + _STATUS_EVERY_NS, self._trouble()
+            buttons, turned = lib.dhdGetButtonMask(self._id), self._orientation()
+            at = (x.value, y.value, z.value)
+            force = turn(_FRAME.sample(at, taken_ns, buttons=buttons, deadman=deadman, orientation=turned, error=error))
             if force is None:
                 return
-            self._set_force(lib, force)
-            due_ns = max(due_ns + period_ns, self._now_ns() - period_ns)
-            if (left_ns := due_ns - self._now_ns()) > 0:
-                self._sleep(left_ns * 1e-9)
-
-    def session(self, runs: bool) -> None:
-        if self._lib is not None:
-            tell_session(self._lib, runs)
+            self._set_force(force)
+            cadence.wait()
 
     def close(self) -> None:
         """Set no force, stop and close; what closing alone does to a force is not documented."""
@@ -155,14 +132,27 @@ class DhdWire:
         self._lib.dhdClose(self._id)
         self._id = _ID(-1)
 
-    def _come_up(self, lib: ctypes.CDLL) -> Capabilities:
+    def _come_up(self) -> Capabilities:
+        lib, wanted = self._lib, self._settings.serial
+        if lib.dhdGetAvailableCount() <= 0:
+            text = "no device of Force Dimension is free: switch it on, plug it in, end other programs that use it"
+            raise DeviceError(text)
+        opened = lib.dhdOpen() if wanted is None else lib.dhdOpenSerial(wanted)
+        self._id = _ID(self._checked(opened, "dhdOpen"))
         make = _MAKES.get(self._checked(lib.dhdGetSystemType(self._id), "dhdGetSystemType"), _FALCON)
         serial = ctypes.c_ushort()
         self._checked(lib.dhdGetSerialNumber(ctypes.byref(serial), self._id), "dhdGetSerialNumber")
-        emulated = is_double(lib)
         name = (lib.dhdGetSystemName(self._id) or b"device").decode(errors="replace")
-        self._name = f"Force Dimension {name}, serial number {serial.value}" + ", emulated" * emulated
-        self._has_wrist = bool(self._status(lib)[_WRIST])
+        able = declared(
+            f"Force Dimension {name}, serial number {serial.value}",
+            make,
+            self._settings.rate_hz,
+            arm=_ARM if is_double(lib) else None,
+            buttons=("0", "1", "2", "3"),
+            deadman="" if self._settings.deadman_button is None else str(self._settings.deadman_button),
+            has_orientation=bool(self._status()[_WRIST]),
+        )
+        self._name, self._has_wrist = able.identity, able.has_orientation
         self._checked(lib.dhdEnableExpertMode(), "dhdEnableExpertMode")
         try:
             self._checked(lib.dhdSetWatchdog(_WATCHDOG_STEPS, self._id), "dhdSetWatchdog")
@@ -170,49 +160,26 @@ class DhdWire:
             lib.dhdDisableExpertMode()
         self._checked(lib.dhdSetMaxForce(make.force_n, self._id), "dhdSetMaxForce")
         self._checked(lib.dhdEnableForce(1, self._id), "dhdEnableForce")
-        self._set_force(lib, ZERO)
-        ends = (-make.radius_m, make.radius_m)
-        return Capabilities(
-            max_force_n=make.force_n,
-            max_stiffness_n_per_m=make.stiffness_n_per_m,
-            max_damping_n_s_per_m=make.damping_n_s_per_m,
-            workspace_min_m=-make.radius_m,
-            workspace_max_m=make.radius_m,
-            modes=(MODE_OFF, MODE_POSITION),
-            identity=self._name,
-            force_source="estimate",
-            kind="impedance",
-            axes=3,
-            lateral_m=(ends, ends),
-            rate_hz=self._settings.rate_hz,
-            damping_n_s_per_m=_EMULATED_DAMPING_N_S_PER_M * emulated,
-            mass_kg=_EMULATED_MASS_KG * emulated,
-            # The force is sent in the period of its sample; a period is allowed for the line.
-            drive_delay_s=1.0 / self._settings.rate_hz,
-            buttons=("0", "1", "2", "3"),
-            deadman="" if self._settings.deadman_button is None else str(self._settings.deadman_button),
-            has_orientation=self._has_wrist,
-        )
+        self._set_force(ZERO)
+        return able
 
     def _checked(self, code: int, call: str) -> int:
         if code < 0:
-            assert self._lib is not None
             reason = (self._lib.dhdErrorGetLastStr() or b"no reason").decode(errors="replace")
             raise DeviceError(f"{self._name}: {call} failed: {reason}")
         return code
 
-    def _set_force(self, lib: ctypes.CDLL, force: Vector) -> None:
-        x, y, z = force
-        self._checked(lib.dhdSetForce(-y, x, z, self._id), "dhdSetForce")
+    def _set_force(self, force: Vector) -> None:
+        self._checked(self._lib.dhdSetForce(*_FRAME.to_device(force), self._id), "dhdSetForce")
 
-    def _status(self, lib: ctypes.CDLL) -> list[int]:
+    def _status(self) -> list[int]:
         status = (_INT * 17)()
-        self._checked(lib.dhdGetStatus(status, self._id), "dhdGetStatus")
+        self._checked(self._lib.dhdGetStatus(status, self._id), "dhdGetStatus")
         return list(status)
 
-    def _trouble(self, lib: ctypes.CDLL) -> str:
+    def _trouble(self) -> str:
         """Return why the device must not be driven now, in words; empty if it may."""
-        status = self._status(lib)
+        status = self._status()
         if not status[_CONNECTED]:
             raise DeviceError(f"{self._name} is not connected: plug it in")
         if status[_RESET]:
@@ -224,12 +191,9 @@ class DhdWire:
             return f"{self._name} has no force, which was switched off by {cause}"
         return ""
 
-    def _orientation(self, lib: ctypes.CDLL) -> Quaternion:
+    def _orientation(self) -> Quaternion:
         if not self._has_wrist:
             return UPRIGHT
         frame = (_REAL * 9)()
-        self._checked(lib.dhdGetOrientationFrame(frame, self._id), "dhdGetOrientationFrame")
-        d = tuple(tuple(frame[3 * i : 3 * i + 3]) for i in range(3))
-        # R in the master frame is P D P^T, where P takes (x, y, z) to (y, -x, z).
-        rows = (d[1], tuple(-value for value in d[0]), d[2])
-        return quaternion_of(tuple((row[1], -row[0], row[2]) for row in rows))
+        self._checked(self._lib.dhdGetOrientationFrame(frame, self._id), "dhdGetOrientationFrame")
+        return _FRAME.orientation([frame[3 * i : 3 * i + 3] for i in range(3)])

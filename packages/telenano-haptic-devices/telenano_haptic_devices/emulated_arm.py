@@ -13,6 +13,9 @@ from typing import Any, NamedTuple
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import ZERO, Vector, arm_step, operator_at_rest, operator_step
 from telenano_haptic_devices.haply import EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG
+from telenano.extend.emulators import OperatorInputs, arm_step, operator_at_rest, operator_step
+from telenano.extend.impedance import ZERO, Vector
+from telenano_haptic_devices.wires import Mechanics
 
 # half of the workspace, and the step of the encoders [m]
 RADIUS_M, _STEP_M = 0.10, 1e-6
@@ -37,10 +40,12 @@ class EmulatedArm:
 
     Args:
         hand: The hand, as one of the models of `operator_models`.
+        arm: Its mass and damping.
         person: What a person does at each time of the session [s], in the place of the hand; before it begins, nothing.
     """
 
-    def __init__(self, hand: Any, person: Callable[[float], HandMotion] | None = None) -> None:
+    def __init__(self, hand: Any, arm: Mechanics, person: Callable[[float], HandMotion] | None = None) -> None:
+        self._arm = arm
         self.force_n, self.person = ZERO, person
         # Forces act so much later, and these are on their way, each with its time on the clock of the arm.
         self.drive_delay_s = self.time_s = 0.0
@@ -105,7 +110,7 @@ class EmulatedArm:
                 drive += motion.stiffness_n_per_m * (motion.place_m[axis] - self.position_m[axis])
             elif axis == 2:
                 drive += self._hand_force_n if self.push_n is None else 0.0 - self.push_n
-            place, speed = arm_step(EMULATED_MASS_KG, EMULATED_DAMPING_N_S_PER_M, self.position_m[axis], v, drive, dt)
+            place, speed = arm_step(*self._arm, self.position_m[axis], v, drive, dt)
             if self.held:
                 place, speed = self.position_m[axis], 0.0
             speeds.append(speed)

@@ -11,8 +11,6 @@ Frames: the device has +x to the right, +y away from the person and +z up, which
 
 import contextlib
 import math
-import select
-import socket
 import time
 from collections.abc import Callable
 from typing import Any
@@ -22,31 +20,34 @@ import msgspec
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, UPRIGHT, Capabilities, DeviceError, Quaternion
 from telenano.hand import ZERO, Vector
 from telenano.runtime import StructuredLog
+from telenano.extend.devices import Capabilities, DeviceError
+from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, StructuredLog, Vector
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
+from telenano_haptic_devices.vendor_service import Conversation, VendorService
+from telenano_haptic_devices.wires import Cadence, Declared, Mechanics, declared
 
 SERVICE = "ws://127.0.0.1:10001"
-# The emulated Inverse3: chosen, not measured.
-EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG = 0.20, 0.20
-NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
+# the emulated Inverse3
+ARM = Mechanics(mass_kg=0.20, damping_n_s_per_m=0.20)
 INSTALL = "start Haply's Inverse Service (Haply Hub, docs.haply.co), or run `telenano device simulate haply`"
+INVERSE_SERVICE = VendorService(
+    "Inverse Service", "the Haply Inverse3", "haptic_node.haply.service", SERVICE, "format 3.x", INSTALL
+)
 # What Haply's CHAI3D driver declares.
-MAX_FORCE_N = 10.0
-MAX_STIFFNESS_N_PER_M = 1000.0
-MAX_DAMPING_N_S_PER_M = 6.0
+_MAKE = Declared(10.0, 1000.0, 6.0)
 # Radii of the workspace, by the type of the device.
 _RADII_M = {"inverse3": 0.10, "inverse3x": 0.10, "minverse": 0.04}
 EMULATED = "telenano emulator"
 SESSION_RUNS, SESSION_RESTS = "org.telenano:session-runs", "org.telenano:servo"
 BUTTONS = ("a", "b", "c")
 _OPEN_S = 3.0
-# The service may take this long for a list, and for a place only as long as the coupling bears silence. Each is in so
-# many looks: a process that stood still as a whole has missed one of them.
-_ANSWER_S, _SILENT_S, _LOOKS = 0.5, 0.05, 5
+# The service may take as long for a place as the coupling bears silence.
+_SILENT_S = 0.05
 _CHECK_S = 0.1
-# So many readings more with unasked messages than without are no accident; more reads than these never end.
-_MOST_UNASKED, _MOST_READS = 50, 64
+# So many readings more with unasked messages than without are no accident.
+_MOST_UNASKED = 50
 # A difference of the force that is sent and the one that is rendered which deserves a remark.
 _FORCE_SHARE, _FORCE_N = 0.1, 0.1
 
@@ -144,127 +145,6 @@ _DECODER = msgspec.json.Decoder(Answer)
 _ENCODER = msgspec.json.Encoder()
 
 
-class Conversation:
-    """A WebSocket to the service on a plain socket: what is sent and received takes no thread and no event loop.
-
-    Raises:
-        DeviceError: Nobody answers at the address.
-    """
-
-    def __init__(self, service: str) -> None:
-        try:
-            from websockets.client import ClientProtocol
-            from websockets.exceptions import InvalidHandshake, InvalidURI
-            from websockets.uri import parse_uri
-        except ImportError as error:
-            raise DeviceError(f"the Haply Inverse3 {NEEDS_WEBSOCKETS}") from error
-        self._service = service
-        try:
-            uri = parse_uri(service)
-        except InvalidURI as error:
-            raise DeviceError(f"haptic_node.haply.service: {service!r} is no address such as {SERVICE}") from error
-        try:
-            self._socket = socket.create_connection((uri.host, uri.port), timeout=_OPEN_S)
-        except OSError as error:
-            raise DeviceError(f"no Inverse Service answers at {service} ({error}): {INSTALL}") from error
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._protocol = ClientProtocol(uri, max_size=2**22)
-        self._messages: list[bytes] = []
-        self._protocol.send_request(self._protocol.connect())
-        try:
-            self._flush()
-            while self._protocol.state.name == "CONNECTING":
-                self._receive()
-            if self._protocol.handshake_exc is not None:
-                raise self._protocol.handshake_exc
-        except (DeviceError, InvalidHandshake) as error:
-            self.close()
-            raise DeviceError(f"what answers at {service} is no Inverse Service: {error}") from error
-
-    def send(self, message: bytes) -> None:
-        if self._protocol.state.name != "OPEN":
-            raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}")
-        self._protocol.send_text(message)
-        self._flush()
-
-    def wait(self, patience_s: float = _ANSWER_S) -> None:
-        """Wait until there is a message.
-
-        Raises:
-            DeviceError: The service is gone or silent.
-        """
-        self._socket.settimeout(patience_s / _LOOKS)
-        looks = 0
-        while not self._messages:
-            looks = 0 if self._receive() else looks + 1
-            if looks == _LOOKS:
-                raise DeviceError(f"{self._service}: the service has been silent for {patience_s:g} s")
-
-    def receive(self, patience_s: float = _ANSWER_S) -> Answer:
-        """Return the next message.
-
-        Raises:
-            DeviceError: The service is gone, silent, or says what cannot be read.
-        """
-        self.wait(patience_s)
-        text = self._messages.pop(0)
-        try:
-            return _DECODER.decode(text)
-        except msgspec.MsgspecError as error:
-            raise DeviceError(f"{self._service}: the service says what format 3.x does not have: {error}") from error
-
-    def drop(self, keep: int = 0) -> int:
-        """Drop the messages that have come, but the newest `keep`, without waiting; return how many they were.
-
-        Raises:
-            DeviceError: The service is gone, or sends without end.
-        """
-        for _ in range(_MOST_READS):
-            if not select.select([self._socket], [], [], 0)[0]:
-                break
-            self._receive()
-        else:
-            raise DeviceError(f"{self._service}: the service sends faster than it is read: end other programs of it")
-        dropped = max(0, len(self._messages) - keep)
-        del self._messages[:dropped]
-        return dropped
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._socket.close()
-
-    def _flush(self) -> None:
-        try:
-            for data in self._protocol.data_to_send():
-                if data:
-                    self._socket.sendall(data)
-        except OSError as error:
-            raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}") from error
-
-    def _receive(self) -> bool:
-        """Take what comes in the time of a look; False if nothing does."""
-        from websockets.frames import Frame, Opcode
-
-        try:
-            data = self._socket.recv(65_536)
-        except TimeoutError:
-            return False
-        except OSError as error:
-            raise DeviceError(f"{self._service}: the service has closed the connection ({error})") from error
-        if not data:
-            raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}")
-        self._protocol.receive_data(data)
-        for event in self._protocol.events_received():
-            if isinstance(event, Frame):
-                if event.opcode is Opcode.CLOSE:
-                    raise DeviceError(f"{self._service}: the service has ended the session")
-                if event.opcode in (Opcode.TEXT, Opcode.BINARY):
-                    self._messages.append(bytes(event.data))
-        # Pongs and the answer to a close
-        self._flush()
-        return True
-
-
 class HaplyWire:
     """An `ImpedanceWire` to one Inverse3; a test replaces what opens the conversation, clock [ns] and waiting."""
 
@@ -272,12 +152,12 @@ class HaplyWire:
         self,
         settings: HaplyConfig,
         *,
-        connect: "Callable[[str], Conversation] | None" = None,
+        connect: Callable[[str], "Conversation[Answer]"] | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._settings, self._service, self._deadman = settings, settings.service, settings.deadman
-        self._connect = Conversation if connect is None else connect
+        self._connect = connect or (lambda address: Conversation(INVERSE_SERVICE, address, _DECODER.decode))
         self._now_ns, self._sleep = now_ns, sleep
         # The presets that end in `centered` put zero into the centre of the workspace.
         self._filters: dict[str, Any] = {"preset": {"preset": settings.preset}}
@@ -285,7 +165,7 @@ class HaplyWire:
             self._filters["force_gate"] = {"gain": settings.force_gate}
         if settings.damping is not None:
             self._filters["damping"] = {"scalar": settings.damping}
-        self._conversation: Conversation | None = None
+        self._conversation: Conversation[Answer] | None = None
         self._id = ""
         self._head = self._tail = b""
         self._emulated = False
@@ -311,7 +191,6 @@ class HaplyWire:
         self._emulated = config.device_info.model == EMULATED
         self._session, self._differs, self._unasked_lately = None, 0, 0
         self._orientation, self._grip_ns = UPRIGHT, 0
-        radius_m = _RADII_M.get(config.type, 0.10)
         # A service that was lost and is back goes on with the session of before.
         first = {
             "session": {"configure": {"profile": {"name": SESSION_RUNS if self._runs else SESSION_RESTS}}},
@@ -320,26 +199,13 @@ class HaplyWire:
         self._conversation.send(_ENCODER.encode(first))
         self._conversation.receive()
         version = f"{config.device_info.major_version}.{config.device_info.minor_version}"
-        ends = (-radius_m, radius_m)
         if self._deadman and not grips:
             raise DeviceError(f"{self._service}: haptic_node.haply.deadman is {self._deadman}, and there is no grip")
-        return Capabilities(
-            max_force_n=MAX_FORCE_N,
-            max_stiffness_n_per_m=MAX_STIFFNESS_N_PER_M,
-            max_damping_n_s_per_m=MAX_DAMPING_N_S_PER_M,
-            workspace_min_m=-radius_m,
-            workspace_max_m=radius_m,
-            modes=(MODE_OFF, MODE_POSITION),
-            identity=f"Haply {config.type} {self._id}, firmware {version}" + (", emulated" * self._emulated),
-            force_source="estimate",
-            kind="impedance",
-            axes=3,
-            lateral_m=(ends, ends),
-            rate_hz=self._settings.rate_hz,
-            damping_n_s_per_m=EMULATED_DAMPING_N_S_PER_M * self._emulated,
-            mass_kg=EMULATED_MASS_KG * self._emulated,
-            # The force of a message answers the sample of the message before.
-            drive_delay_s=1.0 / self._settings.rate_hz,
+        return declared(
+            f"Haply {config.type} {self._id}, firmware {version}",
+            _MAKE._replace(radius_m=_RADII_M.get(config.type, 0.10)),
+            self._settings.rate_hz,
+            arm=ARM if self._emulated else None,
             buttons=BUTTONS * bool(grips),
             deadman=self._deadman,
             has_orientation=bool(grips),
@@ -350,8 +216,8 @@ class HaplyWire:
         if self._conversation is None:
             raise DeviceError(f"{self._service}: the service is not open")
         force: Vector = ZERO
-        period_ns = round(1e9 / self._settings.rate_hz)
-        due_ns = sent_ns = self._now_ns()
+        cadence = Cadence(self._settings.rate_hz, self._now_ns, self._sleep)
+        sent_ns = self._now_ns()
         while True:
             unasked = self._conversation.drop()
             # The state is taken between sending and receipt: its age is bounded by the earlier of the two.
@@ -366,9 +232,7 @@ class HaplyWire:
             if wanted is None:
                 return
             force = wanted
-            due_ns = max(due_ns + period_ns, self._now_ns() - period_ns)
-            if (left_ns := due_ns - self._now_ns()) > 0:
-                self._sleep(left_ns * 1e-9)
+            cadence.wait()
 
     def session(self, runs: bool) -> None:
         self._runs = runs and self._emulated

@@ -7,16 +7,16 @@ and the damper are models of their own: what the real ones do is not published.
 
 import asyncio
 import json
-import logging
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
 from telenano.extend.hands import DeviceError
 from telenano.hand import ZERO, Vector
+from telenano.extend.impedance import ZERO, Vector
 from telenano_haptic_devices.emulated_arm import EmulatedArm, HandMotion
-from telenano_haptic_devices.haply import BUTTONS, EMULATED, NEEDS_WEBSOCKETS, SESSION_RUNS
+from telenano_haptic_devices.emulated_service import EmulatedService, serve_service
+from telenano_haptic_devices.haply import BUTTONS, EMULATED, SESSION_RUNS
 
 FORCE_HOLD_S = 0.05
 PROJECT_VERSION = "3.5.0"
@@ -253,57 +253,14 @@ async def serve_haply(
     lines: "asyncio.Queue[str] | None" = None,
     say: Callable[[str], None] = print,
 ) -> None:
-    """Serve until cancelled; `ready` is told the port. HTTP on the same port answers /version.
-
-    Args:
-        service: The service.
-        host: The address to serve on.
-        port: The port, 0 for any.
-        ready: Called once, with the port.
-        lines: What a person types; see `obey`.
-        say: Prints what was done.
-
-    Raises:
-        DeviceError: websockets is not installed.
-    """
-    try:
-        from websockets.asyncio.server import ServerConnection, serve
-        from websockets.exceptions import ConnectionClosed
-        from websockets.http11 import Request, Response
-    except ImportError as error:
-        raise DeviceError(f"the emulated Inverse Service {NEEDS_WEBSOCKETS}") from error
-
-    async def converse(connection: ServerConnection) -> None:
-        try:
-            await connection.send(json.dumps(service.connected()))
-            async for message in connection:
-                reply = json.dumps(service.answer(message, time.monotonic()))
-                if service.late_s > 0.0:
-                    await asyncio.sleep(service.late_s)
-                await connection.send(reply)
-        except ConnectionClosed:
-            return
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            say(f"a message that format 3.x does not have has ended the session: {error}")
-
-    def http(connection: ServerConnection, request: Request) -> Response | None:
-        if "Upgrade" in request.headers:
-            return None
-        data = {"git_tag": "emulated", "git_describe": EMULATED, "project_version": PROJECT_VERSION}
-        body = {"ok": True, "data": data} if request.path == "/version" else {"ok": False, "error": "no such route"}
-        return connection.respond(200 if body["ok"] else 404, json.dumps(body))
-
-    async def listen() -> None:
-        while lines is not None:
-            say(obey(service, await lines.get()))
-
-    # A person reads what the service does, not each connection.
-    logging.getLogger("websockets.server").setLevel(logging.WARNING)
-    options: dict[str, Any] = {"compression": None, "ping_interval": None, "process_request": http}
-    async with serve(converse, host, port, **options) as server:
-        ready(next(iter(server.sockets)).getsockname()[1])
-        listener = asyncio.create_task(listen())
-        try:
-            await asyncio.Future()
-        finally:
-            listener.cancel()
+    """Serve until cancelled, as `serve_service` does; what a person types is for `obey`."""
+    version = {"git_tag": "emulated", "git_describe": EMULATED, "project_version": PROJECT_VERSION}
+    emulated = EmulatedService(
+        "the emulated Inverse Service",
+        service.connected,
+        service.answer,
+        lambda: service.late_s,
+        version,
+        "format 3.x",
+    )
+    await serve_service(emulated, (host, port), ready, lines, lambda line: obey(service, line), say)

@@ -4,12 +4,11 @@ The scheduler of the library has a thread of its own, and calls back 500 or 1000
 that callback, inside one frame of the library. Errors are on a stack, which is emptied after each frame. The library is
 loaded once and never unloaded, which its users found to fail.
 
-Frames: the device has +x to the right, +y up and +z towards the person, in mm.
+The device has +x to the right, +y up and +z towards the person, in mm.
 """
 
 import ctypes
-import time
-from collections.abc import Callable
+from typing import Any
 
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DeviceError, Quaternion
 from telenano.hand import ZERO, Vector
@@ -17,6 +16,11 @@ from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HdConfig
 from telenano_haptic_devices.vendor_library import HD, declare, is_double, load, tell_session
+from telenano.extend.devices import Capabilities, DeviceError
+from telenano.extend.impedance import ZERO, Vector
+from telenano_haptic_devices.impedance_wire import Turn
+from telenano_haptic_devices.vendor_library import LibraryWire, VendorLibrary, is_double
+from telenano_haptic_devices.wires import Declared, Frame, Mechanics, declared
 
 _BUTTONS, _POSITION, _TRANSFORM, _FORCE = 0x2000, 0x2050, 0x2052, 0x2700
 _MODEL, _SERIAL, _USABLE, _STYLE = 0x2501, 0x2504, 0x2551, 0x2555
@@ -33,8 +37,9 @@ _MM = 1e-3
 _NEARLY = 1.0 - 1e-6
 # What CHAI3D declares for the Touch.
 _DAMPING_N_S_PER_M = 4.0
-# The emulated Touch of the tests: chosen, not measured.
-_EMULATED_DAMPING_N_S_PER_M, _EMULATED_MASS_KG = 0.05, 0.045
+# the emulated Touch of the tests
+_ARM = Mechanics(mass_kg=0.045, damping_n_s_per_m=0.05)
+_FRAME = Frame("x -z y")
 
 
 class ErrorInfo(ctypes.Structure):
@@ -69,40 +74,27 @@ _CALLS: dict[str, tuple[type | None, tuple[type, ...]]] = {
 }
 
 
-class HdWire:
-    """An `ImpedanceWire` to one Touch; a test replaces its monotonic clock [ns] and how it waits for the next look."""
+LIBRARY = VendorLibrary(
+    "OpenHaptics (libHD) of the Touch",
+    ("libHD.so", "libHD.so.3.4", "libHD.so.3.0", "HD.dll"),
+    ("/usr/lib", "/usr/lib64", "/usr/local/lib"),
+    "haptic_node.hd.library",
+    "get OpenHaptics and the Touch device driver at support.3dsystems.com; the driver's setup pairs the device first",
+    _CALLS,
+)
 
-    def __init__(
-        self,
-        settings: HdConfig,
-        *,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._settings, self._now_ns, self._sleep = settings, now_ns, sleep
-        self._lib: ctypes.CDLL | None = None
+
+class HdWire(LibraryWire):
+    """An `ImpedanceWire` to one Touch."""
+
+    library = LIBRARY
+
+    def __init__(self, settings: Any, **clock: Any) -> None:
+        super().__init__(settings, **clock)
         self._device = _INVALID
         self._name = "the Touch"
         self._place, self._transform = (ctypes.c_double * 3)(), (ctypes.c_double * 16)()
         self._force, self._buttons = (ctypes.c_double * 3)(), ctypes.c_int()
-
-    def open(self) -> Capabilities:
-        if self._lib is None:
-            self._lib = load(HD, self._settings.library)
-            declare(self._lib, HD.what, _CALLS)
-        lib = self._lib
-        name = self._settings.name
-        self._device = lib.hdInitDevice(None if name is None else name.encode())
-        try:
-            self._check("hdInitDevice")
-            if self._device == _INVALID:
-                raise DeviceError(
-                    f"{self._name}: hdInitDevice gave no device: is the port yours, and the device paired?"
-                )
-            return self._come_up(lib)
-        except DeviceError:
-            self.close()
-            raise
 
     def run(self, turn: Turn) -> None:
         """Let the library's scheduler call `turn`, and wait until that or a fault ends it."""
@@ -147,10 +139,6 @@ class HdWire:
         if faults:
             raise faults[0]
 
-    def session(self, runs: bool) -> None:
-        if self._lib is not None:
-            tell_session(self._lib, runs)
-
     def close(self) -> None:
         """Set no force and give the device back; the library stays loaded."""
         if self._lib is None or self._device == _INVALID:
@@ -163,49 +151,45 @@ class HdWire:
         self._device = _INVALID
         self._errors()
 
-    def _come_up(self, lib: ctypes.CDLL) -> Capabilities:
+    def _come_up(self) -> Capabilities:
+        lib, settings = self._lib, self._settings
+        self._device = lib.hdInitDevice(None if settings.name is None else settings.name.encode())
+        self._check("hdInitDevice")
+        if self._device == _INVALID:
+            raise DeviceError(f"{self._name}: hdInitDevice gave no device: is the port yours, and the device paired?")
         model = (lib.hdGetString(_MODEL) or b"Touch").decode(errors="replace")
         serial = (lib.hdGetString(_SERIAL) or b"").decode(errors="replace")
         self._errors()
-        emulated = is_double(lib)
-        self._name = f"3D Systems {model}, serial number {serial}" + ", emulated" * emulated
-        lib.hdSetSchedulerRate(self._settings.rate_hz)
+        self._name = f"3D Systems {model}, serial number {serial}"
+        lib.hdSetSchedulerRate(settings.rate_hz)
         self._check("hdSetSchedulerRate")
         lib.hdEnable(_FORCE_OUTPUT)
         self._check("hdEnable")
-        usable, value = (ctypes.c_double * 6)(), (ctypes.c_double * 1)()
+        usable, force, stiffness = (ctypes.c_double * 6)(), (ctypes.c_double * 1)(), (ctypes.c_double * 1)()
         lib.hdGetDoublev(_USABLE, usable)
-        lib.hdGetDoublev(_MAX_FORCE_N, value)
-        # The library refuses more than its greatest force, which a clamp to just that passes by its last digit.
-        max_force_n = value[0] * _NEARLY
-        lib.hdGetDoublev(_STIFFNESS_N_PER_MM, value)
+        lib.hdGetDoublev(_MAX_FORCE_N, force)
+        lib.hdGetDoublev(_STIFFNESS_N_PER_MM, stiffness)
         self._check("hdGetDoublev")
         left, low, far, right, high, near = (_MM * end for end in usable)
-        deadman = self._settings.deadman_button
-        return Capabilities(
-            max_force_n=max_force_n,
-            max_stiffness_n_per_m=value[0] / _MM,
-            max_damping_n_s_per_m=_DAMPING_N_S_PER_M,
-            # Towards the sample is down.
-            workspace_min_m=-high,
-            workspace_max_m=-low,
-            modes=(MODE_OFF, MODE_POSITION),
-            identity=self._name,
-            force_source="estimate",
-            kind="impedance",
-            axes=3,
-            lateral_m=((left, right), (-near, -far)),
-            rate_hz=float(self._settings.rate_hz),
-            damping_n_s_per_m=_EMULATED_DAMPING_N_S_PER_M * emulated,
-            mass_kg=_EMULATED_MASS_KG * emulated,
-            # The force is sent in the frame of its sample; a period is allowed for the line.
-            drive_delay_s=1.0 / self._settings.rate_hz,
+        able = declared(
+            self._name,
+            # The library refuses more than its greatest force, which a clamp to just that passes by its last digit.
+            Declared(
+                force[0] * _NEARLY,
+                stiffness[0] / _MM,
+                _DAMPING_N_S_PER_M,
+                ends=((left, right), (-near, -far), (low, high)),
+            ),
+            settings.rate_hz,
+            arm=_ARM if is_double(lib) else None,
             buttons=("1", "2", "3", "4"),
-            deadman="" if deadman is None else str(deadman + 1),
+            deadman="" if settings.deadman_button is None else str(settings.deadman_button + 1),
             has_orientation=True,
         )
+        self._name = able.identity
+        return able
 
-    def _frame(self, lib: ctypes.CDLL, turn: Turn) -> bool:
+    def _frame(self, lib: Any, turn: Turn) -> bool:
         """Do one frame; return whether there is to be another."""
         taken_ns = self._now_ns()
         lib.hdMakeCurrentDevice(self._device)
@@ -215,32 +199,28 @@ class HdWire:
         lib.hdGetIntegerv(_BUTTONS, ctypes.byref(self._buttons))
         try:
             self._check("hdBeginFrame")
-            x, y, z = self._place
-            buttons = self._buttons.value
-            deadman = self._settings.deadman_button
-            held = deadman is None or bool(buttons >> deadman & 1)
-            at = (_MM * x, -_MM * z, _MM * y)
-            error = self._trouble(lib)
-            force = turn(DeviceSample(at, taken_ns, self._orientation(), buttons, held, taken_ns, error))
+            # Columns of the transform are the axes of the handle, in the frame of the device.
+            rows = [[self._transform[4 * column + row] for column in range(3)] for row in range(3)]
+            sample = _FRAME.sample(
+                [_MM * value for value in self._place],
+                taken_ns,
+                buttons=self._buttons.value,
+                deadman=self._settings.deadman_button,
+                orientation=_FRAME.orientation(rows),
+                error=self._trouble(lib),
+            )
+            force = turn(sample)
             self._set_force(lib, ZERO if force is None else force)
         finally:
             lib.hdEndFrame(self._device)
         self._check("hdEndFrame")
         return force is not None
 
-    def _set_force(self, lib: ctypes.CDLL, force: Vector) -> None:
-        x, y, z = force
-        self._force[:] = [x, z, -y]
+    def _set_force(self, lib: Any, force: Vector) -> None:
+        self._force[:] = list(_FRAME.to_device(force))
         lib.hdSetDoublev(_FORCE, self._force)
 
-    def _orientation(self) -> Quaternion:
-        # Columns of the transform are the axes of the handle, in the frame of the device.
-        d = tuple(tuple(self._transform[4 * column + row] for column in range(3)) for row in range(3))
-        # R in the master frame is P D P^T, where P takes (x, y, z) to (x, -z, y).
-        rows = (d[0], tuple(-value for value in d[2]), d[1])
-        return quaternion_of(tuple((row[0], -row[2], row[1]) for row in rows))
-
-    def _trouble(self, lib: ctypes.CDLL) -> str:
+    def _trouble(self, lib: Any) -> str:
         state = lib.hdCheckCalibration()
         if state == _CALIBRATED:
             return ""
@@ -260,6 +240,5 @@ class HdWire:
     def _check(self, call: str) -> None:
         found = self._errors()
         if found:
-            assert self._lib is not None
             text = (self._lib.hdGetErrorString(found[-1]) or b"unknown error").decode(errors="replace")
             raise DeviceError(f"{self._name}: {call} failed: {text} ({found[-1]:#06x})")

@@ -1,6 +1,6 @@
 """The driver of a device that takes a force, whose coupling runs in a process of its own."""
 
-from collections.abc import Callable
+import importlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel
@@ -14,21 +14,25 @@ if TYPE_CHECKING:
 
 
 class Impedance(NamedTuple):
-    """What the process of the servo needs of a driver: the function that makes the wire of its settings."""
+    """What the process of the servo needs of a driver: `module:name` of what makes the wire of its settings."""
 
-    wire: "Callable[[Any], ImpedanceWire]"
+    path: str
+
+    def wire(self, settings: BaseModel) -> "ImpedanceWire":
+        """Return the wire of these settings, not yet open; its module is imported now."""
+        module, _, name = self.path.partition(":")
+        wire: ImpedanceWire = getattr(importlib.import_module(module), name)(settings)
+        return wire
 
 
-def impedance_driver(
-    name: str, config: type[BaseModel], wire: "Callable[[Any], ImpedanceWire]", what: str = ""
-) -> DeviceDriver:
+def impedance_driver(name: str, config: type[BaseModel], wire: str, what: str = "") -> DeviceDriver:
     """Return the driver of a device that takes a force.
 
     Args:
         name: The value of `haptic_node.driver`, and the name of the section with its settings.
         config: The model of that section.
-        wire: Makes the wire of the settings, not yet open. It is called in the process of the servo, where the coupling
-            runs at the rate of the device: import there what the wire needs.
+        wire: The class or function that makes the wire of the settings, as `my_package.wire:MyWire`. It is imported in
+            the process of the servo alone, where the coupling runs at the rate of the device.
         what: The devices, for a list.
     """
 

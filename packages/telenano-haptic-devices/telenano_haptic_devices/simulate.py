@@ -1,7 +1,6 @@
 """`telenano device simulate haply`: an emulated Inverse Service."""
 
 import asyncio
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -43,7 +42,8 @@ def simulate_haply(
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
         from telenano.cli import hand_of
         from telenano_haptic_devices.emulated_arm import RADIUS_M, EmulatedArm
-        from telenano_haptic_devices.haply import BUTTONS
+        from telenano_haptic_devices.emulated_service import typed_lines
+        from telenano_haptic_devices.haply import ARM, BUTTONS
         from telenano_haptic_devices.haply_service import HaplyService, serve_haply
 
         hand = None
@@ -53,26 +53,12 @@ def simulate_haply(
 
             hand = person_of((RADIUS_M,) * 3, len(BUTTONS) * grip, 1, steps_of(mass), mass)
         operator = hand_of(scenario)
-        service = HaplyService(EmulatedArm(operator, hand), device_id, grip)
+        service = HaplyService(EmulatedArm(operator, ARM, hand), device_id, grip)
         service.gate, service.damping = force_gate, damping
         run_ahead()
 
         async def serve() -> None:
-            lines: asyncio.Queue[str] = asyncio.Queue()
-            loop = asyncio.get_running_loop()
-
-            begun = bytearray()
-
-            def read() -> None:
-                typed = whole_lines(sys.stdin.fileno(), begun)
-                if typed is None:
-                    loop.remove_reader(sys.stdin)
-                for line in typed or ():
-                    lines.put_nowait(line)
-
-            # A file or the null device cannot be waited for, and gives no lines.
-            if not sys.stdin.closed and (sys.stdin.isatty() or Path("/dev/stdin").is_fifo()):
-                loop.add_reader(sys.stdin, read)
+            lines = typed_lines()
             await serve_haply(service, host, port, ready, lines, typer.echo)
 
         def ready(at: int) -> None:
@@ -81,15 +67,3 @@ def simulate_haply(
             sys.stdout.flush()
 
         asyncio.run(serve())
-
-
-def whole_lines(descriptor: int, begun: bytearray) -> list[str] | None:
-    """Return every line that waits at a descriptor, None at its end; what is begun of another is kept in `begun`.
-
-    A file object would give the first, keep the others, and nothing would be left to wait for.
-    """
-    data = os.read(descriptor, 65_536)
-    begun += data
-    *lines, rest = bytes(begun).split(b"\n")
-    begun[:] = rest
-    return [line.decode(errors="replace") for line in lines] if data else None

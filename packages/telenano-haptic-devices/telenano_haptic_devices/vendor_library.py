@@ -3,19 +3,22 @@
 import ctypes
 import ctypes.util
 import os
-import platform
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from telenano.extend.hands import DeviceError
 from telenano.settings import refused_code
+from telenano.extend.devices import Capabilities, DeviceError
+from telenano.extend.impedance import refused_code
 
 
 class VendorLibrary(NamedTuple):
     """A library: what it is for, the names of its files, the folders of its own, and where to get it.
 
-    setting: the key of a scenario that names the file outright. install: a sentence for a person.
+    setting: the key of a scenario that names the file outright. install: a sentence for a person. calls: the result and
+    the arguments of each function.
     """
 
     what: str
@@ -23,24 +26,9 @@ class VendorLibrary(NamedTuple):
     folders: tuple[str, ...]
     setting: str
     install: str
+    calls: Mapping[str, tuple[type | None, Sequence[type]]]
 
 
-_FD_FOLDERS = (f"$FDSDK/lib/release/lin-{platform.machine()}-gcc", "~/.local/lib", "/usr/local/lib", "/usr/lib")
-DHD = VendorLibrary(
-    "Force Dimension SDK (libdhd)",
-    # DRD has all of DHD; the versions are those of the SDK.
-    ("libdrd.so.3", "libdhd.so.3", "libdrd.so", "libdhd.so", "drd64.dll", "dhd64.dll", "libdhd.dylib"),
-    _FD_FOLDERS,
-    "haptic_node.dhd.library",
-    "get the SDK at forcedimension.com (Software), unpack it, and set FDSDK to its folder; it needs libusb-1.0",
-)
-HD = VendorLibrary(
-    "OpenHaptics (libHD) of the Touch",
-    ("libHD.so", "libHD.so.3.4", "libHD.so.3.0", "HD.dll"),
-    ("/usr/lib", "/usr/lib64", "/usr/local/lib"),
-    "haptic_node.hd.library",
-    "get OpenHaptics and the Touch device driver at support.3dsystems.com; the driver's setup pairs the device first",
-)
 # What a library for tests has besides: it is told of the session, so that its hand begins.
 _DOUBLE = "telenano_double_session"
 
@@ -77,17 +65,13 @@ def load(library: VendorLibrary, path: str | None) -> ctypes.CDLL:
         raise DeviceError(f"{library.what}: {found} cannot be loaded ({error}): {library.install}") from error
 
 
-def declare(loaded: ctypes.CDLL, what: str, calls: Mapping[str, tuple[type | None, Sequence[type]]]) -> None:
-    """Give each call its result and its arguments.
-
-    Raises:
-        DeviceError: A call is missing: it is another library, or too old.
-    """
-    for name, (result, arguments) in calls.items():
+def _declare(loaded: ctypes.CDLL, library: VendorLibrary) -> None:
+    """Give each call its result and its arguments; DeviceError where one is missing."""
+    for name, (result, arguments) in library.calls.items():
         try:
             call = getattr(loaded, name)
         except AttributeError as error:
-            raise DeviceError(f"{what}: the library has no {name}: another one, or too old") from error
+            raise DeviceError(f"{library.what}: the library has no {name}: another one, or too old") from error
         call.restype, call.argtypes = result, list(arguments)
 
 
@@ -96,7 +80,48 @@ def is_double(loaded: ctypes.CDLL) -> bool:
     return hasattr(loaded, _DOUBLE)
 
 
-def tell_session(loaded: ctypes.CDLL, runs: bool) -> None:
-    """Tell a library for tests whether the session runs; a vendor's is told nothing."""
-    if is_double(loaded):
-        getattr(loaded, _DOUBLE)(ctypes.c_int(runs))
+class LibraryWire:
+    """An `ImpedanceWire` to a device behind a vendor's library, which is loaded once; a subclass has `run` and `close`.
+
+    Args:
+        settings: Those of the driver, with a key `library`.
+        now_ns: The monotonic clock [ns], which a test replaces.
+        sleep: Waits for a time [s].
+    """
+
+    library: ClassVar[VendorLibrary]
+
+    def __init__(
+        self,
+        settings: Any,
+        *,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._settings, self._now_ns, self._sleep = settings, now_ns, sleep
+        self._lib: Any = None
+
+    def open(self) -> Capabilities:
+        """Load the library and find the device; DeviceError says what is missing, and the device is closed."""
+        if self._lib is None:
+            loaded = load(self.library, self._settings.library)
+            _declare(loaded, self.library)
+            self._lib = loaded
+        try:
+            return self._come_up()
+        except DeviceError:
+            self.close()
+            raise
+
+    def session(self, runs: bool) -> None:
+        """Tell a library for tests whether the session runs; a vendor's is told nothing."""
+        if self._lib is not None and is_double(self._lib):
+            getattr(self._lib, _DOUBLE)(ctypes.c_int(runs))
+
+    def close(self) -> None:
+        """Take the force away and let the device go; harmless when already closed."""
+        raise NotImplementedError
+
+    def _come_up(self) -> Capabilities:
+        """Find the device with no force, and return what it declares; DeviceError says what is missing."""
+        raise NotImplementedError

@@ -92,7 +92,7 @@ class Emulated:
         clock = {"now_ns": time.now_ns, "sleep": time.sleep}
         self.wire: ImpedanceWire
         if kind == "haply":
-            self.service = HaplyService(EmulatedArm(hand_of()))
+            self.service = HaplyService(EmulatedArm(hand_of(), haply.ARM))
 
             def connect(address: str) -> Any:
                 if getattr(self.service, "killed", False):

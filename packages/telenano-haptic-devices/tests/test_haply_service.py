@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 from servo_bench import ServoBench
 from telenano_haptic_devices.emulated_arm import EmulatedArm
-from telenano_haptic_devices.haply import EMULATED_MASS_KG, HaplyWire
+from telenano_haptic_devices.emulated_service import whole_lines
+from telenano_haptic_devices.haply import ARM, HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService, obey, serve_haply
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
-from telenano_haptic_devices.simulate import whole_lines
 
 from telenano.cli import hand_of
 from telenano.extend.hands import DeviceError
@@ -34,7 +34,7 @@ class Served:
     """A service on a port of its own, in a thread."""
 
     def __init__(self) -> None:
-        self.service = HaplyService(EmulatedArm(hand_of()))
+        self.service = HaplyService(EmulatedArm(hand_of(), ARM))
         self.port = 0
         self._ready = threading.Event()
         self._loop = asyncio.new_event_loop()
@@ -177,7 +177,7 @@ def test_without_websockets_driver_and_emulator_name_what_they_depend_on(monkeyp
     with pytest.raises(DeviceError, match=r"the Haply Inverse3 needs websockets: pip install 'websockets>=15'"):
         HaplyWire(HaplyConfig(service="ws://127.0.0.1:1")).open()
     monkeypatch.setitem(sys.modules, "websockets.asyncio.server", None)
-    service = HaplyService(EmulatedArm(hand_of()))
+    service = HaplyService(EmulatedArm(hand_of(), ARM))
     with pytest.raises(DeviceError, match=r"Inverse Service needs websockets: pip install 'websockets>=15'"):
         asyncio.run(serve_haply(service, "127.0.0.1", 0, print))
     document = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())
@@ -225,7 +225,7 @@ def test_grip_buttons_come_at_50_hz_and_a_sleeping_grip_is_not_a_loss(tmp_path: 
 
 
 def test_lines_of_a_person_break_the_service_and_mend_it() -> None:
-    service = HaplyService(EmulatedArm(hand_of()))
+    service = HaplyService(EmulatedArm(hand_of(), ARM))
     for line in ("pull", "freeze", "nan", "jump 0.01", "sign", "late 0.1", "sleep", "press a", "lose-home"):
         assert "is not known" not in obey(service, line)
     assert (service.plugged, service.calibrated, service.sign, service.late_s) == (False, False, -1.0, 0.1)
@@ -237,13 +237,13 @@ def test_lines_of_a_person_break_the_service_and_mend_it() -> None:
 
 
 def test_other_hands_and_a_late_drive_are_put_in_by_a_line() -> None:
-    service = HaplyService(EmulatedArm(hand_of()))
+    service = HaplyService(EmulatedArm(hand_of(), ARM))
     arm = service.arm
     arm.start_session(True)
     assert "5 N" not in obey(service, "push x")
     assert obey(service, "push 2") == "a hand pushes with 2 N towards the sample"
     arm.advance(0.02)
-    assert arm.velocity_m_per_s[2] == pytest.approx(-2.0 * 0.02 / EMULATED_MASS_KG, rel=0.05)
+    assert arm.velocity_m_per_s[2] == pytest.approx(-2.0 * 0.02 / ARM.mass_kg, rel=0.05)
     assert "means to be 0.01 m" in obey(service, "arm 0.01")
     for _ in range(40):
         arm.advance(0.05)

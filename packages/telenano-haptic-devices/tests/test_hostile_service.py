@@ -8,6 +8,7 @@ import pytest
 from servo_bench import VirtualTime
 from telenano_haptic_devices import haply
 from telenano_haptic_devices.settings import HaplyConfig
+from telenano_haptic_devices.vendor_service import Conversation
 
 from telenano.extend.hands import DeviceError
 from telenano.testing import HOSTILITIES, HostileService, TakenReading, unseen
@@ -16,11 +17,12 @@ MS = 1_000_000
 BEGINS_MS, ENDS_MS = 300, 1200
 
 
-class HostileConversation(haply.Conversation):
+class HostileConversation(Conversation[haply.Answer]):
     """A conversation with a service whose place is the time, without a socket."""
 
     def __init__(self, kind: str, time: VirtualTime) -> None:
         self._service, self._messages, self._time = "ws://hostile", list[bytes](), time
+        self._about, self._decode = haply.INVERSE_SERVICE, haply._DECODER.decode
         self._hostile = HostileService(kind, 10**9 + BEGINS_MS * MS)
         self._answer()
 

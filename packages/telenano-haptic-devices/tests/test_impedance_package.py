@@ -24,33 +24,26 @@ from telenano_haptic_devices import impedance_driver
 class Config(Settings):
     force_n: float = 2.0
 
-def wire(settings):
-    from my_knob.wire import KnobWire
-
-    return KnobWire(settings.force_n)
-
-KNOB = impedance_driver("knob", Config, wire, "a knob")
+KNOB = impedance_driver("knob", Config, "my_knob.wire:KnobWire", "a knob")
 """
 WIRE = """
 import time
 
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities
-from telenano_haptic_devices import DeviceSample
+from telenano_haptic_devices import Cadence, Declared, Frame, declared
+
+FRAME = Frame("x -z y")
 
 class KnobWire:
-    def __init__(self, force_n):
-        self.force_n = force_n
+    def __init__(self, settings):
+        self.force_n = settings.force_n
 
     def open(self):
-        modes = (MODE_OFF, MODE_POSITION)
-        return Capabilities(
-            self.force_n, 500.0, 5.0, -0.1, 0.1, modes, "a knob", kind="impedance", axes=3, rate_hz=1000.0,
-            damping_n_s_per_m=0.2, drive_delay_s=1e-3,
-        )
+        return declared("a knob", Declared(self.force_n, 500.0, 5.0, 0.1), 1000.0)
 
     def run(self, turn):
-        while turn(DeviceSample((0.0, 0.0, -0.01), time.monotonic_ns())) is not None:
-            time.sleep(1e-3)
+        cadence = Cadence(1000.0)
+        while turn(FRAME.sample((0.0, -0.01, 0.0), time.monotonic_ns())) is not None:
+            cadence.wait()
 
     def session(self, runs):
         pass

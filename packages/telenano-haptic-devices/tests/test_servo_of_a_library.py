@@ -10,13 +10,14 @@ from typing import Any
 
 import library_doubles
 import pytest
+from telenano_haptic_devices import dhd, hd
 from telenano_haptic_devices.checks import check_devices
 from telenano_haptic_devices.dhd import DhdWire
 from telenano_haptic_devices.hd import HdWire
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_haptic_devices.settings import DhdConfig, HdConfig
-from telenano_haptic_devices.vendor_library import DHD, HD, find
+from telenano_haptic_devices.vendor_library import find
 
 from telenano.extend.hands import DeviceError
 from telenano.hand import ZERO, CouplingSettings
@@ -81,11 +82,11 @@ def test_a_library_that_is_another_one_is_refused(tmp_path: Path) -> None:
 
 
 def test_library_is_found_in_the_folder_of_the_sdk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / DHD.folders[0].removeprefix("$FDSDK/")
+    folder = tmp_path / dhd.LIBRARY.folders[0].removeprefix("$FDSDK/")
     folder.mkdir(parents=True)
     (folder / "libdhd.so.3").touch()
     monkeypatch.setenv("FDSDK", str(tmp_path))
-    assert find(DHD) == str(folder / "libdhd.so.3")
+    assert find(dhd.LIBRARY) == str(folder / "libdhd.so.3")
 
 
 def test_doctor_says_what_is_missing_and_where_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +102,9 @@ def test_doctor_says_what_is_missing_and_where_to_get_it(tmp_path: Path, monkeyp
     assert not found["hd"].advice
 
 
-@pytest.mark.parametrize(("library", "made", "settings"), [(DHD, DhdWire, DhdConfig), (HD, HdWire, HdConfig)])
+@pytest.mark.parametrize(
+    ("library", "made", "settings"), [(dhd.LIBRARY, DhdWire, DhdConfig), (hd.LIBRARY, HdWire, HdConfig)]
+)
 def test_a_library_that_a_scenario_names_is_code_and_refused(
     library: Any, made: Any, settings: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
