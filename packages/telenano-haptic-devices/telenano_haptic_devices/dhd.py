@@ -10,16 +10,14 @@ import ctypes
 import platform
 from typing import Any
 
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, UPRIGHT, Capabilities, DeviceError, Quaternion
+from telenano.extend.hands import UPRIGHT, Capabilities, DeviceError, Quaternion
 from telenano.hand import ZERO, Vector
-from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
-from telenano_haptic_devices.servo import DeviceSample
-from telenano_haptic_devices.settings import DhdConfig
-from telenano_haptic_devices.vendor_library import DHD, declare, is_double, load, tell_session
-from telenano.extend.devices import Capabilities, DeviceError
-from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, Vector
 from telenano_haptic_devices.impedance_wire import Turn
-from telenano_haptic_devices.vendor_library import LibraryWire, VendorLibrary, is_double
+from telenano_haptic_devices.vendor_library import (
+    LibraryWire,
+    VendorLibrary,
+    is_double,
+)
 from telenano_haptic_devices.wires import Cadence, Declared, Frame, Mechanics, declared
 
 _ID, _REAL, _INT, _BYTE = ctypes.c_byte, ctypes.c_double, ctypes.c_int, ctypes.c_ubyte

@@ -12,9 +12,6 @@ from typing import Any, NamedTuple
 
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import ZERO, Vector, arm_step, operator_at_rest, operator_step
-from telenano_haptic_devices.haply import EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG
-from telenano.extend.emulators import OperatorInputs, arm_step, operator_at_rest, operator_step
-from telenano.extend.impedance import ZERO, Vector
 from telenano_haptic_devices.wires import Mechanics
 
 # half of the workspace, and the step of the encoders [m]

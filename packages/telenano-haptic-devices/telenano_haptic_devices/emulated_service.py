@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.extend.devices import DeviceError
+from telenano.extend.hands import DeviceError
 from telenano_haptic_devices.vendor_service import NEEDS_WEBSOCKETS
 
 

@@ -17,11 +17,9 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, UPRIGHT, Capabilities, DeviceError, Quaternion
+from telenano.extend.hands import UPRIGHT, Capabilities, DeviceError, Quaternion
 from telenano.hand import ZERO, Vector
 from telenano.runtime import StructuredLog
-from telenano.extend.devices import Capabilities, DeviceError
-from telenano.extend.impedance import UPRIGHT, ZERO, Quaternion, StructuredLog, Vector
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig

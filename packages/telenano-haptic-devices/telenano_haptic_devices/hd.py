@@ -10,16 +10,14 @@ The device has +x to the right, +y up and +z towards the person, in mm.
 import ctypes
 from typing import Any
 
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DeviceError, Quaternion
+from telenano.extend.hands import Capabilities, DeviceError
 from telenano.hand import ZERO, Vector
-from telenano_haptic_devices.impedance_wire import Turn, quaternion_of
-from telenano_haptic_devices.servo import DeviceSample
-from telenano_haptic_devices.settings import HdConfig
-from telenano_haptic_devices.vendor_library import HD, declare, is_double, load, tell_session
-from telenano.extend.devices import Capabilities, DeviceError
-from telenano.extend.impedance import ZERO, Vector
 from telenano_haptic_devices.impedance_wire import Turn
-from telenano_haptic_devices.vendor_library import LibraryWire, VendorLibrary, is_double
+from telenano_haptic_devices.vendor_library import (
+    LibraryWire,
+    VendorLibrary,
+    is_double,
+)
 from telenano_haptic_devices.wires import Declared, Frame, Mechanics, declared
 
 _BUTTONS, _POSITION, _TRANSFORM, _FORCE = 0x2000, 0x2050, 0x2052, 0x2700

@@ -8,10 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from telenano.extend.hands import DeviceError
+from telenano.extend.hands import Capabilities, DeviceError
 from telenano.settings import refused_code
-from telenano.extend.devices import Capabilities, DeviceError
-from telenano.extend.impedance import refused_code
 
 
 class VendorLibrary(NamedTuple):

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
-from telenano.extend.devices import DeviceError
+from telenano.extend.hands import DeviceError
 
 NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
 # What an answer may take [s].
