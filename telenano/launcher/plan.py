@@ -24,7 +24,6 @@ from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
 from telenano.settings.known_packages import KNOWN_PACKAGES
-from telenano.settings.entries import missing_entry
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
 from telenano.wire.errors import ConfigError, RigError, known_names
