@@ -23,7 +23,7 @@ from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
 from telenano.wire.errors import ConfigError, RigError, known_names
@@ -419,8 +419,8 @@ def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
     section = getattr(loaded.scenario, name)
     layers = (section.get("sample") or {}).keys() - SampleConfig.model_fields.keys()
     program = (section.get("begin") or {}).get("program")
-    absent = any(missing_entry("layer", layer) for layer in layers)
-    absent |= program not in PROGRAMS and bool(missing_entry("program", program))
+    absent = any(where_it_is(f"layer {layer}") for layer in layers)
+    absent |= program not in PROGRAMS and bool(where_it_is(f"program {program}"))
     return absent or drivers.is_absent(section.get("driver"))
 
 
