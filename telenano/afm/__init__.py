@@ -62,7 +62,6 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.safety import initial_safety_state as initial_safety_state
-    from telenano.afm.sample.surface import PLANE as PLANE
     from telenano.afm.sample.surface import Surface as Surface
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle

@@ -16,7 +16,15 @@ from telenano.settings.plugins import modules as package_modules
 _ROOT = Path(__file__).resolve().parents[2]
 # These folders and files hold the steps, and everything else that the outcome of a study depends on.
 SOURCES = (
-    *("telenano/numerics", "telenano/afm", "telenano/hand", "telenano/laws", "telenano/link", "telenano/lockstep"),
+    *(
+        "telenano/numerics",
+        "telenano/extend",
+        "telenano/afm",
+        "telenano/hand",
+        "telenano/laws",
+        "telenano/link",
+        "telenano/lockstep",
+    ),
     *("telenano/analysis/modes.py", "telenano/analysis/verdict.py"),
     # deadlines, which are compiled into the loop
     *("telenano/wire/topics.py", "telenano/timing/freshness.py"),

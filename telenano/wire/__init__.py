@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from telenano.wire.faults import Fault as Fault
     from telenano.wire.faults import faults_of as faults_of
     from telenano.wire.faults import made as made
-    from telenano.wire.instrument import MOST_TEXT as MOST_TEXT
     from telenano.wire.instrument import AfmProgram as AfmProgram
     from telenano.wire.messages import AfmScanline as AfmScanline
     from telenano.wire.messages import AfmState as AfmState

@@ -31,6 +31,7 @@ ORIGINS = {
     "telenano/launcher/session.py: arm": OWN,
     "services/player/plan.py: others": NAMED,
     "packages/telenano-wide-area/telenano_wide_area/relay/protocol.py: RELAY": OWN,
+    "telenano/recording/verify.py: how_to_add_package(package)": OWN,
     "telenano/runtime/security/keyring.py: name": NAMED,
     "telenano/runtime/security/keyring.py: option": OWN,
     "telenano/runtime/security/peer_connections.py: own.machine": NAMED,

@@ -78,7 +78,7 @@ def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
 
 def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
     seen = {source_digest(tree)}
-    law = tree / "telenano" / "laws" / "law.py"
+    law = tree / "telenano" / "extend" / "laws.py"
     law.write_text("A = 2\n")
     seen.add(source_digest(tree))
     law.rename(law.with_name("wave.py"))
