@@ -20,6 +20,7 @@ from telenano.numerics.digests import (
 ROOT = Path(__file__).parents[3]
 # errors, models of settings and messages, and what loads packages: nothing of them is compiled
 NO_CONSTANTS = {
+    "telenano.settings.known_packages",
     *("telenano.wire.errors", "telenano.settings.plugins"),
     *("telenano.settings.config", "telenano.settings.option"),
     # its functions reckon with results, and no step calls them
