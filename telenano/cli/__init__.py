@@ -50,5 +50,6 @@ if TYPE_CHECKING:
     from telenano.cli.sample_options import sample_config as sample_config
     from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
     from telenano.cli.simulated_instrument import simulated_afm as simulated_afm
+    from telenano.cli.tables import rows_table as rows_table
 else:
     __getattr__, __dir__ = face(__name__)

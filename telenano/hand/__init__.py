@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from telenano.hand.coupling import Vector as Vector
     from telenano.hand.driver import DriveCommand as DriveCommand
     from telenano.hand.impedance_config import bounds_of as bounds_of
+    from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.motor import MotorState as MotorState
     from telenano.hand.motor import bandwidth_hz as bandwidth_hz

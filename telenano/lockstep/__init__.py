@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from telenano.lockstep.simulation import instrument_params as instrument_params
     from telenano.lockstep.simulation import known_of as known_of
     from telenano.lockstep.simulation import programme_of as programme_of
+    from telenano.lockstep.simulation import simulate_document as simulate_document
     from telenano.lockstep.simulation import simulate_scenario as simulate_scenario
 else:
     __getattr__, __dir__ = face(__name__)

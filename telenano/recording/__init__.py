@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from telenano.recording.arrays import last_programme as last_programme
     from telenano.recording.channel_filter import ALL as ALL
     from telenano.recording.channel_filter import Selection as Selection
+    from telenano.recording.column_table import ColumnTable as ColumnTable
     from telenano.recording.export import Payload as Payload
     from telenano.recording.export import export_recording as export_recording
     from telenano.recording.export import model_of as model_of
@@ -32,7 +33,9 @@ if TYPE_CHECKING:
     from telenano.recording.rewrite import CopyResult as CopyResult
     from telenano.recording.rewrite import CopyWriter as CopyWriter
     from telenano.recording.site_clock import Timeline as Timeline
+    from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tables import plain as plain
+    from telenano.recording.tables import uniform as uniform
     from telenano.recording.tolerance import Tolerances as Tolerances
     from telenano.recording.tolerance import first_difference as first_difference
     from telenano.recording.writer import FileSettings as FileSettings

@@ -7,6 +7,7 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
     from telenano.runtime.bus.address_book import load_site as load_site
+    from telenano.runtime.bus.publisher import publish_end as publish_end
     from telenano.runtime.datagram.arrivals import SETTLE_NS as SETTLE_NS
     from telenano.runtime.link_node import TRAIN as TRAIN
     from telenano.runtime.link_node import DelayNode as DelayNode
@@ -17,7 +18,10 @@ if TYPE_CHECKING:
     from telenano.runtime.loop.node import NodeContext as NodeContext
     from telenano.runtime.loop.realtime import apply_realtime as apply_realtime
     from telenano.runtime.wiring.observer import RIG_HINT as RIG_HINT
+    from telenano.runtime.wiring.observer import Observer as Observer
     from telenano.runtime.wiring.observer import known_name as known_name
+    from telenano.runtime.wiring.participant import OBSERVER as OBSERVER
+    from telenano.runtime.wiring.participant import Participant as Participant
     from telenano.runtime.wiring.participant import StopSignals as StopSignals
     from telenano.runtime.wiring.participant import open_participant as open_participant
     from telenano.runtime.wiring.participant import run_loop as run_loop

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from telenano.settings.config import merge as merge
     from telenano.settings.config import nested as nested
     from telenano.settings.config import parse_yaml as parse_yaml
+    from telenano.settings.config import read_yaml as read_yaml
     from telenano.settings.config import refused_code as refused_code
     from telenano.settings.config import validate as validate
     from telenano.settings.device_drivers import missing_driver as missing_driver
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
     from telenano.settings.option import Option as Option
     from telenano.settings.plugins import all_installed as all_installed
     from telenano.settings.plugins import fault_of_package as fault_of_package
+    from telenano.settings.plugins import load as load
     from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
     from telenano.settings.scenario import load_scenario as load_scenario
+    from telenano.settings.scenario import scenario_of as scenario_of
 else:
     __getattr__, __dir__ = face(__name__)
 

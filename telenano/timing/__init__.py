@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from telenano.timing.clock import Clock as Clock
     from telenano.timing.clock_line import ClockLine as ClockLine
     from telenano.timing.clock_line import fitted as fitted
+    from telenano.timing.freshness import DELAY_STEP_NS as DELAY_STEP_NS
     from telenano.timing.loop_age import STAGES as STAGES
     from telenano.timing.loop_age import TOGETHER as TOGETHER
     from telenano.timing.loop_age import WITH_JITTER as WITH_JITTER

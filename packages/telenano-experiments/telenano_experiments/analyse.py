@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.analysis.intervals import wilson
-from telenano.wire.errors import ConfigError, known_names
+from telenano.analysis import wilson
+from telenano.wire import ConfigError, known_names
 from telenano_experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
 from telenano_experiments.effects import Effects, Factor, as_rows, effects
 from telenano_experiments.psychophysics.detection import detection

@@ -6,10 +6,16 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli.options import FormatOption, JsonOption, StyleOption
-from telenano.cli.output import console, print_json, report_errors
-from telenano.cli.sample_options import results_in
-from telenano.cli.tables import rows_table
+from telenano.cli import (
+    FormatOption,
+    JsonOption,
+    StyleOption,
+    console,
+    print_json,
+    report_errors,
+    results_in,
+    rows_table,
+)
 
 FOLDER = "analysis"
 # Longer tables are not printed.
@@ -52,7 +58,7 @@ def analyse(
     may be given while an experiment goes on, and as often as one likes: everything is made from the journal anew.
     """
     with report_errors(as_json):
-        from telenano.analysis.figure_style import figure_options
+        from telenano.analysis import figure_options
         from telenano_experiments.analyse import Choice, analyse, check_choice
         from telenano_experiments.analysis_page import NAME, write_analysis
         from telenano_experiments.folder_tables import about_experiment, adaptive_factors, tables_of

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from telenano_studies.page import Page, write_images
 
-from telenano.analysis.figure_style import COLUMN_IN, LINES, FigureOptions, lettered, styled
-from telenano.recording.provenance import versions as origin_of
+from telenano.analysis import COLUMN_IN, LINES, FigureOptions, lettered, styled
+from telenano.recording import versions as origin_of
 from telenano_experiments.analyse import Analysis, versions
 from telenano_experiments.effects import Factor
 from telenano_experiments.psychophysics.function import Psychometric

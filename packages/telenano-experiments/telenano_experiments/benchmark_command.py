@@ -8,11 +8,8 @@ from telenano_studies import option_values
 from telenano_studies.study_options import SchedulerOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, print_result, sweep_in, write_study
 
-from telenano.analysis.figure_style import figure_options, styled
-from telenano.cli.completion import law_names
-from telenano.cli.options import FormatOption, JsonOption, StyleOption
-from telenano.cli.output import report_errors
-from telenano.cli.sample_options import results_in
+from telenano.analysis import figure_options, styled
+from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
 
 
 def benchmark(

@@ -11,14 +11,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import zmq
 
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.bus.publisher import publish_end
-from telenano.runtime.wiring.participant import open_participant
-from telenano.wire.errors import ConfigError
-from telenano.wire.messages import Array, Scalar
-from telenano.wire.nodes import EXPERIMENT, VIEW
+from telenano.runtime import load_site, open_participant, publish_end
+from telenano.wire import VIEW, Array, ConfigError, Scalar
 from telenano_experiments.extend import Course
 from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Question
+from telenano_experiments.nodes import EXPERIMENT
 from telenano_experiments.types import Trial
 
 # A cue is told again after this time, to pages that came meanwhile.

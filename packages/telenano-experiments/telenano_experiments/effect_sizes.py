@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.intervals import half_width
+from telenano.analysis import half_width
 
 CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
 Matrix = npt.NDArray[np.float64]

@@ -8,11 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import fail, print_answer, print_document, print_json, print_rows, report_errors
-from telenano.files.whole_files import whole_file
-from telenano.settings.config import read_yaml
-from telenano.wire.errors import ConfigError
+from telenano.cli import (
+    EXIT_FAILED,
+    JsonOption,
+    command_group,
+    print_answer,
+    print_document,
+    print_json,
+    print_rows,
+    report_errors,
+)
+from telenano.files import whole_file
+from telenano.settings import read_yaml
+from telenano.wire import ConfigError
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plan_command import plan as plan_for_power
 from telenano_experiments.plans import find_experiment
@@ -327,7 +335,8 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
     text = f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}"
     print_answer(found, text, as_json=as_json)
     if stopped.reason:
-        fail(f"stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", as_json=False)
+        typer.echo(f"telenano: stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", err=True)
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> list[str]:

@@ -7,9 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
-from telenano.settings.config import Settings, flatten
-from telenano.wire.errors import known_names
-from telenano.wire.messages import Scalar
+from telenano.settings import Settings, flatten
+from telenano.wire import Scalar, known_names
 from telenano_experiments.asked import CONSENT, CONSENT_TEXT, INSTRUMENTS, worded
 from telenano_experiments.extend import choice, scale
 from telenano_experiments.messages import Question

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict
 from pydantic import Field as Field
 
-from telenano.recording.column_table import ColumnTable
+from telenano.recording import ColumnTable
 from telenano.wire import made
 from telenano_experiments.messages import Question
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.settings.config import read_yaml, validate
-from telenano.wire.errors import ConfigError
+from telenano.settings import read_yaml, validate
+from telenano.wire import ConfigError
 from telenano_experiments.experiment_file import Experiment
 from telenano_experiments.journal import NAME, read
 from telenano_experiments.table import Tables, tidy

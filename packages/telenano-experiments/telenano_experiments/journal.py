@@ -24,8 +24,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from telenano.files.whole_files import BusyError, locked, write_whole
-from telenano.wire.errors import ConfigError, RigError
+from telenano.files import BusyError, locked, write_whole
+from telenano.wire import ConfigError, RigError
 
 NAME = "journal.jsonl"
 Record = dict[str, Any]

@@ -23,8 +23,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from telenano.link.config import LinkSettings
-from telenano.settings.config import nested, validate
+from telenano.link import LinkSettings
+from telenano.settings import nested, validate
 from telenano_experiments.extend import Course, Parameters, Series, Task, TrialData
 from telenano_experiments.tasks.detect_contact import CONTACT
 from telenano_experiments.tasks.discriminate_stiffness import ANSWER, FIRST, SECOND, comparison_is_first

@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.files.whole_files import changed
-from telenano.settings.config import Settings, validate
-from telenano.wire.errors import ConfigError, RigError
+from telenano.files import changed
+from telenano.settings import Settings, validate
+from telenano.wire import ConfigError, RigError
 from telenano_experiments.journal import Journal, now_utc
 
 NAME = "people.json"

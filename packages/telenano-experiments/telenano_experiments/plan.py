@@ -10,12 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from telenano.launcher.plan import anchored, check_sections
-from telenano.settings import find_scenario
-from telenano.settings.config import flatten, merge, nested, read_yaml, validate
-from telenano.settings.scenario import LoadedScenario, Scenario
-from telenano.wire.errors import ConfigError, known_names
-from telenano.wire.messages import Scalar
+from telenano.launcher import anchored, check_sections
+from telenano.settings import find_scenario, flatten, merge, nested, read_yaml, scenario_of, validate
+from telenano.wire import ConfigError, Scalar, known_names
 from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry
 from telenano_experiments.extend import Task
 from telenano_experiments.orders import (
@@ -395,7 +392,7 @@ def checked_document(
     own = plan.tasks[task]
     needed = own.settings(parameters_of(own, parameters), seed)
     document = plan.document({**needed, **settings}, origin)
-    check_sections(LoadedScenario(validate(Scenario, document, origin), origin, document))
+    check_sections(scenario_of(document, origin))
     return document
 
 

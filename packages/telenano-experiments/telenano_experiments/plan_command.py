@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli.options import JsonOption
-from telenano.cli.output import print_json, print_rows, report_errors
-from telenano.wire.errors import ConfigError, known_names
+from telenano.cli import JsonOption, print_json, print_rows, report_errors
+from telenano.wire import ConfigError, known_names
 from telenano_experiments.plans import find_experiment
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from telenano.files.whole_files import whole_file, whole_folder
-from telenano.wire.errors import ConfigError
+from telenano.files import whole_file, whole_folder
+from telenano.wire import ConfigError
 from telenano_experiments.folder_tables import describe
 from telenano_experiments.journal import NAME, Journal, Record, now_utc
 from telenano_experiments.people import People, digest_of

@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig
 from telenano.afm.particles.push import KINETIC, RADIUS
 from telenano.afm.particles.tip_shape import touch_distance_m
-from telenano.hand.config import HapticConfig
-from telenano.hand.lateral_hand import LateralHandConfig
-from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
+from telenano.hand import HapticConfig, LateralHandConfig
+from telenano.laws import ControllerConfig
+from telenano.link import LinkSettings
+from telenano.lockstep import instrument_params
 from telenano.lockstep.push_hand import Hand, Push, new_hand
-from telenano.lockstep.simulation import instrument_params
-from telenano.settings.config import validate
-from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.settings import scenario_of
 from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
 
@@ -41,7 +39,7 @@ def steering_of(
         who: The simulated participant.
         seed: The seed of its errors.
     """
-    loaded = LoadedScenario(validate(Scenario, document, "a trial"), "a trial", dict(document))
+    loaded = scenario_of(document, "a trial")
     plant = instrument_params(loaded.section("afm_node", AfmConfig), "a trial", 0.0).plant
     lateral = loaded.section("haptic_node", HapticConfig).lateral or LateralHandConfig()
     link = loaded.section("delay_node", LinkSettings)

@@ -7,13 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.recording.column_table import ColumnTable
-from telenano.recording.messages import RecordedMessage
-from telenano.recording.quantities import quantity
-from telenano.recording.reader import Recording
-from telenano.recording.site_clock import Timeline
-from telenano.recording.tables import columns_of, uniform
-from telenano.wire.errors import RecordingError
+from telenano.recording import ColumnTable, RecordedMessage, Recording, Timeline, columns_of, quantity, uniform
+from telenano.wire import RecordingError
 from telenano_experiments.disturbances import Evidence, Hold, Passage
 from telenano_experiments.extend import TrialData
 from telenano_experiments.types import particle_table

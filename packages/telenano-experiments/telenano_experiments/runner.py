@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 from telenano_experiments.apparatus.base import Apparatus
 from telenano_experiments.desk import Desk, Place
 from telenano_experiments.journal import Journal, Record

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files.whole_files import whole_file
-from telenano.wire.errors import ConfigError
+from telenano.files import whole_file
+from telenano.wire import ConfigError
 
 Row = dict[str, Any]
 Describe = Callable[[str], Mapping[str, tuple[str, str]]]

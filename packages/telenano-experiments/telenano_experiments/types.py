@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.recording.column_table import ColumnTable
+from telenano.recording import ColumnTable
 
 
 class Trial(NamedTuple):

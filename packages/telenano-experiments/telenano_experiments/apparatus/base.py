@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.recording.column_table import ColumnTable
+from telenano.recording import ColumnTable
 from telenano_experiments.desk import AbortedError, Answers, Desk
 from telenano_experiments.extend import Judged, Series, TrialData
 from telenano_experiments.journal import now_utc

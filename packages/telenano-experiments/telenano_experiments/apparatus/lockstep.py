@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.recording.column_table import ColumnTable
+from telenano.recording import ColumnTable
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
 from telenano_experiments.extend import TrialData
 from telenano_experiments.types import particle_table
@@ -13,7 +13,7 @@ from telenano_experiments.types import particle_table
 
 def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> Any:
     # The models of the closed loop take seconds to load.
-    from telenano.lockstep.simulation import simulate_document
+    from telenano.lockstep import simulate_document
 
     return simulate_document(document, origin, steers)
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire import ConfigError, RigError
 from telenano_experiments.plan import Plan
 from telenano_experiments.types import Trial
 

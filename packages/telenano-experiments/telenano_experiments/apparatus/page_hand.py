@@ -9,15 +9,13 @@ import numpy as np
 import zmq
 
 from telenano.console import RigHand
-from telenano.hand.lateral_hand import LateralHandConfig
-from telenano.laws.config import ControllerConfig
+from telenano.hand import LateralHandConfig
+from telenano.laws import ControllerConfig
 from telenano.lockstep.across import steering_force_n
 from telenano.lockstep.push_hand import Hand, hand_moves
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.wiring.participant import OBSERVER, Participant, open_participant
-from telenano.wire.errors import RigError
-from telenano.wire.messages import HapticState, TeleopBackward
-from telenano.wire.nodes import HAND, LINK
+from telenano.runtime import OBSERVER, Participant, load_site, open_participant
+from telenano.wire import LINK, HapticState, RigError, TeleopBackward
+from telenano_experiments.nodes import HAND
 from telenano_experiments.operators import PRESSES
 
 # A page sends a force thirty times a second; an arm is faster.

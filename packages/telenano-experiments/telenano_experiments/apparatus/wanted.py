@@ -4,13 +4,12 @@ import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from telenano.afm.config import AfmConfig
-from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings, flattened
-from telenano.settings.config import flatten, validate
-from telenano.settings.scenario import LoadedScenario, Scenario
-from telenano.timing.freshness import DELAY_STEP_NS
-from telenano.wire.messages import Scalar
+from telenano.afm import AfmConfig
+from telenano.laws import ControllerConfig
+from telenano.link import LinkSettings, flattened
+from telenano.settings import flatten, scenario_of
+from telenano.timing import DELAY_STEP_NS
+from telenano.wire import Scalar
 from telenano_experiments.plan import changes_while_running
 
 NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}
@@ -29,7 +28,7 @@ class Wanted(NamedTuple):
 
 def section_of(document: Mapping[str, Any], name: str, model: Any) -> Any:
     """Return a section of a scenario as its model."""
-    loaded = LoadedScenario(validate(Scenario, document, "a trial"), "a trial", dict(document))
+    loaded = scenario_of(document, "a trial")
     return loaded.section(name, model)
 
 

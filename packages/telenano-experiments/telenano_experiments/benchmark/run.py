@@ -13,12 +13,11 @@ import numpy as np
 from telenano_studies.loops.cells import CellResult, Scales, judged, scales_of, settle_ticks
 from telenano_studies.loops.sweep import Kind
 
-from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
-from telenano.hand.config import HapticConfig
-from telenano.link.config import EVEN, network_name
-from telenano.lockstep.link import Schedule, schedule_of
-from telenano.lockstep.lockstep import Series, Trajectory, build_rig, simulate
-from telenano.settings.config import validate
+from telenano.afm import MODE_FOLLOW, MODE_HOLD
+from telenano.hand import HapticConfig
+from telenano.link import network_name
+from telenano.lockstep import Schedule, Series, Trajectory, build_rig, schedule_of, simulate
+from telenano.settings import validate
 from telenano_experiments.benchmark.etvo import Offsets, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
@@ -192,6 +191,10 @@ def _tone(values: Series, time_s: Series) -> complex:
     return complex(real, -imaginary) * (2.0 / len(listed))
 
 
+# these networks bring every message after the same time
+_EVEN = ("clean", "constant delay")
+
+
 def _check(run: Run) -> None:
     run.cell.controller()
     run.cell.hold_s()
@@ -199,7 +202,7 @@ def _check(run: Run) -> None:
 
 
 def _doubts(run: Run) -> str:
-    even = network_name(run.link) in EVEN
+    even = network_name(run.link) in _EVEN
     return run.cell.controller().stiffness_doubts(run.cell.felt_stiffness_n_per_m, even=even)
 
 

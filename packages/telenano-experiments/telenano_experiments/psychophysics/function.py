@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from telenano.settings.config import Settings
+from telenano.settings import Settings
 from telenano_experiments.psychophysics.exact import Numbers, exp, log, normal_share
 
 Shape = Literal["logistic", "normal", "weibull"]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from pydantic import Field, RootModel, model_validator
 
-from telenano.settings.config import Settings, validate
+from telenano.settings import Settings, validate
 from telenano_experiments.psychophysics.exact import Numbers, exp, log, total
 from telenano_experiments.psychophysics.fit import Answer, Estimate, fit, posterior
 from telenano_experiments.psychophysics.function import Psychometric

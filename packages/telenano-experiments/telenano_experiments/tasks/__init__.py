@@ -4,7 +4,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from telenano.settings.plugins import load
+from telenano.settings import load
 from telenano_experiments.extend import Measure, Task
 from telenano_experiments.tasks.detect_contact import DETECT_CONTACT
 from telenano_experiments.tasks.discriminate_stiffness import DISCRIMINATE_STIFFNESS
