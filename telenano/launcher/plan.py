@@ -24,8 +24,9 @@ from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
+from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge
 from telenano.settings.option import Option
-from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
+from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
 from telenano.wire.errors import ConfigError, RigError, known_names
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.nodes import (
@@ -357,7 +358,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         # Both halves refuse a law that is asked for later by the same words as a plan does.
         flags["controller"] = {"refused_laws": refused}
     document = merge(document, flags)
-    return LoadedScenario(validate(Scenario, document, origin), origin, document)
+    return scenario_of(document, origin)
 
 
 def refused_laws(driver: str) -> dict[str, str]:

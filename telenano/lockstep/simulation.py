@@ -44,8 +44,8 @@ from telenano.lockstep.lockstep import Trajectory, build_rig, simulate, time_to_
 from telenano.lockstep.steering import columns_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings import find_scenario
-from telenano.settings.config import merge, nested, read_yaml, validate
-from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.settings.config import merge, nested, read_yaml
+from telenano.settings.scenario import scenario_of
 from telenano.wire.errors import ConfigError
 
 _COLUMNS = {
@@ -309,7 +309,7 @@ def simulate_document(
         steers: Makes a hand that steers the tip across the sample, in mode rate.
         at_once: Whether to compile for the first session, as in `telenano.lockstep.lockstep.simulate`.
     """
-    loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
+    loaded = scenario_of(document, origin)
     controller = loaded.section("controller", ControllerConfig)
     haptic = loaded.section("haptic_node", HapticConfig)
     afm = loaded.section("afm_node", AfmConfig)

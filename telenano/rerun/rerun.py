@@ -29,6 +29,8 @@ from telenano.runtime.wiring.main import Wiring, node_kind
 from telenano.runtime.wiring.participant import LinkEnds
 from telenano.settings.config import flag_overrides, merge, parse_yaml, validate
 from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.settings.config import flag_overrides, merge, parse_yaml
+from telenano.settings.scenario import scenario_of
 from telenano.timing.clock import TurnClock
 from telenano.wire import Message
 from telenano.wire.errors import ConfigError, RecordingError, TelenanoError, known_names
@@ -232,7 +234,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         raise RecordingError(f"{recording.path}: has no scenario.yaml attached, which a re-run takes its settings from")
     origin = f"scenario.yaml in {recording.path}"
     document = merge(parse_yaml(attached, origin), flag_overrides(settings))
-    loaded = LoadedScenario(validate(Scenario, document, origin), origin, document)
+    loaded = scenario_of(document, origin)
     kind = node_kind(name_of(key))
     config = loaded.section(kind.name, kind.config)
     if not getattr(config, "simulated", True):

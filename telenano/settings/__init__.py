@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
     from telenano.settings.scenario import Scenario as Scenario
     from telenano.settings.scenario import load_scenario as load_scenario
+    from telenano.settings.scenario import scenario_of as scenario_of
 else:
     __getattr__, __dir__ = face(__name__)
 

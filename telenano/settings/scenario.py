@@ -141,7 +141,11 @@ def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, 
     return document, origin
 
 
+def scenario_of(document: Mapping[str, Any], origin: str) -> LoadedScenario:
+    """Return a document that was read already as a scenario; ConfigError names `origin` and the key at fault."""
+    return LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
+
+
 def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:
     """Read a scenario with environment and flags merged over it; ConfigError names file and key."""
-    document, origin = scenario_document(path, flags)
-    return LoadedScenario(validate(Scenario, document, origin), origin, document)
+    return scenario_of(*scenario_document(path, flags))

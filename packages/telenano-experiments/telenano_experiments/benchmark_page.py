@@ -7,6 +7,7 @@ from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.page import Page, text
 
 from telenano.link import PROFILES
+from telenano.link import profile_named
 from telenano_experiments.benchmark.plan import HANDS, TASKS, VERSION, Plan
 from telenano_experiments.benchmark.results import Row, Spread, choices
 from telenano_experiments.benchmark.run import DIGITS, MEASURES
@@ -29,7 +30,7 @@ def choice_rows(rows: Sequence[Row]) -> list[tuple[Any, ...]]:
         first, spread = some[0], some[0].measures["tracking_error"]
         others = ", ".join(f"{row.law} {100.0 * row.share:.0f} %" for row in some[1:3])
         found.append((
-            network, PROFILES[network].round_trip_ms, first.law if first.held else "none", first.held, first.runs,
+            network, profile_named(network).round_trip_ms, first.law if first.held else "none", first.held, first.runs,
             f"{100.0 * first.low:.0f} %", None if spread is None else spread.median, others,
         ))  # fmt: skip
     return found
@@ -81,7 +82,7 @@ def benchmark_figure(rows: Sequence[Row]) -> "Figure":
             colour = "black" if row.share > _LIGHT else "white"
             axes.text(x, y, words, ha="center", va="center", color=colour, fontsize=8, weight=weight)
     axes.set_xticks(range(len(laws)), [law.replace("_", " ") for law in laws], rotation=20, ha="right")
-    labels = [f"{name.replace('_', ' ')}, {PROFILES[name].round_trip_ms:.3g} ms" for name in networks]
+    labels = [f"{name.replace('_', ' ')}, {profile_named(name).round_trip_ms:.3g} ms" for name in networks]
     axes.set_yticks(range(len(networks)), labels)
     axes.set_ylabel("network, mean round trip")
     figure.colorbar(image, ax=axes, label="share of runs held", fraction=0.05)
@@ -113,7 +114,7 @@ def benchmark_page(plan: Plan, summary: dict[str, Any], rows: Sequence[Row], ima
     )
     page.heading("What was run")
     page.table(("task", "what it is"), [(name, TASKS[name].about) for name in plan.tasks])
-    page.table(("network", "what it is"), [(name, PROFILES[name].about) for name in plan.networks])
+    page.table(("network", "what it is"), [(name, profile_named(name).about) for name in plan.networks])
     page.table(("hand", "what it is"), [(name, HANDS[name]) for name in plan.hands])
     page.paragraph(
         f"Seeds: {plan.seeds} over each random network, each with a draw of delays and losses that all laws get."

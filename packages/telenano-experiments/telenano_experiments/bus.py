@@ -13,8 +13,10 @@ import zmq
 
 from telenano.runtime import load_site, open_participant, publish_end
 from telenano.wire import EXPERIMENT, VIEW, Array, ConfigError, Scalar
+from telenano.wire import VIEW, Array, ConfigError, Scalar
 from telenano_experiments.extend import Course
 from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Question
+from telenano_experiments.nodes import EXPERIMENT
 from telenano_experiments.types import Trial
 
 # A cue is told again after this time, to pages that came meanwhile.

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.wire import deadline_of
+from telenano.wire import TOPICS
 
 Times = npt.NDArray[np.float64]
 # A node reports twice a second; one that said nothing for so long was not there.
@@ -134,7 +135,7 @@ def _during(evidence: Evidence, words: Sequence[str]) -> list[Hold]:
 
 def _unexplained(evidence: Evidence) -> Iterable[str]:
     """Yield holds for want of commands although the link had delivered."""
-    least_s = _SHARE * min(deadline_of("afm/command"), deadline_of("haptic/command"))
+    least_s = _SHARE * min(TOPICS[topic].deadline_s or 0.0 for topic in ("afm/command", "haptic/command"))
     for hold in _during(evidence, STALE):
         begin_s = hold.time_s - least_s / _SHARE - _LOOK_BACK_S
         ways = (evidence.forward, evidence.backward)

@@ -9,9 +9,9 @@ import typer
 import yaml
 
 from telenano.cli import (
+    EXIT_FAILED,
     JsonOption,
     command_group,
-    fail,
     print_answer,
     print_document,
     print_json,
@@ -335,7 +335,8 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
     text = f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}"
     print_answer(found, text, as_json=as_json)
     if stopped.reason:
-        fail(f"stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", as_json=False)
+        typer.echo(f"telenano: stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", err=True)
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> list[str]:

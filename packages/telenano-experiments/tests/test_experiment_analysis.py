@@ -14,8 +14,8 @@ from telenano_experiments.effects import Effects
 from telenano_experiments.psychophysics.function import Psychometric
 from telenano_experiments.table import tidy
 
-from telenano.analysis.figure_style import figure_options
-from telenano.wire.errors import ConfigError
+from telenano.analysis import figure_options
+from telenano.wire import ConfigError
 
 pytest.importorskip("pandas")
 pytest.importorskip("statsmodels")

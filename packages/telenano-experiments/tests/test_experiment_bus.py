@@ -15,10 +15,10 @@ from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
 
 from telenano.console import RigHand
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.wiring.observer import Observer
+from telenano.runtime import Observer, load_site
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire import ConfigError
+from telenano.wire.errors import EndpointError
 
 PATIENCE_S = 20.0
 TRIAL = Trial("P07", 1, 2, 5, "main", "track", {}, {"law": "wave", "delay_s": 0.1, "on": (1, 2)}, {}, 11)

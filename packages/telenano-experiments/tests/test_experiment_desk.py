@@ -15,7 +15,7 @@ from telenano_experiments.messages import Question
 from telenano_experiments.people import People
 from test_experiment_runner import run, trials_in
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 
 class Bus:

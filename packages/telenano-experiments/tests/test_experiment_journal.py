@@ -9,7 +9,7 @@ import pytest
 from telenano_experiments import journal
 from telenano_experiments.journal import Journal
 
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire import ConfigError, RigError
 
 
 @pytest.fixture

@@ -17,13 +17,15 @@ from telenano_experiments.desk import Desk
 from telenano_experiments.disturbances import disturbances
 from telenano_experiments.recorded_trial import RecordedTrial
 
+from telenano.console import holding
 from telenano.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take
-from telenano.console.lease_register import LeaseRegister, holding
-from telenano.laws.config import ControllerConfig, changed_config
-from telenano.link.config import changed, flattened, parse_settings
-from telenano.recording.channel_filter import Selection
+from telenano.console.lease_register import LeaseRegister
+from telenano.laws import ControllerConfig
+from telenano.laws.config import changed_config
+from telenano.link import changed, flattened, parse_settings
+from telenano.recording import Selection
 from telenano.recording.rewrite import filter_recording
-from telenano.wire.errors import RecordingError, RefusedError, RigError
+from telenano.wire import RecordingError, RefusedError, RigError
 
 
 def documents(folder: Path, **changes: Any) -> list[dict[str, Any]]:

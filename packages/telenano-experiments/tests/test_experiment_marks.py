@@ -20,7 +20,7 @@ from telenano_experiments.tasks import TASKS
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire import ConfigError, RigError
 
 # fcntl of Linux (F_SETPIPE_SZ)
 _SET_PIPE_SIZE = 1031

@@ -15,9 +15,9 @@ from telenano_experiments.plan import load_plan
 from telenano_experiments.tasks import TASKS
 from telenano_experiments.types import Trial
 
-from telenano.hand.config import HapticConfig
-from telenano.settings.config import nested, validate
-from telenano.wire.errors import ConfigError
+from telenano.hand import HapticConfig
+from telenano.settings import nested, validate
+from telenano.wire import ConfigError
 
 SPRING = {
     "afm_node.environment": "spring",
@@ -81,7 +81,7 @@ def test_ratings_are_on_the_scale() -> None:
 
 def simulated(task_name: str, parameters: dict[str, Any], law: str, delay_ms: float, **settings: Any) -> dict[str, Any]:
     """Run a trial in lockstep with a participant without scatter, and judge it."""
-    from telenano.lockstep.simulation import simulate_scenario
+    from telenano.lockstep import simulate_scenario
 
     task, p = task_named(task_name, parameters)
     who = Simulated({"noise": 0.0}, 1)

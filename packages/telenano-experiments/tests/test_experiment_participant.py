@@ -31,9 +31,8 @@ from services.viz_node.hub import Hub
 from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
-from telenano.serving.access import Access
-from telenano.wire import TOPICS, fields_of
-from telenano.wire.messages import Array, Message
+from telenano.serving import Access
+from telenano.wire import TOPICS, Array, Message, fields_of
 
 TOKEN = "participant-token-01"
 ACCESS = Access(
@@ -368,7 +367,7 @@ def test_a_shorter_delay_shows_what_was_held_and_in_order() -> None:
 
 def test_a_participant_has_a_token_of_its_own() -> None:
     from telenano.serving.access import Role
-    from telenano.wire.errors import ConfigError
+    from telenano.wire import ConfigError
 
     access = Access.made(participant="q" * 20)
     assert access.role_of("q" * 20) is Role.PARTICIPANT

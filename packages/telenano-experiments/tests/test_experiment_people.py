@@ -10,7 +10,7 @@ from telenano_experiments.people import People, checked_pseudonym, erase
 from telenano_experiments.runner import remaining
 from test_experiment_runner import run
 
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire import ConfigError, RigError
 
 
 @pytest.mark.parametrize(

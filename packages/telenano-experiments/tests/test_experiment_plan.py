@@ -11,7 +11,7 @@ from telenano_experiments.plans import FOLDER
 from telenano_experiments.summary import summary_of
 from telenano_experiments.tasks import INSTALLED
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 from tests.contract.command_table import settable
 
 

@@ -17,7 +17,7 @@ from telenano_experiments.plan import Plan
 from telenano_experiments.publish import public, publish
 from test_experiment_runner import run
 
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire import ConfigError, RigError
 
 SECRET = "because Anna Miller had a migraine at nine"
 

@@ -13,7 +13,7 @@ from telenano_experiments.plan import Plan
 from telenano_experiments.runner import Runner, progress_of, remaining
 from telenano_experiments.summary import state_of
 
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire import ConfigError, RigError
 
 
 class Killed(BaseException):

@@ -7,7 +7,7 @@ from telenano_experiments import journal
 from telenano_experiments.journal import Journal
 from telenano_experiments.people import People
 
-from telenano.wire.errors import RigError
+from telenano.wire import RigError
 from tests.doubles.shared_files import Shared, SharedFiles, small_disk
 
 ROUNDS = 40

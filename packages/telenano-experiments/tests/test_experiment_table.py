@@ -9,7 +9,7 @@ import pytest
 from experiment_tables import demo, trial
 from telenano_experiments.table import FIXED, read_tables, tidy, write_tables
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 UNITS = {"completion_time_s": ("s", "Completion time"), "duration_s": ("s", "Duration of the touch")}
 TLX = {

@@ -14,12 +14,11 @@ from telenano_experiments.tasks.push_particle import PLACE_M, goal_of
 from telenano_experiments.tasks.track import lag_s, sum_of_sines
 from telenano_experiments.types import particle_table
 
-from telenano.afm.config import AfmConfig
-from telenano.hand.config import HapticConfig
-from telenano.laws.config import ControllerConfig
-from telenano.recording.column_table import ColumnTable
-from telenano.settings import find_scenario
-from telenano.settings.config import merge, nested, read_yaml, validate
+from telenano.afm import AfmConfig
+from telenano.hand import HapticConfig
+from telenano.laws import ControllerConfig
+from telenano.recording import ColumnTable
+from telenano.settings import find_scenario, merge, nested, read_yaml, validate
 from telenano.settings.scenario import LoadedScenario, Scenario
 
 SEEDS = range(2)

@@ -19,7 +19,7 @@ from telenano_experiments.psychophysics.fit import LEAST_TRIALS, fit
 from telenano_experiments.psychophysics.function import Psychometric
 from telenano_experiments.psychophysics.methods import Method, QuestPlus, make, most_trials, replay
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 LINEAR = {"shape": "logistic", "axis": "linear", "guess": 0.5}
 RATIOS = {"shape": "weibull", "axis": "log", "guess": 0.5}

@@ -12,20 +12,17 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from telenano.console import EXPERIMENT, Hold, couple_anew, holding, send_control
+from telenano.console import couple_anew, holding, send_control
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings, changed, network_name
 from telenano.recording import Recording
-from telenano.runtime import Command, CommandName, Observer, load_site
+from telenano.runtime import Command, Observer, load_site
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import (
-    HAND,
     LINK,
-    RECORDER,
-    TIP,
     AfmState,
     HapticState,
     LinkDelay,
@@ -51,6 +48,7 @@ from telenano_experiments.apparatus.wanted import (
 )
 from telenano_experiments.desk import Desk
 from telenano_experiments.disturbances import disturbances
+from telenano_experiments.nodes import HAND, RECORDER, TIP
 from telenano_experiments.plan import Plan, parameters_of
 from telenano_experiments.recorded_trial import RecordedTrial
 from telenano_experiments.types import Trial
@@ -71,6 +69,9 @@ _SAME_PLACE_M = 2e-9
 # They are coupled anew so often before the trial is given up.
 _COUPLINGS = 3
 _NO_MARKS: Mapping[int, int | str] = {}
+
+
+_Name = Literal["start", "stop", "set", "mark", "arm"]
 
 
 class Live(Apparatus):
@@ -104,7 +105,7 @@ class Live(Apparatus):
         # A simulated hand that steers the tip pushes at the place of a page.
         self._page: PageHand | None = None
         self._hold = ExitStack()
-        self._lease: Hold | None = None
+        self._lease: Any = None
         self._was_lost = False
         self._observer: Observer | None = None
         # the newest report by topic and source, and when it came
@@ -237,7 +238,7 @@ class Live(Apparatus):
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
         # Participants press, and nobody else commands, while the experiment has the hand.
-        self._lease = self._hold.enter_context(holding(EXPERIMENT))
+        self._lease = self._hold.enter_context(holding("experiment"))
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
         self._kept, self._newest = kept, {}
         self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
@@ -489,7 +490,7 @@ class Live(Apparatus):
             self._watch(min(_LISTEN_S, duration_s - elapsed_s))
             yield from self.desk.during(elapsed_s)
 
-    def _command(self, name: CommandName, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
+    def _command(self, name: _Name, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
         """Send a command; RigError where a node refuses it. What was reported before counts no more."""
         self._send(Command(name, target, parameters=parameters or {}))
 
@@ -510,7 +511,7 @@ class Live(Apparatus):
         if self._lease is None or self._lease.is_held():
             return
         self._hold.close()
-        self._lease, self._was_lost = self._hold.enter_context(holding(EXPERIMENT)), True
+        self._lease, self._was_lost = self._hold.enter_context(holding("experiment")), True
         self._show("the experiment stood still for a second and lost the hand: it has taken it again")
 
     def _split(self, rig: RigProcess) -> Path:

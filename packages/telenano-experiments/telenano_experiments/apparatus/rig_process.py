@@ -12,11 +12,11 @@ from typing import Any
 import yaml
 
 from telenano.launcher import running_rigs
-from telenano.runtime import RIG_VARIABLE
-from telenano.signals import kept_from_children
-from telenano.signals import start as start_child
+from telenano.signals import kept_from_children, start
 from telenano.wire import RigError
 
+# names the rig that commands are for, as --rig does
+RIG_VARIABLE = "TELENANO_RIG"
 # A rig is ready within half a minute also where its models have to be compiled first.
 _READY_S = 120.0
 _END_S = 60.0
@@ -61,7 +61,7 @@ class RigProcess:
         # A pipe would break when this process is killed, in the middle of what the rig does to end in order.
         self._log = folder / "up.log"
         with kept_from_children(), self._log.open("wb") as log:
-            self._process = start_child(
+            self._process = start(
                 [*command, *further],
                 stdin=subprocess.DEVNULL,
                 stdout=log,

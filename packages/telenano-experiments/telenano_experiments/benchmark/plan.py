@@ -16,6 +16,7 @@ from telenano_studies.loops.cells import Cell, Environment, sources
 
 from telenano.laws import LAWS
 from telenano.link import PROFILES, LinkSettings, parse_settings, refusal_of
+from telenano.link import LinkSettings, parse_settings, profile_named
 from telenano.settings import Settings
 from telenano.wire import ConfigError, known_names
 
@@ -92,7 +93,7 @@ class Run(Settings):
             stiffness_n_per_m=task.stiffness_n_per_m,
             law=self.law,
             hand="force" if self.hand == "reacting" else self.hand,
-            round_trip_ms=round(PROFILES[self.network].round_trip_ms, 1),
+            round_trip_ms=round(profile_named(self.network).round_trip_ms, 1),
             loss=0.0,
             jitter_ms=0.0,
             settings=self.settings,
@@ -172,8 +173,11 @@ def plan_of(
         if law not in LAWS:
             raise ConfigError(f"--law: unknown law {law!r}, {known_names(law, LAWS)}")
     for network in networks:
-        if network not in PROFILES:
-            raise ConfigError(f"--network: {refusal_of(network)}")
+        try:
+            profile_named(network)
+        except ConfigError as error:
+            raise ConfigError(f"--network: {error}") from error
+    networks = [network.lower() for network in networks]
     if quick:
         return Plan(tuple(networks) or QUICK_NETWORKS, QUICK_TASKS, tuple(laws), QUICK_HANDS, QUICK_SEEDS, settings)
     return Plan(tuple(networks) or NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)
@@ -184,13 +188,13 @@ def is_random(network: str) -> bool:
     """Return whether another seed gives other delays or losses."""
     return any(
         (way.deviation_ms or 0.0) > 0.0 or len(set(way.percentiles_ms.values())) > 1 or way.lost > 0.0
-        for way in PROFILES[network].statistics.values()
+        for way in profile_named(network).statistics.values()
     )
 
 
 @functools.cache
 def _link_text(network: str) -> str:
-    return json.dumps(PROFILES[network].model_dump(mode="json"), sort_keys=True)
+    return json.dumps(profile_named(network).model_dump(mode="json"), sort_keys=True)
 
 
 @functools.cache

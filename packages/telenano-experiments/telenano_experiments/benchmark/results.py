@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from telenano.analysis import wilson
 from telenano.link import PROFILES
+from telenano.link import profile_named
 from telenano_experiments.benchmark.plan import TASKS, VERSION, Plan
 from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded
 
@@ -128,7 +129,7 @@ def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row]) -> 
         "seeds": plan.seeds,
         "tasks": {name: TASKS[name].about for name in plan.tasks},
         "networks": {
-            name: {"about": PROFILES[name].about, "round_trip_ms": rounded(PROFILES[name].round_trip_ms)}
+            name: {"about": profile_named(name).about, "round_trip_ms": rounded(profile_named(name).round_trip_ms)}
             for name in plan.networks
         },
         "measures": {name: measure._asdict() for name, measure in MEASURES.items()},

@@ -16,6 +16,7 @@ from telenano_studies.loops.sweep import Kind
 from telenano.afm import MODE_FOLLOW, MODE_HOLD
 from telenano.hand import HapticConfig
 from telenano.link import EVEN, network_name
+from telenano.link import network_name
 from telenano.lockstep import Schedule, Series, Trajectory, build_rig, schedule_of, simulate
 from telenano.settings import validate
 from telenano_experiments.benchmark.etvo import Offsets, etvo
@@ -191,6 +192,10 @@ def _tone(values: Series, time_s: Series) -> complex:
     return complex(real, -imaginary) * (2.0 / len(listed))
 
 
+# these networks bring every message after the same time
+_EVEN = ("clean", "constant delay")
+
+
 def _check(run: Run) -> None:
     run.cell.controller()
     run.cell.hold_s()
@@ -198,7 +203,7 @@ def _check(run: Run) -> None:
 
 
 def _doubts(run: Run) -> str:
-    even = network_name(run.link) in EVEN
+    even = network_name(run.link) in _EVEN
     return run.cell.controller().stiffness_doubts(run.cell.felt_stiffness_n_per_m, even=even)
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from telenano.wire import ConfigError, probably_meant
+from telenano.wire import ConfigError, known_names
 
 FOLDER = Path(__file__).resolve().parent
 
@@ -16,5 +17,4 @@ def find_experiment(name: str) -> Path:
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
     known = sorted(file.stem for file in FOLDER.glob("*.yaml"))
-    listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
-    raise ConfigError(f"unknown experiment {name!r}: {listed}")
+    raise ConfigError(f"unknown experiment {name!r}: {known_names(name, known)}; or give a .yaml file")
