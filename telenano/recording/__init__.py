@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tables import plain as plain
     from telenano.recording.tables import typed_columns as typed_columns
-    from telenano.recording.tables import columns_of as columns_of
-    from telenano.recording.tables import plain as plain
     from telenano.recording.tables import uniform as uniform
     from telenano.recording.tolerance import Tolerances as Tolerances
     from telenano.recording.tolerance import first_difference as first_difference

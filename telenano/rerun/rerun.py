@@ -27,8 +27,6 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node
 from telenano.runtime.wiring.main import Wiring, node_kind
 from telenano.runtime.wiring.participant import LinkEnds
-from telenano.settings.config import flag_overrides, merge, parse_yaml, validate
-from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.settings.config import flag_overrides, merge, parse_yaml
 from telenano.settings.scenario import scenario_of
 from telenano.timing.clock import TurnClock

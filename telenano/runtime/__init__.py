@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
     from telenano.runtime.bus.publisher import publish_end as publish_end
     from telenano.runtime.bus.transports import LinkTransport as LinkTransport
-    from telenano.runtime.bus.publisher import publish_end as publish_end
-    from telenano.runtime.datagram.arrivals import SETTLE_NS as SETTLE_NS
     from telenano.runtime.link_node import TRAIN as TRAIN
     from telenano.runtime.link_node import DelayNode as DelayNode
     from telenano.runtime.link_node import DirectionPath as DirectionPath

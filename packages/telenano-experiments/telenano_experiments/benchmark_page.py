@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.page import Page, text
 
-from telenano.link import PROFILES
 from telenano.link import profile_named
 from telenano_experiments.benchmark.plan import HANDS, TASKS, VERSION, Plan
 from telenano_experiments.benchmark.results import Row, Spread, choices

@@ -12,7 +12,6 @@ import numpy as np
 import zmq
 
 from telenano.runtime import load_site, open_participant, publish_end
-from telenano.wire import EXPERIMENT, VIEW, Array, ConfigError, Scalar
 from telenano.wire import VIEW, Array, ConfigError, Scalar
 from telenano_experiments.extend import Course
 from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Question

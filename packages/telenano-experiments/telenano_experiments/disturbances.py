@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.wire import deadline_of
 from telenano.wire import TOPICS
 
 Times = npt.NDArray[np.float64]

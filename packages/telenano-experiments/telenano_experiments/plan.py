@@ -11,8 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from telenano.launcher import anchored, check_sections
-from telenano.settings import LoadedScenario, Scenario, find_scenario, flatten, merge, nested, read_yaml, validate
-from telenano.settings import find_scenario, flatten, merge, nested, read_yaml, scenario_of, validate
+from telenano.settings import (
+    find_scenario,
+    flatten,
+    merge,
+    nested,
+    read_yaml,
+    scenario_of,
+    validate,
+)
 from telenano.wire import ConfigError, Scalar, known_names
 from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry
 from telenano_experiments.extend import Task

@@ -13,14 +13,10 @@ from telenano_assembly import Hand, new_hand, push_of
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
 from telenano.afm import AfmConfig
-from telenano.afm.particles.push import KINETIC, RADIUS
-from telenano.afm.particles.tip_shape import touch_distance_m
 from telenano.hand import HapticConfig, LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
 from telenano.lockstep import instrument_params
-from telenano.settings import LoadedScenario, Scenario, validate
-from telenano.lockstep.push_hand import Hand, Push, new_hand
 from telenano.settings import scenario_of
 from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile

@@ -14,10 +14,6 @@ from telenano.hand import LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.lockstep import steering_force_n
 from telenano.runtime import OBSERVER, Participant, load_site, open_participant
-from telenano.wire import HAND, LINK, HapticState, RigError, TeleopBackward
-from telenano.lockstep.across import steering_force_n
-from telenano.lockstep.push_hand import Hand, hand_moves
-from telenano.runtime import OBSERVER, Participant, load_site, open_participant
 from telenano.wire import LINK, HapticState, RigError, TeleopBackward
 from telenano_experiments.nodes import HAND
 from telenano_experiments.operators import PRESSES

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 from telenano.afm import AfmConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings, flattened
-from telenano.settings import LoadedScenario, Scenario, flatten, validate
 from telenano.settings import flatten, scenario_of
 from telenano.timing import DELAY_STEP_NS
 from telenano.wire import Scalar

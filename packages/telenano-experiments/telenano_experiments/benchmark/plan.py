@@ -15,7 +15,6 @@ from pydantic import Field
 from telenano_studies.loops.cells import Cell, Environment, sources
 
 from telenano.laws import LAWS
-from telenano.link import PROFILES, LinkSettings, parse_settings, refusal_of
 from telenano.link import LinkSettings, parse_settings, profile_named
 from telenano.settings import Settings
 from telenano.wire import ConfigError, known_names

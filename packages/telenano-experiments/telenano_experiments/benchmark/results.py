@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from telenano.analysis import wilson
-from telenano.link import PROFILES
 from telenano.link import profile_named
 from telenano_experiments.benchmark.plan import TASKS, VERSION, Plan
 from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded

@@ -15,7 +15,6 @@ from telenano_studies.loops.sweep import Kind
 
 from telenano.afm import MODE_FOLLOW, MODE_HOLD
 from telenano.hand import HapticConfig
-from telenano.link import EVEN, network_name
 from telenano.link import network_name
 from telenano.lockstep import Schedule, Series, Trajectory, build_rig, schedule_of, simulate
 from telenano.settings import validate

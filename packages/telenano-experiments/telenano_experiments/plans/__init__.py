@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from telenano.wire import ConfigError, probably_meant
 from telenano.wire import ConfigError, known_names
 
 FOLDER = Path(__file__).resolve().parent
