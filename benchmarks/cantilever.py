@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 from telenano.afm.config import AfmConfig
 from telenano.afm.contact.force_grid import grid_force
 from telenano.afm.dynamic import NO_NOISE, advance, free_amplitude_m, steady_state
-from telenano.numerics.compiled import always_compiled
+from telenano.numerics.compiler import always_compiled
 
 PERIODS = 150
 MEASURED = 20

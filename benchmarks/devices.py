@@ -27,7 +27,7 @@ from telenano.afm.config import AfmConfig
 from telenano.afm.section_config import ModbusConfig
 from telenano.devices.afm.instrument import modbus_driver
 from telenano.devices.afm.modbus_frames import Conversation, Operation
-from telenano.devices.hand.calibration import read_calibration
+from telenano.devices.hand.calibration import read_handle_calibration
 from telenano.devices.hand.serial_driver import SerialHandle
 from telenano.hand.config import LimitsConfig
 from telenano.hand.driver import DriveCommand
@@ -94,7 +94,7 @@ def handle_figures(folder: Path, seconds: float, board: str) -> dict[str, Any]:
     )
     ages: list[float] = []
     try:
-        driver = SerialHandle(str(link), 1_000_000, read_calibration(calibration), LimitsConfig())
+        driver = SerialHandle(str(link), 1_000_000, read_handle_calibration(calibration), LimitsConfig())
 
         def tick() -> None:
             driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))

@@ -24,7 +24,7 @@ from telenano.hand.step import HapticInputs
 from telenano.hand.step import step as haptic_step
 from telenano.lockstep.link import schedule_of
 from telenano.lockstep.lockstep import Rig, Trajectory, simulate
-from telenano.numerics.compiled import always_compiled
+from telenano.numerics.compiler import always_compiled
 
 AIM = 2000.0
 _SETTLE_TICKS = 300

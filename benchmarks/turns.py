@@ -98,10 +98,10 @@ def node_turns(key: str) -> Callable[[], float]:
     """Return what has a new node take all turns, and returns the mean time of one [us]."""
     import virtual_rig
 
-    from telenano.extend.testing import VirtualClock
     from telenano.runtime.loop.node import NodeContext
     from telenano.runtime.loop.node_loop import NodeLoop
     from telenano.runtime.loop.realtime import RealtimeStatus
+    from telenano.testing import VirtualClock
 
     rig, turns = session()
 

@@ -32,7 +32,7 @@ from telenano.afm.contact.electrostatic import (
 )
 from telenano.afm.contact.tip_sample import TipSample, branch_force
 from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 _TOLERANCE_M = 1e-17
 _MOST_ITERATIONS = 200

@@ -25,7 +25,7 @@ from telenano.afm.disturbances import (
     noise_step,
 )
 from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register_part
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
 

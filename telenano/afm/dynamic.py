@@ -31,7 +31,7 @@ import numpy.typing as npt
 from telenano.afm.contact.electrostatic import electrostatic_force_n
 from telenano.afm.contact.force_grid import Passages, grid_force, grid_slopes, passed
 from telenano.afm.dynamic_plant import FAR_STEPS, KICKS_PER_PERIOD, DynamicPlant, Viscosity
-from telenano.numerics.compiled import always_compiled, compiled
+from telenano.numerics.compiler import always_compiled, compiled
 
 # a step goes no further than this share of the way to the next jump of the force, or this far where that is nearer
 _LOOK_AHEAD = 0.25

@@ -17,7 +17,7 @@ from telenano.afm.contact.electrostatic import electrostatic_strength_n_m2
 from telenano.afm.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m, lag_rad
 from telenano.afm.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
 from telenano.afm.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register_part
-from telenano.numerics.compiled import always_compiled
+from telenano.numerics.compiler import always_compiled
 
 # the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
 # some 100 us: what shares the processor has to come in between

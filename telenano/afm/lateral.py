@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 LATERAL_BY_RANGE = 1  # bits of what limited a motion
 LATERAL_BY_SPEED = 2

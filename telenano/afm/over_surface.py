@@ -17,7 +17,7 @@ from telenano.afm.part import (
     register_part,
 )
 from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # Only the slopes matter here.
 _SMOOTH = FrictionParams(0.0, 0.0, 1.0, 1.0)

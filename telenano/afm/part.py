@@ -10,7 +10,7 @@ for a study in lockstep, and `sim.SimulatedInstrument` makes the driver of a nod
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from telenano.numerics.compiled import chosen_step, compiled
+from telenano.numerics.compiler import chosen_step, compiled
 
 
 class PlantInputs(NamedTuple):

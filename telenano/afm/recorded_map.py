@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
 

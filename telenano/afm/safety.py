@@ -26,7 +26,7 @@ can still be read when the operator comes back.
 import math
 from typing import NamedTuple
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 MODE_RETRACTED, MODE_FOLLOW, MODE_HOLD, MODE_RETRACTING, MODE_ESTOP = range(5)
 MODE_NAMES: dict[int, str] = dict(enumerate(("retracted", "follow", "hold", "retracting", "estop")))

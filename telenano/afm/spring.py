@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple
 
 from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class SpringParams(NamedTuple):

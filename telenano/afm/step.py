@@ -20,7 +20,7 @@ from telenano.afm.safety import (
     initial_safety_state,
     safety_step,
 )
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # the guard's speed limit allows no more than this much motion at once, however long the process was held up
 LONGEST_STEP_NS = 10_000_000

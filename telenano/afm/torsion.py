@@ -27,7 +27,7 @@ from telenano.afm.part import (
     register_part,
     truths_of,
 )
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 
 _CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta."

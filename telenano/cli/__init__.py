@@ -5,10 +5,50 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.cli.commands.device_files import run_ahead as run_ahead
+    from telenano.cli.commands.device_files import section_of as section_of
+    from telenano.cli.commands.device_files import write_document as write_document
+    from telenano.cli.commands.topic import open_observer as open_observer
+    from telenano.cli.completion import law_names as law_names
+    from telenano.cli.exit_codes import EXIT_FAILED as EXIT_FAILED
+    from telenano.cli.exit_codes import EXIT_INCOMPLETE as EXIT_INCOMPLETE
+    from telenano.cli.image_output import write_images as write_images
+    from telenano.cli.keyboard import RawKeyboard as RawKeyboard
+    from telenano.cli.model_options import Given as Given
     from telenano.cli.model_options import validated as validated
     from telenano.cli.model_options import with_options as with_options
+    from telenano.cli.options import AllowOption as AllowOption
+    from telenano.cli.options import CertificateKeyOption as CertificateKeyOption
+    from telenano.cli.options import CertificateOption as CertificateOption
+    from telenano.cli.options import DurationOption as DurationOption
+    from telenano.cli.options import ExcludeOption as ExcludeOption
+    from telenano.cli.options import FormatOption as FormatOption
+    from telenano.cli.options import HostNameOption as HostNameOption
+    from telenano.cli.options import HostOption as HostOption
+    from telenano.cli.options import JsonOption as JsonOption
+    from telenano.cli.options import SiteFileOption as SiteFileOption
+    from telenano.cli.options import StyleOption as StyleOption
+    from telenano.cli.options import TableOption as TableOption
+    from telenano.cli.options import TopicsOption as TopicsOption
+    from telenano.cli.options import command_group as command_group
+    from telenano.cli.options import table_formats as table_formats
+    from telenano.cli.output import console as console
+    from telenano.cli.output import fail_incomplete as fail_incomplete
+    from telenano.cli.output import print_answer as print_answer
+    from telenano.cli.output import print_document as print_document
+    from telenano.cli.output import print_json as print_json
+    from telenano.cli.output import print_rows as print_rows
+    from telenano.cli.output import report_errors as report_errors
+    from telenano.cli.output import results_folder as results_folder
+    from telenano.cli.progress_bar import progress as progress
     from telenano.cli.sample_options import AfmOption as AfmOption
     from telenano.cli.sample_options import ChannelOption as ChannelOption
+    from telenano.cli.sample_options import SampleOption as SampleOption
+    from telenano.cli.sample_options import SampleSetOption as SampleSetOption
+    from telenano.cli.sample_options import SampleSizeOption as SampleSizeOption
     from telenano.cli.sample_options import results_in as results_in
+    from telenano.cli.sample_options import sample_config as sample_config
+    from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
+    from telenano.cli.simulated_instrument import simulated_afm as simulated_afm
 else:
     __getattr__, __dir__ = face(__name__)

@@ -5,6 +5,13 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.console.bridges import DEFAULT_RATE_HZ as DEFAULT_RATE_HZ
+    from telenano.console.bridges import Rate as Rate
+    from telenano.console.bridges import hand_on as hand_on
+    from telenano.console.bridges import live_rig as live_rig
+    from telenano.console.command_client import parse_parameters as parse_parameters
+    from telenano.console.command_client import send_control as send_control
+    from telenano.console.live_program import LiveCurve as LiveCurve
     from telenano.console.live_program import run_program as run_program
 else:
     __getattr__, __dir__ = face(__name__)

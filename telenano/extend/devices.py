@@ -16,7 +16,6 @@ from telenano.hand.driver import HapticDevice as HapticDevice
 from telenano.hand.safety import MODE_FORCE as MODE_FORCE
 from telenano.hand.safety import MODE_OFF as MODE_OFF
 from telenano.hand.safety import MODE_POSITION as MODE_POSITION
-from telenano.settings.config import Settings as Settings
 from telenano.settings.device_drivers import DeviceDriver as DeviceDriver
 
 AfmLimits = SafetyParams

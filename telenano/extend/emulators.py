@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from telenano.cli import section_of
 from telenano.devices.hand.servo_process import ProcessLink as ProcessLink
 from telenano.devices.hand.servo_process import ServoLoop as ServoLoop
 from telenano.devices.hand.servo_process import SharedServo as SharedServo
-from telenano.extend.commands import section_of
 from telenano.extend.impedance import ZERO, Vector
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupled import arm_step as arm_step

@@ -21,9 +21,6 @@ from telenano.hand.driver import Quaternion as Quaternion
 from telenano.hand.safety import MODE_OFF as MODE_OFF
 from telenano.hand.safety import MODE_POSITION as MODE_POSITION
 from telenano.hand.servo import DeviceSample as DeviceSample
-from telenano.runtime.loop.log import StructuredLog as StructuredLog
-from telenano.settings.config import Settings as Settings
-from telenano.settings.config import refused_code as refused_code
 from telenano.settings.device_drivers import DeviceDriver
 
 if TYPE_CHECKING:

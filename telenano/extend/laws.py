@@ -28,4 +28,3 @@ from telenano.laws.shared.virtual_mass import periods_in as periods_in
 from telenano.laws.shared.virtual_mass import rescaled as rescaled
 from telenano.laws.shared.virtual_mass import resumed as resumed
 from telenano.laws.shared.virtual_mass import tip_reference as tip_reference
-from telenano.numerics.compiled import compiled as compiled

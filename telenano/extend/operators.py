@@ -3,5 +3,3 @@
 from telenano.hand.operator import OperatorInputs as OperatorInputs
 from telenano.hand.operator import OperatorOutputs as OperatorOutputs
 from telenano.hand.operator_models import OperatorModel as OperatorModel
-from telenano.numerics.compiled import compiled as compiled
-from telenano.settings.config import Settings as Settings

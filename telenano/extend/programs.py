@@ -27,7 +27,6 @@ from telenano.afm.programs.program_settings import Length as Length
 from telenano.afm.programs.program_settings import Position as Position
 from telenano.afm.programs.program_settings import ProgramSettings as ProgramSettings
 from telenano.afm.programs.program_settings import Speed as Speed
-from telenano.wire.errors import RefusedError as RefusedError
 
 _PERIOD_S = 1e-3
 

@@ -3,5 +3,3 @@
 from telenano.afm.part import AfmSample as AfmSample
 from telenano.afm.part import PlantInputs as PlantInputs
 from telenano.afm.sample_models import SampleModel as SampleModel
-from telenano.numerics.compiled import compiled as compiled
-from telenano.settings.config import Settings as Settings

@@ -1,1 +1,43 @@
 """The hand and its haptic device as steps without a clock: motor, operator, coupling, guard and their settings."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.hand.config import DRIVERS as DRIVERS
+    from telenano.hand.config import SIMULATED_IMPEDANCE as SIMULATED_IMPEDANCE
+    from telenano.hand.config import DeviceConfig as DeviceConfig
+    from telenano.hand.config import HapticConfig as HapticConfig
+    from telenano.hand.config import LimitsConfig as LimitsConfig
+    from telenano.hand.coupling import FAULTS as FAULTS
+    from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE
+    from telenano.hand.coupling import GATE_DEADMAN as GATE_DEADMAN
+    from telenano.hand.coupling import GATE_FROZEN as GATE_FROZEN
+    from telenano.hand.coupling import GATE_JUMP as GATE_JUMP
+    from telenano.hand.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
+    from telenano.hand.coupling import GATE_RUNAWAY as GATE_RUNAWAY
+    from telenano.hand.coupling import GATES as GATES
+    from telenano.hand.coupling import STABLE_MARGIN as STABLE_MARGIN
+    from telenano.hand.coupling import ZERO as ZERO
+    from telenano.hand.coupling import CouplingSettings as CouplingSettings
+    from telenano.hand.coupling import Vector as Vector
+    from telenano.hand.driver import DriveCommand as DriveCommand
+    from telenano.hand.impedance_config import bounds_of as bounds_of
+    from telenano.hand.motor import MotorParams as MotorParams
+    from telenano.hand.motor import MotorState as MotorState
+    from telenano.hand.motor import bandwidth_hz as bandwidth_hz
+    from telenano.hand.motor import closed_loop_coefficients as closed_loop_coefficients
+    from telenano.hand.motor import closed_loop_poles as closed_loop_poles
+    from telenano.hand.operator_config import ARMS as ARMS
+    from telenano.hand.safety import MODE_OFF as MODE_OFF
+    from telenano.hand.safety import MODE_POSITION as MODE_POSITION
+    from telenano.hand.servo import DeviceSample as DeviceSample
+    from telenano.hand.servo import Servo as Servo
+    from telenano.hand.servo import ServoCommand as ServoCommand
+    from telenano.hand.servo import ServoLink as ServoLink
+    from telenano.hand.servo import ServoSample as ServoSample
+    from telenano.hand.step import initial_plant as initial_plant
+    from telenano.hand.step import plant_step as plant_step
+else:
+    __getattr__, __dir__ = face(__name__)

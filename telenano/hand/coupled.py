@@ -29,7 +29,7 @@ from telenano.hand.driver import UPRIGHT, DeviceReading, DriveCommand, Pair, Spa
 from telenano.hand.operator import OperatorInputs, interpolate
 from telenano.hand.operator_models import operator_at_rest, operator_step
 from telenano.hand.safety import MODE_POSITION
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class LateralHand(NamedTuple):

@@ -25,7 +25,7 @@ Vectors are in the master frame of the messages: z away from the sample, so push
 import math
 from typing import NamedTuple
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)

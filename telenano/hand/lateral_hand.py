@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from telenano.hand.operator import interpolate
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings, filled
 
 Array = NDArray[np.float64]

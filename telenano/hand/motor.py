@@ -17,7 +17,7 @@ import math
 from typing import NamedTuple
 
 from telenano.hand.safety import MODE_POSITION
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # Inside one regime (servo, voltage limit, torque limit) a sub-step of any length is exact. Where a limit acts at one of
 # its ends it is done again in finer ones, as the moment at which the regime changes is then not known. These are at

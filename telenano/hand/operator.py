@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 FORCE_PROFILE = 0
 IMPEDANCE = 1

@@ -9,7 +9,7 @@ from pydantic import BaseModel, model_validator
 from telenano.hand import operator, reacting
 from telenano.hand.operator import OperatorParams, OperatorState
 from telenano.hand.reacting import ReactingParams
-from telenano.numerics.compiled import chosen_step
+from telenano.numerics.compiler import chosen_step
 from telenano.settings.plugins import load
 
 Step = Callable[..., Any]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telenano.hand.operator import OperatorInputs, OperatorOutputs, interpolate
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class ReactingParams(NamedTuple):

@@ -14,7 +14,7 @@ Arming is for the tip: it follows only a hand that a person has armed since its 
 import math
 from typing import NamedTuple
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 MODE_OFF, MODE_POSITION, MODE_FORCE = range(3)
 MODE_NAMES: dict[int, str] = {MODE_OFF: "off", MODE_POSITION: "position", MODE_FORCE: "force"}

@@ -10,7 +10,7 @@ from telenano.hand import motor, operator, safety
 from telenano.hand.coupled import CoupledParams, coupled_plant_step, initial_coupled, waits
 from telenano.hand.driver import DeviceReading, DriveCommand, SpatialCommand
 from telenano.hand.operator_models import operator_at_rest, operator_step
-from telenano.numerics.compiled import chosen_step, compiled
+from telenano.numerics.compiler import chosen_step, compiled
 
 
 class PlantParams(NamedTuple):

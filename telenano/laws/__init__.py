@@ -1,1 +1,18 @@
 """Teleoperation laws as two-ports: their steps, the timing of both halves, force clamp, x and y, and settings."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.laws.config import LAWS as LAWS
+    from telenano.laws.config import OWN_LAWS as OWN_LAWS
+    from telenano.laws.config import ControllerConfig as ControllerConfig
+    from telenano.laws.law import changed_in_contact as changed_in_contact
+    from telenano.laws.law import longest_pause_periods as longest_pause_periods
+    from telenano.laws.law import paced as paced
+    from telenano.laws.law_names import LAW_NAMES as LAW_NAMES
+    from telenano.laws.law_rules import known_law as known_law
+    from telenano.laws.tactile import impedance_scaled as impedance_scaled
+else:
+    __getattr__, __dir__ = face(__name__)

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from telenano.laws.law import PortSignal, SlaveReference, TipMeasurement
 from telenano.laws.ranges import DampingNSPerM, ForceOrNoneN
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 
 # the margin of a clamp that is off [N]

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from telenano.laws.law import PortSignal
 from telenano.laws.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 
 

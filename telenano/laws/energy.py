@@ -14,7 +14,7 @@ and sample do; one that goes below has made energy.
 from typing import NamedTuple
 
 from telenano.laws.law import EnergyAccount
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # The tolerance covers the rounding in sums of millions of terms, and no more.
 TOLERANCE_J = 1e-9

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from telenano.laws.law import TipMeasurement
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # The approach of Fig. 12 for 1 N at the hand [m/s].
 LET_IN_M_PER_S = 15e-9

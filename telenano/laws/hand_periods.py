@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from telenano.numerics.compiled import inlined
+from telenano.numerics.compiler import inlined
 
 # `periods_to` returns this where the sequence of samples begins, or begins anew.
 ANEW = -1

@@ -45,7 +45,7 @@ from typing import NamedTuple
 
 from telenano.laws.hand_periods import ANEW, HandClock, no_sample, periods_to
 from telenano.laws.law import paced
-from telenano.numerics.compiled import inlined
+from telenano.numerics.compiler import inlined
 
 # The slave half does one of these on a state of the instrument, or when none has come.
 NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, GO_ON = 0, 1, 2, 3, 4

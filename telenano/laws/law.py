@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class HandSample(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
 from telenano.laws.law_corners import failures
-from telenano.numerics.compiled import compiled_form, is_step
+from telenano.numerics.compiler import compiled_form, is_step
 from telenano.wire.errors import ConfigError, known_names
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)

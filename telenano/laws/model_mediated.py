@@ -100,7 +100,7 @@ from telenano.laws.shared.virtual_mass import (
     tip_reference,
     worked,
 )
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # A drift is seen where the force at the tip changes by less than this [nN/s].
 _STANDS_NN_PER_S = 2.0

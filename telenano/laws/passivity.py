@@ -115,7 +115,7 @@ from telenano.laws.shared.virtual_mass import (
     unpaid_j,
     worked,
 )
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # The clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for
 # moments.

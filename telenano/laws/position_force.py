@@ -28,7 +28,7 @@ from telenano.laws.shared.virtual_mass import (
     resumed,
     tip_reference,
 )
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class PositionForceParams(NamedTuple):

@@ -36,7 +36,7 @@ from telenano.laws.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, 
 from telenano.laws.shared import pass_through
 from telenano.laws.shared.virtual_mass import is_retracted, periods_in
 from telenano.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # So many references are kept, one a period. The oldest stands for still older ones, so longer delays are bridged in
 # part.

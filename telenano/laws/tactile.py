@@ -33,7 +33,7 @@ from telenano.laws.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, Sti
 from telenano.laws.shared.pass_through import SlaveState
 from telenano.laws.shared.pass_through import slave_start as slave_start
 from telenano.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import filled
 
 # The wire can carry so much [N].

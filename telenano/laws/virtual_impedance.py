@@ -16,7 +16,7 @@ from telenano.laws.law import HandSample, MasterReference, PortSignal, law_of, p
 from telenano.laws.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
 from telenano.laws.shared import pass_through
 from telenano.laws.shared.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import filled
 
 

@@ -87,7 +87,7 @@ from telenano.laws.shared.virtual_mass import (
     tip_reference,
     worked,
 )
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class WaveParams(NamedTuple):

@@ -27,7 +27,7 @@ from telenano.laws.lateral import (
 )
 from telenano.laws.law import HandSample
 from telenano.lockstep.link import Schedule
-from telenano.numerics.compiled import compiled, inlined
+from telenano.numerics.compiler import compiled, inlined
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.laws.law import Law
-from telenano.numerics.compiled import chosen_step
+from telenano.numerics.compiler import chosen_step
 
 Step = Callable[..., Any]
 

@@ -71,7 +71,7 @@ from telenano.lockstep.sites import (
     went_on,
 )
 from telenano.lockstep.steering import hand_ends, hand_moves, hand_notes, hand_sees, hand_writes
-from telenano.numerics.compiled import borrowed, compiled, compiled_call, inlined, is_compiled
+from telenano.numerics.compiler import borrowed, compiled, compiled_call, inlined, is_compiled
 from telenano.wire.errors import ConfigError, RigError
 
 Series = npt.NDArray[np.float64]

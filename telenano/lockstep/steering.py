@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.numerics.compiled import chosen_step, compiled
+from telenano.numerics.compiler import chosen_step, compiled
 
 Row = npt.NDArray[np.float64]
 

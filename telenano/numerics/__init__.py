@@ -5,6 +5,11 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.numerics.compiled import always_compiled as always_compiled
+    from telenano.numerics.compiler import always_compiled as always_compiled
+    from telenano.numerics.compiler import compiled as compiled
+    from telenano.numerics.compiler import compiled_form as compiled_form
+    from telenano.numerics.digests import source_digest as source_digest
+    from telenano.numerics.frames import to_site_frame as to_site_frame
+    from telenano.numerics.normal_numbers import normal_number as normal_number
 else:
     __getattr__, __dir__ = face(__name__)

@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import lower_builtin, type_callable
 
 from telenano.files.regular_files import is_own, is_own_path
-from telenano.numerics.source_digest import cache_folder, digest_covers, stamp
+from telenano.numerics.digests import cache_folder, digest_covers, stamp
 from telenano.signals import interrupts
 
 _MAIN_THREAD = main_thread().ident

@@ -5,6 +5,36 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.recording.arrays import column_pieces as column_pieces
+    from telenano.recording.arrays import columns as columns
+    from telenano.recording.arrays import last_programme as last_programme
+    from telenano.recording.channel_filter import ALL as ALL
+    from telenano.recording.channel_filter import Selection as Selection
+    from telenano.recording.export import Payload as Payload
+    from telenano.recording.export import export_recording as export_recording
+    from telenano.recording.export import model_of as model_of
+    from telenano.recording.export import plain_schema as plain_schema
+    from telenano.recording.export import viewer_json as viewer_json
+    from telenano.recording.export import viewer_schema as viewer_schema
+    from telenano.recording.export import write_mcap as write_mcap
+    from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
+    from telenano.recording.indexed import IndexedRecording as IndexedRecording
+    from telenano.recording.made_records import recorded as recorded
+    from telenano.recording.made_records import write_recording as write_recording
+    from telenano.recording.messages import RawChannel as RawChannel
+    from telenano.recording.messages import RecordedChannel as RecordedChannel
+    from telenano.recording.messages import RecordedMessage as RecordedMessage
+    from telenano.recording.multi_file import RecordingSource as RecordingSource
+    from telenano.recording.multi_file import open_recordings as open_recordings
+    from telenano.recording.provenance import versions as versions
+    from telenano.recording.quantities import quantity as quantity
+    from telenano.recording.reader import Recording as Recording
+    from telenano.recording.rewrite import CopyResult as CopyResult
+    from telenano.recording.rewrite import CopyWriter as CopyWriter
+    from telenano.recording.site_clock import Timeline as Timeline
+    from telenano.recording.tables import plain as plain
+    from telenano.recording.tolerance import Tolerances as Tolerances
+    from telenano.recording.tolerance import first_difference as first_difference
     from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
 else:

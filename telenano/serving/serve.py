@@ -43,9 +43,14 @@ class Tls(NamedTuple):
     key: Path
 
 
+def web_folder() -> Path:
+    """Return the folder of the page's sources and of what it shares with other pages: `web_folder() / "gallery"`."""
+    return Path(str(resources.files(module_of(name_of(PAGE))))) / "web"
+
+
 def page_folder() -> Path | None:
     """Return the folder of the built page, None where it has not been built."""
-    folder = Path(str(resources.files(module_of(name_of(PAGE))))) / "web" / "dist"
+    folder = web_folder() / "dist"
     return folder if (folder / "index.html").is_file() else None
 
 

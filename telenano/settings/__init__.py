@@ -8,8 +8,22 @@ from telenano.settings.plugins import scenario_files
 from telenano.wire.errors import ConfigError, probably_meant
 
 if TYPE_CHECKING:
+    from telenano.settings.config import Settings as Settings
+    from telenano.settings.config import flag_overrides as flag_overrides
+    from telenano.settings.config import flatten as flatten
     from telenano.settings.config import merge as merge
+    from telenano.settings.config import nested as nested
+    from telenano.settings.config import parse_yaml as parse_yaml
+    from telenano.settings.config import refused_code as refused_code
     from telenano.settings.config import validate as validate
+    from telenano.settings.device_drivers import missing_driver as missing_driver
+    from telenano.settings.file_readers import FileReader as FileReader
+    from telenano.settings.file_readers import read_by_package as read_by_package
+    from telenano.settings.option import Option as Option
+    from telenano.settings.plugins import all_installed as all_installed
+    from telenano.settings.plugins import fault_of_package as fault_of_package
+    from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
+    from telenano.settings.scenario import load_scenario as load_scenario
 else:
     __getattr__, __dir__ = face(__name__)
 

@@ -25,7 +25,7 @@ class DeviceDriver:
 
     `told` names what build takes by keyword besides: `period_s`, the period of the loop [s]; for an instrument
     `attended`, whether a person stands by who retracts the tip; for a haptic device `coupling`, the settings of its
-    coupling. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.extend.instruments`), and so
+    coupling. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
     with which laws and programs it is used; one without them is not judged. `wire` is that of a device that takes a
     force (`impedance_driver`). `what` names the devices in a list. `calibration` is the model of a file whose key
     `controller` names this driver; the settings then have a key `calibration` with its path.

@@ -41,7 +41,7 @@ class FileReader(NamedTuple):
 
 def _checked(_: str, value: Any) -> FileReader:
     if not isinstance(value, FileReader):
-        raise TypeError(f"it is {type(value).__name__}, and must be a telenano.extend.readers.FileReader")
+        raise TypeError(f"it is {type(value).__name__}, and must be a telenano.settings.FileReader")
     return value
 
 

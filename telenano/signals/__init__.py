@@ -1,1 +1,15 @@
 """How SIGINT and SIGTERM reach a process that computes, and how every other process is started."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.signals.children import run as run
+    from telenano.signals.children import safe_path as safe_path
+    from telenano.signals.interrupts import exit_code as exit_code
+    from telenano.signals.interrupts import finishing as finishing
+    from telenano.signals.interrupts import kept_from_children as kept_from_children
+    from telenano.signals.interrupts import received as received
+else:
+    __getattr__, __dir__ = face(__name__)

@@ -1,1 +1,16 @@
 """Clocks and ages: how old a sample is, how far two clocks are apart, when a message is played out."""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.timing.clock import NEVER_NS as NEVER_NS
+    from telenano.timing.clock import Clock as Clock
+    from telenano.timing.clock_line import ClockLine as ClockLine
+    from telenano.timing.clock_line import fitted as fitted
+    from telenano.timing.loop_age import STAGES as STAGES
+    from telenano.timing.loop_age import TOGETHER as TOGETHER
+    from telenano.timing.loop_age import WITH_JITTER as WITH_JITTER
+else:
+    __getattr__, __dir__ = face(__name__)

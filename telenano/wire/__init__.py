@@ -18,12 +18,37 @@ if TYPE_CHECKING:
     from telenano.wire.codec import decode_header as decode_header
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import fields_of as fields_of
+    from telenano.wire.codec import keys_twice as keys_twice
     from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
+    from telenano.wire.errors import RecordingError as RecordingError
+    from telenano.wire.errors import RefusedError as RefusedError
+    from telenano.wire.errors import ReportError as ReportError
     from telenano.wire.errors import RigError as RigError
+    from telenano.wire.errors import TelenanoError as TelenanoError
+    from telenano.wire.errors import known_names as known_names
+    from telenano.wire.examples import example as example
+    from telenano.wire.examples import required_keys as required_keys
+    from telenano.wire.faults import Fault as Fault
+    from telenano.wire.faults import faults_of as faults_of
+    from telenano.wire.instrument import AfmProgram as AfmProgram
+    from telenano.wire.messages import AfmScanline as AfmScanline
+    from telenano.wire.messages import AfmState as AfmState
     from telenano.wire.messages import Array as Array
+    from telenano.wire.messages import HapticState as HapticState
+    from telenano.wire.messages import InputHealth as InputHealth
+    from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import Message as Message
+    from telenano.wire.messages import NodeHealth as NodeHealth
     from telenano.wire.messages import Scalar as Scalar
+    from telenano.wire.messages import SessionControl as SessionControl
+    from telenano.wire.network_messages import LinkNetwork as LinkNetwork
+    from telenano.wire.nodes import LINK as LINK
+    from telenano.wire.nodes import VIEW as VIEW
+    from telenano.wire.nodes import name_of as name_of
+    from telenano.wire.received import Received as Received
+    from telenano.wire.schema import json_schema as json_schema
+    from telenano.wire.sequence import SequenceTracker as SequenceTracker
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

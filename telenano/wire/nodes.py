@@ -96,7 +96,7 @@ SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
 
 
 def module_of(name: str) -> str:
-    """Return the module of the process of a name, which is run as `python -m`; its `node` has the class of the node."""
+    """Return the module of the process of a name, which is run as `python -m`."""
     return f"services.{name}"
 
 

@@ -4,16 +4,14 @@
 is in docs/release.md: before the first release a name leaves that file with a line in CHANGELOG.md.
 """
 
-import ast
-import importlib
 import json
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import telenano
-import telenano.extend
+from public_names import offered
+
 from telenano.cli import exit_codes
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.settings import SCHEMA_DIRECTORY
@@ -28,7 +26,7 @@ def surface() -> dict[str, list[str]]:
     """Return the names of each kind, sorted."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     found = {
-        "python": [*(f"telenano.{name}" for name in telenano.__all__), *extension_names()],
+        "python": [f"{module}.{name}" for module, names in offered().items() for name in names],
         "options": [flag for name in LAZY_COMMANDS for flag in options(f"telenano {name}", load(name))],
         "extras": settings["optional-dependencies"],
         "entry points": [f"telenano.{kind}" for kind in KINDS],
@@ -38,26 +36,6 @@ def surface() -> dict[str, list[str]]:
         "exit codes": [f"{name} = {code}" for name, code in vars(exit_codes).items() if name.startswith("EXIT_")],
     }
     return {kind: sorted(set(names)) for kind, names in found.items()}
-
-
-def extension_names() -> Iterator[str]:
-    """Yield the names that `telenano.extend` offers to packages: what it defines, and what it imports as itself."""
-    for path in sorted(Path(telenano.extend.__path__[0]).glob("*.py")):
-        module = f"telenano.extend.{path.stem}"
-        for part in ast.parse(path.read_text(encoding="utf-8")).body:
-            yield from (f"{module}.{name}" for name in offered(part) if hasattr(importlib.import_module(module), name))
-
-
-def offered(part: ast.stmt) -> list[str]:
-    """Return the names that a statement at the top of a module offers to those that import it."""
-    found: list[str | None] = []
-    if isinstance(part, ast.ImportFrom):
-        found = [each.asname for each in part.names if each.asname == each.name]
-    elif isinstance(part, ast.FunctionDef | ast.ClassDef):
-        found = [part.name]
-    elif isinstance(part, ast.Assign):
-        found = [each.id for each in part.targets if isinstance(each, ast.Name)]
-    return [name for name in found if name is not None and not name.startswith("_")]
 
 
 def options(path: str, command: Any) -> Iterator[str]:

@@ -13,9 +13,10 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import DeviceError
-from telenano.extend.testing import afm_config, afm_node, instrument_of, merge, validate
+from telenano.afm import DeviceError
+from telenano.settings import merge, validate
+from telenano.testing import afm_config, afm_node, instrument_of
+from telenano.wire import ConfigError
 
 MS = 1_000_000
 NEAR_M = -70e-9

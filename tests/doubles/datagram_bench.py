@@ -9,12 +9,12 @@ from typing import Any
 import zmq
 from network_bench import payload
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import LinkTransport
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.bus.publisher import SPARSE
 from telenano.runtime.datagram.end import DatagramEnd
 from telenano.runtime.datagram.place import Outlets, Place
+from telenano.testing import VirtualClock
 from telenano.wire import compose
 from telenano.wire.messages import Message
 from telenano.wire.received import Received

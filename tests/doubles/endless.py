@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from telenano.laws.config import LAWS, ControllerConfig
 from telenano.laws.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
-from telenano.numerics.compiled import compiled, compiled_form
+from telenano.numerics.compiler import compiled, compiled_form
 
 PERIOD_S = 1e-3
 CYCLE_S = 2.0

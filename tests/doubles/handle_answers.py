@@ -3,13 +3,13 @@
 from telenano.devices.hand import wire
 
 
-def pack_hello(hello: wire.Hello) -> bytes:
+def pack_hello(hello: wire.HandleHello) -> bytes:
     """Return the payload of HELLO."""
     *numbers, model = hello
     return wire._HELLO.pack(wire.HELLO, *numbers, 0, model.encode())
 
 
-def pack_state(state: wire.State) -> bytes:
+def pack_state(state: wire.HandleState) -> bytes:
     """Return the payload of STATE."""
     return wire._STATE.pack(wire.STATE, *state)
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from telenano.extend.testing import VirtualClock
 from telenano.launcher.external_recording import ExternalRecording
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.rig_node import RigNode
@@ -13,6 +12,7 @@ from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
+from telenano.testing import VirtualClock
 from telenano.wire import TOPICS
 from telenano.wire.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.received import Received

@@ -11,12 +11,12 @@ import msgspec
 from free_ports import free_ports
 from wire_contract import examples
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring, Role
 from telenano.runtime.wiring.transport import Transport, open_context
+from telenano.testing import VirtualClock
 from telenano.wire import TOPICS, Message, encode
 from telenano.wire.received import Received
 

@@ -3,8 +3,7 @@
 from typing import Any
 
 from telenano import wire
-from telenano.extend.messages import example, required_keys
-from telenano.wire import Message
+from telenano.wire import Message, example, required_keys
 
 EPOCH_NS = 1_750_000_000_000_000_000
 MILLISECOND_NS = 1_000_000

@@ -12,7 +12,6 @@ from services.haptic_node.node import HapticNode
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.extend.testing import VirtualClock
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.runtime.loop.arming import ARM
@@ -22,6 +21,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.testing import VirtualClock
 from telenano.wire import TOPICS, encode
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import is_meant, site_of

@@ -20,7 +20,6 @@ from fuzz_frames import Frames, stream
 
 from services.afm_node.node import AfmNode
 from services.controller.__main__ import half_of_site
-from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
 from services.player.node import PlayerNode, PlaySettings
 from services.player.plan import ReplayPlan
@@ -29,7 +28,6 @@ from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.extend.testing import VirtualClock
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.launcher.processes import StopObserver
@@ -44,10 +42,12 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber, ZmqBus
+from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.testing import VirtualClock
 from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP

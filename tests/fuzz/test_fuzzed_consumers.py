@@ -35,7 +35,6 @@ from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from telenano.analysis.recording_document import judged_recording
 from telenano.analysis.report import write_report
 from telenano.console.listener import Listener
-from telenano.extend.testing import VirtualClock
 from telenano.recording.channel_filter import ALL
 from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
 from telenano.recording.multi_file import open_recordings
@@ -44,6 +43,7 @@ from telenano.recording.tables import plain
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.serving.access import Role
+from telenano.testing import VirtualClock
 from telenano.wire import TOPICS, encode
 
 SEED = 42

@@ -27,7 +27,7 @@ from in_memory import InMemory
 from virtual_rig import LINK_NODE, NODES, record_session
 
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.numerics.compiled import compiled_form, is_step
+from telenano.numerics.compiler import compiled_form, is_step
 from telenano.recording.reader import Recording
 from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun import rerun

@@ -20,7 +20,7 @@ MAY_ASK = {
     "telenano/timing/clock.py": "once, at the start of the first process, for the stamps of all",
     "telenano/launcher/rigs.py": "when a rig began, for a person who lists the rigs",
     "telenano/runtime/security/keyring.py": "the day on which a key expires",
-    "telenano/numerics/source_digest.py": "when this process began, to compare with the times of its sources",
+    "telenano/numerics/digests.py": "when this process began, to compare with the times of its sources",
 }
 
 

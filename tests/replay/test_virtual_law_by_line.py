@@ -9,7 +9,8 @@ from telenano_laws.by_line import HAND, MASTER, SLAVE, TIP, Candidate, Policy
 from telenano_laws.by_line_command import carry_out
 from virtual_rig import VirtualBus, VirtualRig
 
-from telenano.extend.sessions import Command, ControllerConfig
+from telenano.laws import ControllerConfig
+from telenano.runtime import Command
 
 WATCHED = (("law/status", MASTER), ("node/health", MASTER), ("node/health", SLAVE), ("haptic/state", HAND))
 TURN_S, DWELL_S = 0.1, 2.0

@@ -24,7 +24,7 @@ from telenano.afm.config import AfmConfig
 from telenano.afm.part import AfmSample, PlantInputs
 from telenano.afm.sample_models import SampleModel, register_sample
 from telenano.afm.sim import SimulatedInstrument
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.recording.reader import RawMessage, Recording
 from telenano.recording.rewrite import filter_recording
 from telenano.rerun.rerun import rerun

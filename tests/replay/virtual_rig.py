@@ -20,10 +20,8 @@ import zmq
 
 from services.afm_node.__main__ import build as build_afm_node
 from services.controller.__main__ import half_of_site
-from services.delay_node.node import DelayNode
 from services.haptic_node.__main__ import build as build_haptic_node
 from telenano.afm.config import AfmConfig
-from telenano.extend.testing import VirtualClock
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
@@ -32,6 +30,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RejectedRecord
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
+from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
@@ -39,6 +38,7 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings import SITE_DIRECTORY
 from telenano.settings.config import flag_overrides, merge
 from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.testing import VirtualClock
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import TOPICS, Message, WireError, compose, decode, decode_header, encode
 from telenano.wire.messages import InputHealth

@@ -24,7 +24,7 @@ packages = ["proto"]
 BOTH = """
 import proto, telenano
 from telenano.wire import TOPICS, decode
-from telenano.extend.messages import example
+from telenano.wire import example
 assert proto.NAME == "the stranger's" and len(TOPICS) > 20
 assert example("afm/state", seq=7).seq == 7
 print(telenano.simulate("fig12", duration_s=1.0).verdict is not None)

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from telenano.extend.testing import NodeBench
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
+from telenano.testing import NodeBench
 from telenano.wire import encode
 
 

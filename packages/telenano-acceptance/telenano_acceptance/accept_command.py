@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli.output import print_rows
-from telenano.cli.sample_options import results_in
-from telenano.extend.commands import ConfigError, JsonOption, flag_overrides, print_json, report_errors, run_ahead
+from telenano.cli import JsonOption, print_json, print_rows, report_errors, results_in, run_ahead
+from telenano.settings import flag_overrides
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
     from telenano_acceptance.take import Guide, Kind, Step, Take, Verdict
@@ -119,8 +119,8 @@ def _take_of_instrument(calibration: Path | None, section: dict[str, Any], guide
 def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: list[str], guide: "Guide") -> "Take[Any]":
     import yaml
 
-    from telenano.hand.config import HapticConfig
-    from telenano.settings.config import validate
+    from telenano.hand import HapticConfig
+    from telenano.settings import validate
     from telenano_acceptance.haptic_device.devices import make_take
 
     config = validate(HapticConfig, section, "--set", "haptic_node")

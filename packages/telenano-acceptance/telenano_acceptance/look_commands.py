@@ -8,18 +8,15 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.afm.config import DRIVERS as INSTRUMENTS
-from telenano.afm.config import AfmConfig
-from telenano.cli.output import print_answer
-from telenano.devices.afm.instrument import driver_of_file
-from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, flag_overrides, report_errors
+from telenano.afm import DRIVERS as INSTRUMENTS
+from telenano.afm import AfmConfig
+from telenano.cli import JsonOption, print_answer, report_errors
+from telenano.devices import driver_of_file
 from telenano.extend.devices import MODE_OFF, DriveCommand
-from telenano.hand.config import DRIVERS as HANDLES
-from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings.config import validate
-from telenano.settings.device_drivers import missing_driver
-from telenano.settings.plugins import fault_of_package
-from telenano.wire.errors import known_names
+from telenano.hand import DRIVERS as HANDLES
+from telenano.hand import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from telenano.settings import fault_of_package, flag_overrides, missing_driver, validate
+from telenano.wire import ConfigError, TelenanoError, known_names
 
 _PERIOD_S = 1e-3
 _ABILITIES = (
@@ -122,8 +119,7 @@ def _print_facts(facts: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def _probe_handle(port: str, baud: int) -> dict[str, Any]:
-    from telenano.devices.hand import wire
-    from telenano.devices.hand.serial_driver import SerialHandle
+    from telenano.devices import SerialHandle
 
     driver = SerialHandle(port, baud, None, LimitsConfig())
     try:
@@ -134,8 +130,7 @@ def _probe_handle(port: str, baud: int) -> dict[str, Any]:
         "model": hello.model,
         "device_id": f"{hello.device_id:016x}",
         "firmware": f"{hello.firmware >> 8}.{hello.firmware & 0xFF}",
-        "protocol": f"{hello.major}.{hello.minor}"
-        + ("" if hello.major == wire.MAJOR else " (not that of this program)"),
+        "protocol": f"{hello.major}.{hello.minor}" + ("" if hello.is_understood else " (not that of this program)"),
         "abilities": ", ".join(name for bit, name in enumerate(_ABILITIES) if hello.flags & (1 << bit)),
         "max_rate_hz": hello.max_rate_hz,
         "nominal_m_per_count": hello.nominal_m_per_count,
@@ -171,7 +166,7 @@ def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
 
 def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     """Open a device without force and return what it declares, with the coupling and its two bounds."""
-    from telenano.devices.hand.servo_process import wire_of
+    from telenano.devices import wire_of
 
     chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
@@ -264,10 +259,9 @@ def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
 
 
 def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
-    from telenano.devices.hand.calibration import read_calibration
-    from telenano.devices.hand.serial_driver import SerialHandle
+    from telenano.devices import SerialHandle, read_handle_calibration
 
-    driver = SerialHandle(port, baud, read_calibration(calibration), LimitsConfig())
+    driver = SerialHandle(port, baud, read_handle_calibration(calibration), LimitsConfig())
     driver.open()
     read = _reads_handle(driver)
 

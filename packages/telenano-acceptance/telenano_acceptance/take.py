@@ -13,7 +13,7 @@ from typing import IO, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.commands import ConfigError
+from telenano.wire import ConfigError
 
 PERIOD_S = 1e-3
 # A take of two minutes has a third of this; nothing larger is unpacked from a file of somebody else.

@@ -39,8 +39,8 @@ from telenano_haptic_devices import haply_service
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
 from typer.testing import CliRunner
 
+from telenano.cli import run_ahead
 from telenano.cli.root import app
-from telenano.extend.commands import run_ahead
 from telenano.extend.emulators import CouplingConfig
 from telenano.hand.config import HapticConfig
 from telenano.runtime.loop import realtime

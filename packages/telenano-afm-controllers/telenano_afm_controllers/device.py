@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.extend.commands import ConfigError, report_errors, run_ahead
+from telenano.cli import report_errors, run_ahead
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.extend.controllers import SimulatedAfm
+    from telenano.cli import SimulatedAfm
 
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")]
 ScenarioOption = Annotated[
@@ -41,7 +42,7 @@ def simulate_gwyscope(
 ) -> None:
     """Serve an emulated Gwyscope with stage and cantilever behind it. Ctrl-C ends it, with z at 0."""
     with report_errors(as_json=False, interrupted="the emulated Gwyscope has ended, with z at 0"):
-        from telenano.extend.controllers import simulated_afm
+        from telenano.cli import simulated_afm
         from telenano_afm_controllers import gwyscope_model, gwyscope_wire
         from telenano_afm_controllers.request_server import serve_requests
 
@@ -80,7 +81,7 @@ def simulate_nanonis(
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
-        from telenano.extend.controllers import simulated_afm
+        from telenano.cli import simulated_afm
         from telenano_afm_controllers import nanonis_model, nanonis_wire
         from telenano_afm_controllers.request_server import Pushed, serve_requests
 
@@ -128,7 +129,7 @@ def approach_nanonis(
 ) -> None:
     """Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input."""
     with report_errors(as_json=False):
-        from telenano.extend.instruments import read_controller
+        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import NanonisCalibration
         from telenano_afm_controllers.nanonis_client import NanonisClient, approach
 
@@ -151,7 +152,7 @@ def guard_nanonis(
 ) -> None:
     """Stand between rig and Nanonis, and withdraw the tip when the rig is silent. Ctrl-C ends it, withdrawn."""
     with report_errors(as_json=False):
-        from telenano.extend.instruments import read_controller
+        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import NanonisCalibration
         from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 
@@ -168,7 +169,7 @@ def guard_gwyscope(
 ) -> None:
     """Stand between rig and Gwyscope, and retract the tip when the rig is silent. Ctrl-C ends it, retracted."""
     with report_errors(as_json=False):
-        from telenano.extend.instruments import read_controller
+        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import GwyscopeCalibration
         from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 
@@ -201,6 +202,6 @@ def _write_fitting(
     path: Path | None, calibration_of: Callable[..., dict[str, object]], afm: "SimulatedAfm", host: str, port: int
 ) -> None:
     if path is not None:
-        from telenano.extend.commands import write_document
+        from telenano.cli import write_document
 
         write_document(path, calibration_of(afm.volts_per_m, afm.stiffness_n_per_m, host, port))

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from telenano.afm import AfmControllerConfig as ControllerSettings
+from telenano.devices import AfmCapabilities, read_controller
 from telenano.extend.devices import AfmDriver, AfmLimits, DeviceDriver
-from telenano.extend.instruments import AfmCapabilities, ControllerSettings, read_controller
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 
 

@@ -12,8 +12,8 @@ from collections.abc import Generator
 from itertools import pairwise
 from typing import Any
 
+from telenano.afm import DeviceError
 from telenano.extend.devices import AfmLimits
-from telenano.extend.instruments import DeviceError
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration
 from telenano_afm_controllers.request_answer import Talk

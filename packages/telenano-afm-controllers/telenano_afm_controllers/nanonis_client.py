@@ -5,7 +5,7 @@ import socket
 import time
 from typing import Any
 
-from telenano.extend.instruments import DeviceError
+from telenano.afm import DeviceError
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from telenano.afm import DeviceError, OwnImage, OwnLine
+from telenano.devices import Line
 from telenano.extend.devices import AfmLimits
-from telenano.extend.instruments import DeviceError, Line, OwnImage, OwnLine
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.calibration import NanonisCalibration
 from telenano_afm_controllers.nanonis_wire import NanonisRefusalError

@@ -4,8 +4,10 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field, model_validator
 
-from telenano.extend.devices import AfmLimits, AfmSample, Settings
-from telenano.extend.instruments import CantileverCalibration, ChannelName, Readings
+from telenano.afm import ChannelName
+from telenano.devices import CantileverCalibration, Readings
+from telenano.extend.devices import AfmLimits, AfmSample
+from telenano.settings import Settings
 
 _REACH_M = 1e-3
 

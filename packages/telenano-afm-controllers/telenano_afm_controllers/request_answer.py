@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator
 
-from telenano.extend.instruments import TelenanoError
+from telenano.wire import TelenanoError
 
 # A message of a controller that a loop asks is short; an image has some megabytes.
 LARGEST_BYTES = 64 * 2**20

@@ -9,8 +9,9 @@ from abc import abstractmethod
 from collections import deque
 from typing import Any, TypeVar
 
+from telenano.afm import DeviceError
+from telenano.devices import LOST_NS, STALE_CYCLES, STEP_NS, Line, TcpDriver
 from telenano.extend.devices import AfmLimits, AfmReport
-from telenano.extend.instruments import STALE_CYCLES, DeviceError, Line, TcpDriver, modbus_line
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Cut, Incoming, Talk
 
@@ -37,7 +38,7 @@ class RequestDriver(TcpDriver[K]):
 
     kind = "controller"
     # how long a controller may be silent while it is driven [ns]
-    lost_ns = modbus_line.LOST_NS
+    lost_ns = LOST_NS
 
     def __init__(
         self,
@@ -187,7 +188,7 @@ class RequestDriver(TcpDriver[K]):
         if answer is None:
             if self._ready and now_ns - self._sent_ns > self.lost_ns:
                 raise DeviceError(f"has been silent for {self.lost_ns // _MS} ms")
-            if now_ns - self._sent_ns > modbus_line.STEP_NS:
+            if now_ns - self._sent_ns > STEP_NS:
                 raise DeviceError(f"is connected and does not answer requests: is it a {self._model}?")
             return
         if self._incoming.pending:

@@ -12,9 +12,9 @@ from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import refusal
-from telenano.extend.testing import afm_config, instrument_of, refused_laws
+from telenano.devices import refusal
+from telenano.testing import afm_config, instrument_of, refused_laws
+from telenano.wire import ConfigError
 
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "smith", "model_mediated", "tactile")
 MODELS = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}
@@ -23,7 +23,7 @@ DECLARED_S = {"gwyscope": GWYSCOPE.capabilities.latency_s, "nanonis": NANONIS.ca
 
 IMPORTED = """
 import json, sys
-from telenano.extend.testing import afm_config
+from telenano.testing import afm_config
 def found():
     return sorted(name for name in sys.modules if name.startswith("telenano_afm_controllers"))
 config = afm_config({"driver": "modbus", "modbus": {"calibration": "stage.yaml"}})

@@ -28,16 +28,18 @@ from controller_line import (
     swallow,
     walk,
 )
-from telenano_afm_controllers import gwyscope_model, gwyscope_wire
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire, request_driver
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import DeviceError, modbus_line, read_controller
-from telenano.extend.testing import RefusedError, afm_config, instrument_of
+from telenano.afm import DeviceError
+from telenano.devices import read_controller
+from telenano.devices.afm import modbus_line
+from telenano.testing import afm_config, instrument_of
+from telenano.wire import ConfigError, RefusedError
 
 # of the base in the three periods of the longest cycle, at the guard's speed
 STEP_M = 3e-3 * PARAMS.safety.base_speed_m_per_s * 1.001
@@ -378,7 +380,8 @@ FAULTS = {
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
     monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    monkeypatch.setattr(modbus_line, "STEP_NS", 150 * MS)
+    for module in (modbus_line, request_driver):
+        monkeypatch.setattr(module, "STEP_NS", 150 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Gwyscope())
     approach(found)
     return found

@@ -27,14 +27,14 @@ from controller_line import (
     swallow,
     walk,
 )
-from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
+from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire, request_driver
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import modbus_line
-from telenano.extend.testing import RefusedError, afm_node, instrument_of, refused_laws
+from telenano.devices.afm import modbus_line
+from telenano.testing import afm_node, instrument_of, refused_laws
+from telenano.wire import ConfigError, RefusedError
 
 NAN = math.nan
 # as the vendor's client 1.0.9 sends and parses them: after the name of 32 bytes
@@ -440,7 +440,8 @@ FAULTS = {
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
     monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    monkeypatch.setattr(modbus_line, "STEP_NS", 300 * MS)
+    for module in (modbus_line, request_driver):
+        monkeypatch.setattr(module, "STEP_NS", 300 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Nanonis())
     approach(found)
     return found

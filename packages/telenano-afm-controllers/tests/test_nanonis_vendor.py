@@ -13,8 +13,8 @@ from telenano_afm_controllers import nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_server import Pushed, serve_requests
 
-from telenano.extend.instruments import DeviceError
-from telenano.extend.testing import instrument_of
+from telenano.afm import DeviceError
+from telenano.testing import instrument_of
 
 PATIENCE_S = 30.0
 

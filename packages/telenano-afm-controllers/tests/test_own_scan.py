@@ -7,7 +7,8 @@ import pytest
 from controller_line import ControllerRig, Nanonis
 from telenano_afm_controllers import nanonis_model, nanonis_wire
 
-from telenano.extend.testing import RefusedError, afm_config, instrument_of
+from telenano.testing import afm_config, instrument_of
+from telenano.wire import RefusedError
 
 SIDE_M = 60e-9
 SCAN = {"program": "scan", "scan.pixels": 16, "scan.lines": 2, "scan.dwell_s": 0.006, "scan.width_m": SIDE_M,

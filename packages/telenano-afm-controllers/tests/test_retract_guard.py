@@ -13,7 +13,7 @@ from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 from telenano_afm_controllers.request_answer import Incoming
 from telenano_afm_controllers.retract_guard import RetractGuard
 
-from telenano.extend.testing import instrument_of
+from telenano.testing import instrument_of
 
 PATIENCE_S = 30.0
 HEARTBEAT_S = 0.2

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.exports import whole_file
-from telenano.extend.readers import read_in_child
+from telenano.files import read_in_child, whole_file
+from telenano.wire import ConfigError
 from telenano_afm_files.igor_waves import load_wave, notes_of
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.readers import children
+from telenano.signals import run as run_child
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
@@ -53,7 +53,7 @@ def load_image(path: str) -> Found:
         # A comma as decimal mark would change numbers, and Gwyddion makes a folder of settings in the user's home.
         kept = {key: value for key, value in os.environ.items() if key not in ("LC_ALL", "DISPLAY")}
         try:
-            ended = children.run(
+            ended = run_child(
                 [program, source, os.fspath(out)], stdin=subprocess.DEVNULL, capture_output=True, check=False,
                 timeout=_LONGEST_S, env=kept | {"LC_NUMERIC": "C", "GTK_MODULES": "", "HOME": folder},
             )  # fmt: skip

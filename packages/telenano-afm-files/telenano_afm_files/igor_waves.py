@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.readers import open_regular
+from telenano.files import open_regular
 from telenano_afm_files.map_libraries import refusal_of_pause
 from telenano_afm_files.recorded import Curves, Recorded
 

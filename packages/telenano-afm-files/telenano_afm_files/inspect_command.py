@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from telenano.extend.commands import ConfigError, JsonOption, flag_overrides, print_document, report_errors
-from telenano.extend.readers import FileReader, read_in_child, read_regular
-from telenano.extend.tables import Column, TextTable, as_number, decoded, parse_table, unit_of
+from telenano.cli import JsonOption, print_document, report_errors
+from telenano.files import Column, TextTable, as_number, decoded, parse_table, read_in_child, read_regular, unit_of
+from telenano.settings import FileReader, flag_overrides
+from telenano.wire import ConfigError
 from telenano_afm_files.text_curves import NOTHING, Said, curves_of, said_of
 
 _LARGEST_BYTES = 256_000_000

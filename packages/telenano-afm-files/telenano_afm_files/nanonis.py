@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.tables import read_table
+from telenano.files import read_table
 from telenano_afm_files.recorded import Array, Curves, Recorded
 
 # The head of a spectroscopy is some kB long.

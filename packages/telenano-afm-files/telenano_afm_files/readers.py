@@ -1,6 +1,7 @@
 """Which function reads which files; telenano calls them in a child process with limits."""
 
-from telenano.extend.readers import FileReader, Limits, limits_for
+from telenano.files import Limits, limits_for
+from telenano.settings import FileReader
 
 _LIBRARIES_BYTES = 2 << 30
 

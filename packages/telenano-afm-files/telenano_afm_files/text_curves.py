@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.tables import Column, TextTable, read_table, unit_of
+from telenano.files import Column, TextTable, read_table, unit_of
+from telenano.wire import ConfigError
 from telenano_afm_files.recorded import Array, Curves, Recorded, Way
 
 SUFFIXES = (".asc", ".csv", ".dat", ".tsv", ".txt")

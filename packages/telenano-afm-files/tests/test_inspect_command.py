@@ -11,8 +11,8 @@ from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.extend.commands import ConfigError
 from telenano.settings.file_readers import read_by_package
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 ROWS = "".join(f"{n / 2:.1f}\t{1e-9 * (n % 7 + 1):.3e}\n" for n in range(400))

@@ -9,16 +9,18 @@ import typer
 from rich.console import Console
 from telenano_microscopy.program_view import LiveOption
 
-from telenano.cli import AfmOption, ChannelOption, results_in
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    ConfigError,
+from telenano.cli import (
+    AfmOption,
+    ChannelOption,
     JsonOption,
     SiteFileOption,
     print_document,
     progress,
     report_errors,
+    results_in,
 )
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
     from telenano.afm import AfmConfig
@@ -48,7 +50,7 @@ def particles(
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
         from telenano.afm import read_surface
-        from telenano.extend.exports import whole_file
+        from telenano.files import whole_file
         from telenano_assembly.find import find_particles
         from telenano_assembly.particles.tip_shape import tip_shape
 

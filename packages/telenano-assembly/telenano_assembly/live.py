@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import AfmConfig
+from telenano.analysis import LiveImage
 from telenano.console import run_program
-from telenano.extend.images import LiveImage
 from telenano.wire import RigError, Scalar
 from telenano_assembly.run import ProgramBench
 

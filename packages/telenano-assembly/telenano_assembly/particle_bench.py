@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from telenano.extend.commands import flag_overrides
-from telenano.settings import merge, validate
+from telenano.settings import flag_overrides, merge, validate
 
 if TYPE_CHECKING:
     from telenano.afm import AfmConfig

@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
-from telenano.cli import AfmOption, validated, with_options
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    ConfigError,
+from telenano.cli import (
+    AfmOption,
     JsonOption,
     SiteFileOption,
     print_document,
     progress,
     report_errors,
+    validated,
+    with_options,
 )
-from telenano.wire import RigError
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import ConfigError, RigError
 from telenano_assembly.push_program import AT_GOAL, PushSettings
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
 
 
 def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
-    from telenano.extend.images import LiveImage
+    from telenano.analysis import LiveImage
 
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.samples import compiled
 from telenano.lockstep import HandSteps, register_hand
+from telenano.numerics import compiled
 from telenano_assembly.particles.push import KINETIC, RADIUS
 from telenano_assembly.particles.steering import steered
 from telenano_assembly.particles.tip_shape import touch_distance_m

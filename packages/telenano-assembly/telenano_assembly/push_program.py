@@ -31,14 +31,13 @@ from telenano.extend.programs import (
     Program,
     ProgramSettings,
     Progress,
-    RefusedError,
     Speed,
     Wanted,
     gain_fault,
     integral_share,
     way_to_surface,
 )
-from telenano.wire import Scalar
+from telenano.wire import RefusedError, Scalar
 from telenano_assembly.particles.steering import steered
 from telenano_assembly.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 

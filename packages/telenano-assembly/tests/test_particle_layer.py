@@ -13,7 +13,7 @@ from telenano.afm.part import PlantInputs, part_step
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.torsion import TorsionParams, _step
 from telenano.devices.afm.instrument import driver_of
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 

@@ -13,15 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.intervals import DEVIATIONS
-from telenano.analysis.report import split_age
-from telenano.devices.afm.converter_calibration import InstrumentCalibration
-from telenano.devices.hand.calibration import HandleCalibration
-from telenano.extend.commands import TelenanoError
-from telenano.extend.sessions import mean_half_width
-from telenano.recording.multi_file import RecordingSource
-from telenano.recording.site_clock import Timeline
-from telenano.timing.loop_age import STAGES, TOGETHER, WITH_JITTER
+from telenano.analysis import DEVIATIONS, mean_half_width, split_age
+from telenano.devices import HandleCalibration, InstrumentCalibration
+from telenano.recording import RecordingSource, Timeline
+from telenano.timing import STAGES, TOGETHER, WITH_JITTER
+from telenano.wire import TelenanoError
 
 # the scales that each figure of a summary goes with, by the name of their source
 _SCATTER = "scatter in the session"

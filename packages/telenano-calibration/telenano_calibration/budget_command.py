@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.extend.commands import JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, print_json, report_errors
 
 _WITHOUT = (
     "A simulated device has no calibration. Of a real one give the files that were in use with --handle and --stage; "
@@ -30,15 +30,15 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from telenano.analysis.report import read_session, summarise
-        from telenano.cli.sample_options import results_in
-        from telenano.devices.afm.converter_calibration import read_calibration as read_stage
-        from telenano.devices.hand.calibration import read_calibration as read_handle
-        from telenano.recording.multi_file import open_recordings
+        from telenano.analysis import read_session, summarise
+        from telenano.cli import results_in
+        from telenano.devices import read_handle_calibration, read_stage_calibration
+        from telenano.recording import open_recordings
         from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 
         shares = scale_errors(
-            None if handle is None else read_handle(handle), None if stage is None else read_stage(stage)
+            None if handle is None else read_handle_calibration(handle),
+            None if stage is None else read_stage_calibration(stage),
         )
         recording = open_recordings(recordings)
         session = read_session(recording)
@@ -78,7 +78,7 @@ def _sentences(figures: Any, document: dict[str, Any]) -> list[str]:
 
 
 def _show(figures: Any, stages: Any, document: dict[str, Any]) -> None:
-    from telenano.cli.output import print_rows
+    from telenano.cli import print_rows
 
     for _, rows in _tables(figures, stages):
         if rows:

@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.extend.commands import ConfigError, JsonOption, command_group, print_document, report_errors
+from telenano.cli import JsonOption, command_group, print_document, report_errors
+from telenano.wire import ConfigError
 
 app = command_group()
 ColumnsOption = Annotated[

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 import yaml
 
-from telenano.extend.commands import ConfigError, command_group, report_errors, write_document
+from telenano.cli import command_group, report_errors, write_document
+from telenano.wire import ConfigError
 from telenano_calibration.stage_command import calibrate_stage
 
 app = command_group()
@@ -44,6 +45,8 @@ def calibrate_handle(
     A point off the line by more than 2 % is refused.
     """
     with report_errors(as_json=False):
+        from telenano.devices import SerialHandle
+        from telenano.hand import LimitsConfig
         from telenano_calibration.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, sample_raw
         from telenano_calibration.line_fit import fit_line
 
@@ -51,7 +54,7 @@ def calibrate_handle(
         points: list[RawPoint] = []
         for text in [*(f"put the arm at {x:g} m" for x in gauges), *(f"let {m:g} kg pull at the arm" for m in masses)]:
             typer.prompt(f"{text}, hands off, then Enter", default="", show_default=False)
-            hello, point = sample_raw(port, baud, duration)
+            hello, point = sample_raw(SerialHandle(port, baud, None, LimitsConfig()), duration)
             points.append(point)
         placed, loaded = points[: len(gauges)], points[len(gauges) :]
         position = fit_line("position", [p.position for p in placed], [p.position_error for p in placed], gauges)
@@ -84,8 +87,8 @@ def calibrate_handle(
 
 
 def _check_and_write(path: Path, document: dict[str, object]) -> None:
-    from telenano.devices.hand.calibration import HandleCalibration
-    from telenano.settings.config import parse_yaml, validate
+    from telenano.devices import HandleCalibration
+    from telenano.settings import parse_yaml, validate
 
     validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), str(path)), str(path))
     write_document(path, document)

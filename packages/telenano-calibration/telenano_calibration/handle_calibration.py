@@ -1,17 +1,12 @@
 """Calibration of a handle by gauges and masses: raw samples of a device that is never driven, and straight lines."""
 
-import time
-from collections.abc import Callable
 from typing import NamedTuple
 
-from telenano.devices.hand import wire
-from telenano.devices.hand.port import OpenPort, SerialPort
-from telenano.devices.hand.serial_driver import ASK_EVERY_NS, HANDSHAKE_NS, identity_text
+from telenano.devices import HandleHello, SerialHandle
 from telenano.extend.devices import DeviceError
 from telenano_calibration.line_fit import mean_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
-_LOOK_S = 1e-3
 _LEAST_SAMPLES = 20
 
 
@@ -24,43 +19,21 @@ class RawPoint(NamedTuple):
     force_error: float
 
 
-def sample_raw(
-    path: str,
-    baud: int,
-    duration_s: float,
-    *,
-    open_port: OpenPort = SerialPort,
-    now_ns: Callable[[], int] = time.monotonic_ns,
-    sleep: Callable[[float], None] = time.sleep,
-) -> tuple[wire.Hello, RawPoint]:
-    """Return who a handle is, and its means over a time [s], from what it sends by itself, without a command.
+def sample_raw(handle: SerialHandle, duration_s: float) -> tuple[HandleHello, RawPoint]:
+    """Return who a handle is, and its means over a time [s], from what it sends by itself; it is never driven.
+
+    Args:
+        handle: A handle that is not open yet, without a calibration.
+        duration_s: How long to listen [s].
 
     Raises:
         DeviceError: No device answers, or it sends too few samples.
     """
-    port, reader = open_port(path, baud), wire.FrameReader()
-    hello: wire.Hello | None = None
-    positions: list[int] = []
-    forces: list[int] = []
-    nonce, seq = now_ns() // 1000 & 0xFFFF, 0
-    began_ns, asked_ns = now_ns(), now_ns() - ASK_EVERY_NS
     try:
-        while hello is None or now_ns() - began_ns < round(duration_s * 1e9):
-            if hello is None and now_ns() - asked_ns >= ASK_EVERY_NS:
-                asked_ns = now_ns()
-                port.write(wire.encode_ask(seq, nonce))
-                seq += 1
-            sleep(_LOOK_S)
-            for answer in reader.answers(port.read()):
-                if isinstance(answer, wire.Hello) and hello is None and answer.nonce == nonce:
-                    hello, began_ns = answer, now_ns()
-                elif isinstance(answer, wire.State) and hello is not None:
-                    positions.append(answer.position)
-                    forces.append(answer.force)
-            if hello is None and now_ns() - began_ns > HANDSHAKE_NS:
-                raise DeviceError(f"{path}: nothing answers in handle protocol {wire.MAJOR} at {baud} baud for 3 s")
+        hello = handle.identify()
+        states = handle.listen(duration_s)
     finally:
-        port.close()
-    if len(positions) < _LEAST_SAMPLES:
-        raise DeviceError(f"{path}: {identity_text(hello)} sent {len(positions)} samples, {_LEAST_SAMPLES} are needed")
-    return hello, RawPoint(*mean_of(positions), *mean_of(forces))
+        handle.close()
+    if len(states) < _LEAST_SAMPLES:
+        raise DeviceError(f"{handle.path}: {hello.identity} sent {len(states)} samples, {_LEAST_SAMPLES} are needed")
+    return hello, RawPoint(*mean_of([state.position for state in states]), *mean_of([state.force for state in states]))

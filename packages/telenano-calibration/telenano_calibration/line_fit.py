@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.commands import TelenanoError
+from telenano.wire import TelenanoError
 
 Array = npt.NDArray[np.float64]
 

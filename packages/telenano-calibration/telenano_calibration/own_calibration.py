@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from telenano.afm.disturbances import BOLTZMANN_J_PER_K
-from telenano.extend.commands import ConfigError
-from telenano.extend.tables import Column, TextTable, read_table, unit_of
-from telenano.settings.file_readers import read_by_package
+from telenano.afm import BOLTZMANN_J_PER_K
+from telenano.files import Column, TextTable, read_table, unit_of
+from telenano.settings import read_by_package
+from telenano.wire import ConfigError
 from telenano_calibration.line_fit import regressed
 from telenano_calibration.resonance import WIDENED, Resonance, fit_spectrum, periodogram
 

@@ -5,14 +5,10 @@ from pathlib import Path
 
 import msgspec
 
-from telenano.devices.afm.converter_calibration import InstrumentCalibration
-from telenano.devices.hand.calibration import HandleCalibration
-from telenano.numerics.frames import to_site_frame
-from telenano.recording.reader import Recording
-from telenano.recording.rewrite import CopyResult, CopyWriter
-from telenano.wire import decode, encode
-from telenano.wire.errors import ConfigError, RecordingError
-from telenano.wire.messages import AfmState, HapticState, Message, NodeHealth
+from telenano.devices import HandleCalibration, InstrumentCalibration
+from telenano.numerics import to_site_frame
+from telenano.recording import CopyResult, CopyWriter, Recording
+from telenano.wire import AfmState, ConfigError, HapticState, Message, NodeHealth, RecordingError, decode, encode
 
 
 class Recalibrated(CopyResult):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import JsonOption, report_errors
+from telenano.cli import JsonOption, report_errors
 
 
 def recalibrate(
@@ -21,15 +21,14 @@ def recalibrate(
 ) -> None:
     """Read what real devices sent with another calibration, into a new recording."""
     with report_errors(as_json):
-        from telenano.cli.output import print_document
-        from telenano.devices.afm.converter_calibration import read_calibration as read_stage
-        from telenano.devices.hand.calibration import read_calibration as read_handle
+        from telenano.cli import print_document
+        from telenano.devices import read_handle_calibration, read_stage_calibration
         from telenano_calibration.recalibrate import recalibrate as read_again
 
         found = read_again(
             file,
             out,
-            handle=None if handle is None else read_handle(handle),
-            stage=None if stage is None else read_stage(stage),
+            handle=None if handle is None else read_handle_calibration(handle),
+            stage=None if stage is None else read_stage_calibration(stage),
         )
     print_document(found.model_dump(mode="json"), str(out), as_json=as_json)

@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.afm import DeviceError
+from telenano.devices import InstrumentCalibration
 from telenano.extend.devices import AfmDriver
-from telenano.extend.instruments import DeviceError
 from telenano_calibration.line_fit import CalibrationError, LineFit, fit_line, mean_of
 
 # The tip touches when the deflection departs by more than so many times the noise of the free cantilever.

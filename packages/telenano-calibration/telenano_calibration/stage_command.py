@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from telenano.extend.commands import ConfigError, report_errors, write_document
+from telenano.cli import report_errors, write_document
+from telenano.wire import ConfigError
 
 _PERIOD_S = 1e-3
 
@@ -81,7 +82,7 @@ def calibrate_stage(
 
 
 def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
-    from telenano.devices.afm.register_map import read_map
+    from telenano.devices import read_map
     from telenano_calibration.stage_calibration import fit_travel
 
     if len(outputs) < 2:
@@ -131,11 +132,9 @@ def _metres(text: str) -> float:
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return an open driver, what moves it, and the provisional calibration of both."""
-    from telenano.afm.config import AfmConfig
-    from telenano.devices.afm.converter_calibration import InstrumentCalibration
-    from telenano.devices.afm.modbus_driver import ModbusAfm
-    from telenano.devices.afm.register_map import read_map
-    from telenano.settings.config import parse_yaml, validate
+    from telenano.afm import AfmConfig
+    from telenano.devices import InstrumentCalibration, ModbusAfm, read_map
+    from telenano.settings import parse_yaml, validate
     from telenano_calibration.stage_calibration import Mover
 
     text = yaml.safe_dump(document).encode()

@@ -130,7 +130,7 @@ def outcomes(kind: str, seeds: range, folder: Path) -> Iterator[tuple[Outcome, O
     from telenano_calibration.own_calibration import Thermal, stiffness_of_spectrum
     from telenano_calibration.own_calibration import spectrum_of as read
 
-    from telenano.extend.commands import ConfigError
+    from telenano.wire import ConfigError
 
     for seed in seeds:
         lever, frequency, density = spectrum_of(kind, seed)

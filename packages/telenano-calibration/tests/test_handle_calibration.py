@@ -40,13 +40,9 @@ def test_points_that_make_no_line_are_refused(counts: list[float], values: list[
 @needs_compiler
 def test_raw_samples_come_without_a_command_and_are_averaged() -> None:
     line = Line()
-
-    def sleep(duration_s: float) -> None:
-        line.pass_ms(1)
-
-    hello, point = sample_raw("x", 1_000_000, 0.5, open_port=line._open, now_ns=lambda: line.now_ns, sleep=sleep)
+    hello, point = sample_raw(line.driver, 0.5)
     assert hello.model == "telenano posix"
     assert (point.position, point.force) == (POSITION_ZERO, FORCE_ZERO)
     assert (point.position_error, line.handle.core.mode) == (0.0, 0)
     with pytest.raises(DeviceError, match="sent 4 samples, 20 are needed"):
-        sample_raw("x", 1_000_000, 0.04, open_port=line._open, now_ns=lambda: line.now_ns, sleep=sleep)
+        sample_raw(line.driver, 0.04)

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from telenano.extend.laws import NO_SIGNAL, EnergyAccount, HandSample, Law, MasterReference, PortSignal, TipMeasurement
-from telenano.extend.testing import RefusedError, changed_in_contact, longest_pause_periods, paced
+from telenano.laws import changed_in_contact, longest_pause_periods, paced
+from telenano.wire import RefusedError
 from telenano_conformance.balance_draws import BEGINS_S, KINDS, MIXED, SILENCES, Event, Order, drawn
 from telenano_conformance.balance_world import HandModel, SampleModel, lines_of, quantised, stiffest_n_per_m
 

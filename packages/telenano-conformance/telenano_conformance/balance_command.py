@@ -5,8 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, print_json, report_errors
-from telenano.extend.testing import known_law
+from telenano.cli import JsonOption, print_json, report_errors
+from telenano.laws import known_law
+from telenano.wire import ConfigError, TelenanoError
 from telenano_conformance.balance import TOLERANCE_J, Balance, states_passivity, worst_balances
 from telenano_conformance.balance_draws import KINDS, MIXED
 

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import ConfigError, JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, print_json, report_errors
+from telenano.wire import ConfigError
 from telenano_conformance.examination import Keys, examine
 
 

@@ -9,9 +9,8 @@ import zmq
 import zmq.auth
 from zmq.utils.monitor import recv_monitor_message
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.messages import TOPICS, encode, example
-from telenano.extend.readers import open_regular
+from telenano.files import open_regular
+from telenano.wire import TOPICS, ConfigError, encode, example
 from telenano_conformance.answers_of_client import AnswersOfClient
 from telenano_conformance.commands_of_client import CommandsOfClient
 from telenano_conformance.messages import NO_NODES, MessageExaminer

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from telenano.extend.messages import TOPICS, Fault, decode, faults_of, keys_twice, required_keys
+from telenano.wire import TOPICS, Fault, decode, faults_of, keys_twice, required_keys
 from telenano_conformance.rules import Account
 
 _S = 1_000_000_000

@@ -24,7 +24,7 @@ from telenano_conformance.examination import Keys, examine
 from telenano_conformance.messages import MessageExaminer
 from telenano_conformance.rules import RULES, Account
 
-from telenano.extend.commands import ConfigError
+from telenano.wire import ConfigError
 
 NOW_NS = 1_767_225_600_000_000_000
 _MS = 1_000_000

@@ -7,10 +7,7 @@ emulated handle: duty of the bridge in, sensor out. A board without a force sens
 import ctypes
 from typing import Any
 
-from telenano.hand.config import HapticConfig
-from telenano.hand.driver import DriveCommand
-from telenano.hand.safety import MODE_OFF, MODE_POSITION
-from telenano.hand.step import initial_plant, plant_step
+from telenano.hand import MODE_OFF, MODE_POSITION, DriveCommand, HapticConfig, initial_plant, plant_step
 from telenano_emulators.emulated_handle import drive_n_per_count
 from telenano_emulators.firmware import SOURCES, FirmwareError, compiled
 

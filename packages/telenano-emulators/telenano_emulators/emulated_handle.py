@@ -6,12 +6,17 @@ millisecond. The drive is a voltage, a millivolt a count.
 
 from datetime import UTC, datetime
 
-from telenano.devices.hand import wire
-from telenano.hand.config import HapticConfig
-from telenano.hand.driver import DriveCommand
-from telenano.hand.motor import MotorParams, MotorState
-from telenano.hand.safety import MODE_OFF, MODE_POSITION
-from telenano.hand.step import initial_plant, plant_step
+from telenano.devices import HandleAbility, HandleFlag
+from telenano.hand import (
+    MODE_OFF,
+    MODE_POSITION,
+    DriveCommand,
+    HapticConfig,
+    MotorParams,
+    MotorState,
+    initial_plant,
+    plant_step,
+)
 from telenano_emulators.firmware import BoardIdentity, BoardSample, FirmwareCore
 
 TICK_US = 1000
@@ -27,7 +32,12 @@ FORCE_ZERO = 8388
 # the servo of the plant as a voltage source: in a tick the arm moves 40 um at most, which changes it by 40 uV
 _SOURCE_V_PER_M = 1.0
 _SUPPLY_10MV = 4800
-_FLAGS = wire.HAS_POSITION_MODE | wire.HAS_FORCE_SENSOR | wire.SENSES_CURRENT | wire.IS_EMULATED
+_FLAGS = (
+    HandleAbility.HAS_POSITION_MODE
+    | HandleAbility.HAS_FORCE_SENSOR
+    | HandleAbility.SENSES_CURRENT
+    | HandleAbility.IS_EMULATED
+)
 _FORCE_MAX = 2**31 - 1
 
 
@@ -100,12 +110,12 @@ class EmulatedHandle:
             volts = self._drive * V_PER_COUNT
             command = DriveCommand(MODE_POSITION, before_m + volts / _SOURCE_V_PER_M, 0.0)
         self._plant, reading = plant_step(self._params, self._plant, command, session_s, _TICK_S)
-        flags = wire.ESTOP_PRESSED if self.estop_pressed else 0
-        flags |= wire.FORCE_SATURATED if reading.operator_force_limited else 0
-        flags |= wire.CURRENT_LIMITED if reading.torque_limited else 0
+        flags = HandleFlag.ESTOP_PRESSED if self.estop_pressed else 0
+        flags |= HandleFlag.FORCE_SATURATED if reading.operator_force_limited else 0
+        flags |= HandleFlag.CURRENT_LIMITED if reading.torque_limited else 0
         if reading.end_stop:
             towards = reading.position_m > 0.5 * (self._params.motor.position_min_m + self._params.motor.position_max_m)
-            flags |= wire.AT_MAX if towards else wire.AT_MIN
+            flags |= HandleFlag.AT_MAX if towards else HandleFlag.AT_MIN
         self._drive = self.core.tick(
             BoardSample(
                 time_us=self.time_us,

@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from telenano.extend.commands import report_errors, run_ahead, section_of, write_document
-from telenano.extend.controllers import SimulatedAfm
+from telenano.cli import SimulatedAfm, report_errors, run_ahead, section_of, write_document
 
 _STANDARD_GRAVITY_M_PER_S2 = 9.80665
 
@@ -44,7 +43,7 @@ def simulate_handle(
     `gauge M` puts the arm at a position [m] and `mass KG` hangs a mass at its sensor [kg].
     """
     with report_errors(as_json=False, interrupted="the emulated handle has ended"):
-        from telenano.hand.config import HapticConfig
+        from telenano.hand import HapticConfig
         from telenano_emulators import avr_board, emulated_handle
         from telenano_emulators.handle_on_pty import EmulatedBoard, HandleOnPty
 
@@ -126,7 +125,7 @@ def simulate_t7(
 ) -> None:
     """Serve the model of a LabJack T7 with stage and cantilever behind it, over Modbus TCP. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the model of the T7 has ended"):
-        from telenano.afm.config import AfmConfig
+        from telenano.afm import AfmConfig
         from telenano_emulators.t7_model import T7Model, calibration_of, instrument_of
         from telenano_emulators.t7_server import serve_t7
 

@@ -10,12 +10,9 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.driver import AfmDriver
-from telenano.afm.part import AfmSample
-from telenano.afm.sim import SimulatedInstrument, simulated_afm
-from telenano.devices.afm.modbus_frames import Operation
-from telenano.wire.errors import ConfigError
+from telenano.afm import AfmConfig, AfmDriver, AfmSample, SimulatedInstrument, simulated_afm
+from telenano.devices import Operation
+from telenano.wire import ConfigError
 
 SERIAL = 470012345
 M_PER_V = 8.0e-8

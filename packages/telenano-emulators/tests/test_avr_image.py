@@ -50,10 +50,10 @@ class Host:
         self.board.receive(encode(self.seq, *arguments))
         self.seq += 1
 
-    def greet(self) -> wire.Hello:
+    def greet(self) -> wire.HandleHello:
         self.pass_ms(5)
         self.send(wire.encode_ask, 0x1234)
-        (hello,) = [answer for answer in self.pass_ms(5) if isinstance(answer, wire.Hello)]
+        (hello,) = [answer for answer in self.pass_ms(5) if isinstance(answer, wire.HandleHello)]
         self.session = hello.session
         return hello
 
@@ -62,11 +62,11 @@ class Host:
         (configured,) = [answer for answer in self.pass_ms(5) if isinstance(answer, wire.Configured)]
         return configured.limits
 
-    def command(self, mode: int, position: int = 0, force: int = 0) -> wire.State:
+    def command(self, mode: int, position: int = 0, force: int = 0) -> wire.HandleState:
         """Send a command and return the state that answers it, a millisecond or two later."""
         wanted = self.seq & 0xFFFF
         self.send(wire.encode_command, self.session, 0, mode, position, force)
-        answers = [answer for answer in self.pass_ms(2) if isinstance(answer, wire.State)]
+        answers = [answer for answer in self.pass_ms(2) if isinstance(answer, wire.HandleState)]
         (state,) = [answer for answer in answers if answer.command_seq == wanted]
         return state
 
@@ -85,8 +85,8 @@ def test_image_says_who_it_is_and_begins_a_session() -> None:
     hello = first.greet()
     assert (hello.major, hello.device_id, hello.model, hello.nonce) == (1, DEVICE_ID, "telenano avr328p", 0x1234)
     assert hello.session != 0
-    assert hello.flags & wire.FORCE_IS_ESTIMATED
-    assert not hello.flags & wire.HAS_FORCE_SENSOR
+    assert hello.flags & wire.HandleAbility.FORCE_IS_ESTIMATED
+    assert not hello.flags & wire.HandleAbility.HAS_FORCE_SENSOR
     assert sum(first.reader.errors.values()) == 0
 
 
@@ -126,7 +126,7 @@ def test_silence_switches_the_motor_off_within_the_watchdog_counted_in_cycles(ho
     silent_ms = (host.board.cycles - heard) * 1e3 / FREQUENCY_HZ
     assert WATCHDOG_MS - 1.5 <= silent_ms <= 1.05 * WATCHDOG_MS
     # an old reference does not drive again: only the command off does away with it
-    assert host.command(MODE_FORCE, force=100).flags & wire.WATCHDOG_TRIPPED
+    assert host.command(MODE_FORCE, force=100).flags & wire.HandleFlag.WATCHDOG_TRIPPED
     host.pass_ms(2)
     assert host.board.duty == 0
     host.command(MODE_OFF)
@@ -159,7 +159,7 @@ def test_open_switch_of_the_emergency_stop_cuts_the_drive_and_latches(host: Host
     host.pass_ms(2)
     assert host.board.duty == 0
     host.board.set_estop(pressed=False)
-    assert host.command(MODE_FORCE, force=100).flags & wire.ESTOP_PRESSED
+    assert host.command(MODE_FORCE, force=100).flags & wire.HandleFlag.ESTOP_PRESSED
     host.pass_ms(1)
     assert host.board.duty == 0
     host.configure()
@@ -180,7 +180,7 @@ def test_thousand_commands_a_second_are_each_answered(host: Host) -> None:
     states = []
     for _ in range(200):
         host.send(wire.encode_command, host.session, 0, MODE_OFF, 0, 0)
-        states += [answer for answer in host.pass_ms(1) if isinstance(answer, wire.State)]
+        states += [answer for answer in host.pass_ms(1) if isinstance(answer, wire.HandleState)]
     assert len(states) >= 198
     assert states[-1].overruns == states[0].overruns
     assert {(after.seq - before.seq) & 0xFFFF for before, after in itertools.pairwise(states)} == {1}

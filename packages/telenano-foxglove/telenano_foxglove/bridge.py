@@ -15,10 +15,9 @@ from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from telenano.extend.bridges import Rate
-from telenano.extend.exports import RecordedMessage, plain, viewer_json, viewer_schema
-from telenano.extend.messages import TOPICS, RecordingError
-from telenano.extend.serving import (
+from telenano.console import Rate
+from telenano.recording import RecordedMessage, plain, viewer_json, viewer_schema
+from telenano.serving import (
     Access,
     Connections,
     Listener,
@@ -29,6 +28,7 @@ from telenano.extend.serving import (
     make_server,
     most_connections,
 )
+from telenano.wire import TOPICS, RecordingError
 
 DEFAULT_PORT = 8765
 # These topics are rarely plotted, and cost as much as everything else.

@@ -6,20 +6,19 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.bridges import DEFAULT_RATE_HZ, hand_on, live_rig
-from telenano.extend.commands import DEFAULT_SITE_FILE, DurationOption, SiteFileOption, report_errors
-from telenano.extend.serving import (
-    LOOPBACK,
-    Access,
+from telenano.cli import (
     AllowOption,
     CertificateKeyOption,
     CertificateOption,
+    DurationOption,
     HostNameOption,
     HostOption,
-    announced,
-    bind,
-    checked_tls,
+    SiteFileOption,
+    report_errors,
 )
+from telenano.console import DEFAULT_RATE_HZ, hand_on, live_rig
+from telenano.serving import LOOPBACK, Access, announced, bind, checked_tls
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano_foxglove.bridge import DEFAULT_PORT, Bridge, FoxgloveServer, address_of
 
 TOKEN_VARIABLE = "TELENANO_BRIDGE_TOKEN"

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 from telenano_foxglove.bridge import LEFT_OUT, Bridge, FoxgloveServer, address_of
 
-from telenano.extend.commands import TelenanoError
-from telenano.extend.messages import TOPICS
-from telenano.extend.serving import Access, bind
-from telenano.extend.testing import EPOCH_NS, hand_state, numbered, received
+from telenano.serving import Access, bind
+from telenano.testing import EPOCH_NS, hand_state, numbered, received
+from telenano.wire import TOPICS, TelenanoError
 
 
 class Server:

@@ -4,7 +4,7 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
-from telenano.extend.checks import Finding
+from telenano.doctor import Finding
 
 _PATIENCE_S = 0.3
 

@@ -28,10 +28,10 @@ from telenano.extend.impedance import (
     DeviceError,
     DeviceSample,
     Quaternion,
-    StructuredLog,
     Turn,
     Vector,
 )
+from telenano.runtime import StructuredLog
 from telenano_haptic_devices.settings import HaplyConfig
 
 SERVICE = "ws://127.0.0.1:10001"

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from telenano.extend.impedance import Settings
+from telenano.settings import Settings
 
 
 class HaplyConfig(Settings):

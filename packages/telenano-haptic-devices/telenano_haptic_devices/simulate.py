@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import report_errors, run_ahead
+from telenano.cli import report_errors, run_ahead
 
 
 def simulate_haply(

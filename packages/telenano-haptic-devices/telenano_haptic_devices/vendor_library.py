@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.extend.impedance import DeviceError, refused_code
+from telenano.extend.impedance import DeviceError
+from telenano.settings import refused_code
 
 
 class VendorLibrary(NamedTuple):

@@ -10,7 +10,7 @@ from telenano_haptic_devices import haply
 from telenano_haptic_devices.settings import HaplyConfig
 
 from telenano.extend.impedance import DeviceError
-from telenano.extend.testing import HOSTILITIES, HostileService, TakenReading, unseen
+from telenano.testing import HOSTILITIES, HostileService, TakenReading, unseen
 
 MS = 1_000_000
 BEGINS_MS, ENDS_MS = 300, 1200

@@ -37,7 +37,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     at_rest,
-    compiled,
     drift,
     is_coupled,
     law_of,
@@ -52,6 +51,7 @@ from telenano.extend.laws import (
     tip_signal,
     virtual_mass,
 )
+from telenano.numerics import compiled
 from telenano_laws.ports import (
     Store,
     account_of,

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from telenano.extend.sessions import ControllerConfig
+from telenano.laws import ControllerConfig
 
 MASTER, SLAVE = "controller@master", "controller@slave"
 HAND, TIP = "haptic_node@master", "afm_node@slave"

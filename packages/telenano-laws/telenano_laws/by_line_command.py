@@ -8,17 +8,13 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.bridges import live_rig
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    ConfigError,
-    DurationOption,
-    SiteFileOption,
-    TelenanoError,
-    report_errors,
-    section_of,
-)
-from telenano.extend.sessions import AfmConfig, Command, ControllerConfig, send_control
+from telenano.afm import AfmConfig
+from telenano.cli import DurationOption, SiteFileOption, report_errors, section_of
+from telenano.console import live_rig, send_control
+from telenano.laws import ControllerConfig
+from telenano.runtime import Command
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import ConfigError, TelenanoError
 from telenano_laws.by_line import CANDIDATES, MASTER, TOPICS, Decision, Policy, facts_of
 
 CONTROLLERS, RECORDER = "controller", "recorder"

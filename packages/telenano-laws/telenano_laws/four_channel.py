@@ -30,7 +30,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     at_rest,
-    compiled,
     is_coupled,
     law_of,
     let_go,
@@ -44,6 +43,7 @@ from telenano.extend.laws import (
     tip_reference,
     virtual_mass,
 )
+from telenano.numerics import compiled
 from telenano_laws.ports import followed
 
 bounded = virtual_mass.bounded

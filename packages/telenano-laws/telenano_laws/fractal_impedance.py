@@ -31,7 +31,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     at_rest,
-    compiled,
     is_coupled,
     law_of,
     let_go,
@@ -46,6 +45,7 @@ from telenano.extend.laws import (
     tip_signal,
     virtual_mass,
 )
+from telenano.numerics import compiled
 from telenano_laws.ports import followed, of_scales
 
 # the width of the rise from K_0 e_0 to W, as a part of what the distance has left up to e_b

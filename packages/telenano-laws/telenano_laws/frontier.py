@@ -15,7 +15,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 from matplotlib.figure import Figure
 
-from telenano.extend.exports import whole_file
+from telenano.files import whole_file
 
 # over these the bar allows a tracking error of 0.35, over all others of 0.2
 LONG_NETWORKS = frozenset({"satellite"})

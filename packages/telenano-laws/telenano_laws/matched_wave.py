@@ -38,7 +38,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     at_rest,
-    compiled,
     is_coupled,
     law_of,
     let_go,
@@ -53,6 +52,7 @@ from telenano.extend.laws import (
     tip_signal,
     virtual_mass,
 )
+from telenano.numerics import compiled
 from telenano_laws.ports import (
     HandPort,
     begun_again,

@@ -13,10 +13,10 @@ from telenano.extend.laws import (
     MassParams,
     PortSignal,
     TipMeasurement,
-    compiled,
     is_coupled,
     virtual_mass,
 )
+from telenano.numerics import compiled
 
 # numba compiles what a module names itself
 HandPort = virtual_mass.HandPort

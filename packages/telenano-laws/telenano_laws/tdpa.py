@@ -38,7 +38,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     at_rest,
-    compiled,
     is_coupled,
     law_of,
     let_go,
@@ -52,6 +51,7 @@ from telenano.extend.laws import (
     tip_reference,
     tip_signal,
 )
+from telenano.numerics import compiled
 from telenano_laws.ports import (
     HandPort,
     Store,

@@ -28,7 +28,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    compiled,
     is_coupled,
     law_of,
     let_go,
@@ -37,6 +36,7 @@ from telenano.extend.laws import (
     ranges,
     the_hands_force,
 )
+from telenano.numerics import compiled
 from telenano_laws.ports import (
     armed_anew,
     clipped_force,

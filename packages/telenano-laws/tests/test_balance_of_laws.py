@@ -2,7 +2,8 @@
 
 import pytest
 
-from telenano.extend.testing import balance, drawn, known_law, worst_balances
+from telenano.laws import known_law
+from telenano.testing import balance, drawn, worst_balances
 
 OWN = ("bounded_model", "matched_wave", "tdpa", "two_layer")
 CORE = ("wave", "passivity")

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.messages import TOPICS, RecordedMessage, RecordingError, plain, quantity
+from telenano.recording import RecordedMessage, plain, quantity
+from telenano.wire import TOPICS, ConfigError, RecordingError
 
 DEFAULT_NAME = "telenano"
 _AXES = "xyz"

@@ -1,7 +1,7 @@
 """What `telenano doctor` checks for this package."""
 
-from telenano.extend.checks import Finding
-from telenano.extend.commands import ConfigError
+from telenano.doctor import Finding
+from telenano.wire import ConfigError
 
 
 def check_library() -> list[Finding]:

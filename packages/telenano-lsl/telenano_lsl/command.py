@@ -4,8 +4,9 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.bridges import hand_on, live_rig
-from telenano.extend.commands import DEFAULT_SITE_FILE, DurationOption, SiteFileOption, report_errors
+from telenano.cli import DurationOption, SiteFileOption, report_errors
+from telenano.console import hand_on, live_rig
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano_lsl.bridge import DEFAULT_NAME, LslBridge, lsl_streams
 
 

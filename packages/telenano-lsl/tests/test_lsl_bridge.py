@@ -10,8 +10,8 @@ from telenano_lsl import bridge as lsl_bridge
 from telenano_lsl.bridge import Comparison, LslBridge, Sample, Stream, compare_clocks, lsl_streams
 from telenano_lsl.checks import check_library
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.messages import Message, RecordedMessage, example, recorded
+from telenano.recording import RecordedMessage, recorded
+from telenano.wire import ConfigError, Message, example
 
 SECOND_NS = 10**9
 EPOCH_NS = 1_750_000_000_000_000_000

@@ -20,18 +20,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.contact.lennard_jones import contact_distance_m
-from telenano.afm.contact.maugis_dugdale import (
+from telenano.afm import (
+    AfmConfig,
     cohesive_stress_pa,
+    contact_distance_m,
     force_n,
     indentation_m,
     maugis_dugdale,
     pull_off_indentation_m,
     reduced_modulus_pa,
 )
-from telenano.numerics.compiled import compiled, compiled_form
-from telenano.wire.errors import ConfigError
+from telenano.numerics import compiled, compiled_form
+from telenano.wire import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
 from telenano_microscopy.force_curve import Curve
 

@@ -7,26 +7,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.afm.programs.curve import CurveSettings
-from telenano.cli.model_options import validated, with_options
-from telenano.cli.sample_options import AfmOption, results_in
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    ConfigError,
+from telenano.afm import CurveSettings
+from telenano.cli import (
+    AfmOption,
     JsonOption,
     SiteFileOption,
-    flag_overrides,
     print_document,
     progress,
     report_errors,
+    results_in,
+    validated,
+    with_options,
 )
-from telenano.settings.config import validate
-from telenano.signals import interrupts
-from telenano.wire.errors import RigError
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.signals import exit_code as exit_code_of_signal
+from telenano.signals import finishing
+from telenano.signals import received as signal_received
+from telenano.wire import ConfigError, RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
-    from telenano.wire.messages import Scalar
+    from telenano.wire import Scalar
     from telenano_microscopy.force_curve import Curve
 
 
@@ -74,7 +75,7 @@ def curve(
     with report_errors(as_json):
         validated(CurveSettings, given)
         import telenano_microscopy.force_curve as curves
-        from telenano.afm.config import AfmConfig
+        from telenano.afm import AfmConfig
         from telenano_microscopy.adhesion_fit import fit_adhesion
         from telenano_microscopy.force_curve_figure import curve_figure
 
@@ -83,7 +84,7 @@ def curve(
         if live:
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
         # A curve of a real tip is not lost by a signal that comes while its files are written.
-        with interrupts.finishing() as finish, results_in(out) as folder:
+        with finishing() as finish, results_in(out) as folder:
             if live:
                 found = _live(site_file, CurveSettings(**given), given, finish, as_json=as_json)
             else:
@@ -115,9 +116,9 @@ def curve(
         document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
-    if interrupts.received():
+    if signal_received():
         typer.echo(f"telenano: interrupted; {out} is complete", err=True)
-        raise typer.Exit(interrupts.exit_code())
+        raise typer.Exit(exit_code_of_signal())
 
 
 def _live(
@@ -129,7 +130,7 @@ def _live(
     as_json: bool,
 ) -> "Curve":
     """Have a running rig take a curve; RigError when it ended before it was complete."""
-    from telenano.console.live_program import LiveCurve
+    from telenano.console import LiveCurve
     from telenano_microscopy.force_curve import curve_of_samples
 
     samples = LiveCurve()

@@ -16,12 +16,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.cantilever import deflection_m, equilibrium, initial_state
-from telenano.afm.config import AfmConfig
-from telenano.afm.dynamic import NO_NOISE, advance, steady_state
-from telenano.afm.dynamic_sim import require_steps
-from telenano.settings.file_readers import read_by_package
-from telenano.wire.errors import ConfigError, RigError
+from telenano.afm import (
+    NO_NOISE,
+    AfmConfig,
+    advance,
+    deflection_m,
+    equilibrium,
+    initial_state,
+    require_steps,
+    steady_state,
+)
+from telenano.settings import read_by_package
+from telenano.wire import ConfigError, RigError
 
 Array = npt.NDArray[np.float64]
 

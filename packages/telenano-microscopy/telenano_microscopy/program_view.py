@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli.keyboard import RawKeyboard
-from telenano.wire.errors import ConfigError
+from telenano.cli import RawKeyboard
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.console.live_program import LiveCurve
-    from telenano.extend.images import LiveImage
-    from telenano.wire.instrument import AfmProgram
-    from telenano.wire.messages import Scalar
+    from telenano.analysis import LiveImage
+    from telenano.console import LiveCurve
+    from telenano.wire import AfmProgram, Scalar
 
 _BAR = 30
 
@@ -40,7 +39,7 @@ def follow_program(
 
     `on_end` is called as soon as the instrument has reported the end, before anything of the program is closed.
     """
-    from telenano.console.live_program import run_program
+    from telenano.console import run_program
 
     with RawKeyboard() as keyboard:
 

@@ -5,35 +5,34 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.afm.programs.scan import ScanSettings
-from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.model_options import validated, with_options
-from telenano.cli.sample_options import (
+from telenano.afm import ScanSettings
+from telenano.cli import (
+    EXIT_FAILED,
     AfmOption,
     ChannelOption,
+    JsonOption,
     SampleOption,
     SampleSetOption,
     SampleSizeOption,
-    results_in,
-    sample_config,
-)
-from telenano.extend.commands import (
-    DEFAULT_SITE_FILE,
-    JsonOption,
     SiteFileOption,
-    flag_overrides,
     print_document,
     progress,
     report_errors,
+    results_in,
+    sample_config,
+    validated,
+    with_options,
 )
-from telenano.settings.config import validate
-from telenano.signals import interrupts
-from telenano.wire.errors import RigError
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.signals import exit_code as exit_code_of_signal
+from telenano.signals import finishing
+from telenano.signals import received as signal_received
+from telenano.wire import RigError
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
-    from telenano.extend.images import Image
-    from telenano.wire.messages import Scalar
+    from telenano.analysis import Image
+    from telenano.wire import Scalar
     from telenano_microscopy.simulated_image import SimulatedImage
 
 # fields of the model for which the command has options of its own
@@ -77,8 +76,8 @@ def scan(
             refuse_foreign(foreign)
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
-        from telenano.afm.config import AfmConfig
-        from telenano.extend.images import write_images
+        from telenano.afm import AfmConfig
+        from telenano.cli import write_images
         from telenano_microscopy.simulated_image import take_image
 
         sample = sample_config(name, size, channel, settings)
@@ -91,7 +90,7 @@ def scan(
         section["sample"] = sample.model_dump(mode="json", exclude_unset=True)
         config = validate(AfmConfig, section, "--afm")
         keys: dict[str, Scalar] = {"scan.mode": mode, **{f"scan.{key}": value for key, value in given.items()}}
-        with interrupts.finishing() as finish, results_in(out) as folder:
+        with finishing() as finish, results_in(out) as folder:
             with progress("lines", wanted.lines, shown=not as_json, counted=True) as show:
 
                 def advanced(n: int, of: int) -> bool:
@@ -124,14 +123,15 @@ def _scan_live(
     out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
 ) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
-    from telenano.extend.images import LiveImage, images_of_lines, write_images
+    from telenano.analysis import LiveImage, images_of_lines
+    from telenano.cli import write_images
 
     image = LiveImage()
     # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
     failure: RigError | KeyboardInterrupt | None = None
     said, files = False, list[str]()
-    with interrupts.finishing() as finish, results_in(out) as folder:
+    with finishing() as finish, results_in(out) as folder:
         try:
             report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
         except (RigError, KeyboardInterrupt) as error:
@@ -156,22 +156,22 @@ def _scan_live(
 
 def _say_if_interrupted(partial: str) -> bool:
     """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
-    if interrupts.received():
+    if signal_received():
         typer.echo(f"telenano: interrupted: {partial or 'all lines'} are kept", err=True)
-    return bool(interrupts.received())
+    return bool(signal_received())
 
 
 def _exit_if_interrupted(said: bool, partial: str) -> None:
     """Exit with the code of the signal that ended an image, or came while it was written."""
-    if interrupts.received():
+    if signal_received():
         if not said:
             _say_if_interrupted(partial)
-        raise typer.Exit(interrupts.exit_code())
+        raise typer.Exit(exit_code_of_signal())
 
 
 def _images(found: "SimulatedImage") -> "dict[str, Image]":
     """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
-    from telenano.extend.images import Image, images_of_lines
+    from telenano.analysis import Image, images_of_lines
 
     lines, count = found.lines, found.lines.finished
     images = images_of_lines(lines, count)

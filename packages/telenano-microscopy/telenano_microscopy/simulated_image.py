@@ -7,14 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.programs.program import FinishedLine
-from telenano.afm.programs.settings import requested
-from telenano.afm.sample.surface import height_at
-from telenano.devices.afm.guarded import line_fields
-from telenano.extend.images import LiveImage
-from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import AfmScanline, Scalar
+from telenano.afm import AfmConfig, FinishedLine, height_at, requested
+from telenano.analysis import LiveImage
+from telenano.devices import line_fields
+from telenano.wire import AfmScanline, ConfigError, RefusedError, Scalar
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 Array = npt.NDArray[np.float64]

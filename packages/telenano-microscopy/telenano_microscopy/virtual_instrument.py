@@ -3,15 +3,18 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from telenano.afm import safety
-from telenano.afm.config import AfmConfig
-from telenano.afm.driver import Simulation
-from telenano.afm.programs.program import Wanted
-from telenano.afm.programs.runner import Report
-from telenano.afm.programs.settings import InstrumentRequest
-from telenano.devices.afm.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step
-from telenano.devices.afm.instrument import driver_of, reach_of, runner_of
-from telenano.wire.errors import RefusedError
+from telenano.afm import (
+    ACTION_RETRACT,
+    MODE_RETRACTING,
+    AfmConfig,
+    InstrumentRequest,
+    Report,
+    Simulation,
+    Wanted,
+    initial_safety_state,
+)
+from telenano.devices import AfmMemory, AfmPart, GuardedInstrument, Stage, Step, driver_of, reach_of, runner_of
+from telenano.wire import RefusedError
 
 PERIOD_S = 1e-3
 
@@ -40,7 +43,7 @@ class VirtualInstrument:
         if self.device.simulation is None:
             raise RefusedError("a real instrument has no simulated time: afm_node.driver must be simulated")
         limits = config.to_params().safety
-        self._memory = AfmMemory(safety.initial_safety_state(limits))
+        self._memory = AfmMemory(initial_safety_state(limits))
         self._programs = runner_of(config, self.device, reach_of(config, self.device), PERIOD_S)
         self.time_s = 0.0
         self.outcome: Report | None = None
@@ -66,10 +69,10 @@ class VirtualInstrument:
                 self.outcome = self._programs.report()
                 self._programs.end()
             yield step
-        while memory.guard.mode == safety.MODE_RETRACTING:
+        while memory.guard.mode == MODE_RETRACTING:
             self.time_s += PERIOD_S
             base_m = memory.guard.base_m
-            asked = memory.asks(base_m, safety.ACTION_RETRACT, 0.0, False, False, False)
+            asked = memory.asks(base_m, ACTION_RETRACT, 0.0, False, False, False)
             self._instrument.step(memory, asked, Wanted((), base_m, memory.place), PERIOD_S)
 
     def fields(self, step: Step) -> dict[str, Any]:

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from telenano.cli.output import print_rows
-from telenano.cli.sample_options import results_in
-from telenano.extend.commands import JsonOption, print_json, report_errors
-from telenano.wire.errors import ConfigError
+from telenano.cli import JsonOption, print_json, print_rows, report_errors, results_in
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
     from telenano_networks.line_fit import Agreement

@@ -13,12 +13,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link.config import DirectionSettings, Jitter, LinkSettings
-from telenano.link.engine import fates_of
-from telenano.link.models.jitter import DRAWS_IN_CORRELATION_TIME, LONGEST_WALK
-from telenano.link.models.outages import Outages
-from telenano.link.pipeline import Files, Pipeline
-from telenano.link.random_streams import SMALLEST, stream
+from telenano.link import (
+    DRAWS_IN_CORRELATION_TIME,
+    LONGEST_WALK,
+    SMALLEST,
+    DirectionSettings,
+    Files,
+    Jitter,
+    LinkSettings,
+    Outages,
+    Pipeline,
+    fates_of,
+    stream,
+)
 from telenano_networks.line_sources import Column
 
 Times = npt.NDArray[np.int64]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link.config import parse_settings
+from telenano.link import parse_settings
 from telenano_networks.line_draws import delays_ns
 from telenano_networks.line_log import LineLog, Segment
 from telenano_networks.line_sources import Column

@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from telenano.extend.readers import read_regular
-from telenano.extend.tables import Column as TableColumn
-from telenano.extend.tables import TextTable, decoded, parse_table
-from telenano.wire.errors import ConfigError
+from telenano.files import Column as TableColumn
+from telenano.files import TextTable, decoded, parse_table, read_regular
+from telenano.wire import ConfigError
 from telenano_networks import ping_log
 from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
 

@@ -6,11 +6,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.tables import read_table
-from telenano.link.config import parse_settings
-from telenano.link.engine import fates_of
-from telenano.recording.reader import Recording
-from telenano.wire.errors import ConfigError
+from telenano.files import read_table
+from telenano.link import fates_of, parse_settings
+from telenano.recording import Recording
+from telenano.wire import ConfigError
 from telenano_networks.network_trace import traces_of
 from telenano_networks.report_command import fates_in
 

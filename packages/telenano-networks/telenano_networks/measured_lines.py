@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.extend.readers import children
+from telenano.signals import run as run_child
 
 PRESETS = Path("telenano") / "presets" / "networks"
 
@@ -144,7 +144,7 @@ def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[
         "--out",
         str(out / name),
     ]
-    done = children.run(
+    done = run_child(
         [*command, "--about", about, "--cite", cite, "--taken", taken], capture_output=True, text=True, check=False
     )
     if done.returncode not in (0, 3):

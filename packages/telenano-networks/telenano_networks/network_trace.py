@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from telenano.runtime.datagram.arrivals import SETTLE_NS
-from telenano.timing.clock_line import ClockLine, fitted
-from telenano.wire.errors import TelenanoError
-from telenano.wire.network_messages import LinkNetwork
+from telenano.runtime import SETTLE_NS
+from telenano.timing import ClockLine, fitted
+from telenano.wire import LinkNetwork, TelenanoError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.cli.sample_options import results_in
-from telenano.extend.commands import JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, print_json, report_errors, results_in
 
 if TYPE_CHECKING:
     import numpy as np
@@ -78,7 +77,7 @@ def carried(name: str, seed: int) -> "LineLog":
     """Return what a network does to messages, as a log of them; ConfigError names the networks that there are."""
     import numpy as np
 
-    from telenano.link.config import parse_settings
+    from telenano.link import parse_settings
     from telenano_networks.line_draws import delays_ns
     from telenano_networks.line_log import LineLog, Segment
 

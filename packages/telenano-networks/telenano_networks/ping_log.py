@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from datetime import datetime
 from typing import NamedTuple
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 _TIME = r"(?:\b[^\W\d]+ ?[=<]|\d bytes, )(?P<ms>\d{1,9}(?:[.,]\d{1,9})?) ?(?:ms|мс)"
 _STAMP = r"\[(?P<stamp>\d{1,12}\.\d{1,12}|\d{4}-\d\d-\d\d[ T][\d:.]{5,20})\] "

@@ -10,18 +10,20 @@ from typing import Annotated, Any, cast
 import typer
 import yaml
 
-from services.delay_node.node import TRAIN
-from telenano.cli.commands.topic import open_observer
-from telenano.cli.output import print_rows
-from telenano.cli.sample_options import results_in
-from telenano.console.command_client import send_control
-from telenano.extend.commands import JsonOption, SiteFileOption, TelenanoError, print_json, progress, report_errors
-from telenano.runtime.loop.commands import Command
-from telenano.runtime.wiring.observer import RIG_HINT
+from telenano.cli import (
+    JsonOption,
+    SiteFileOption,
+    open_observer,
+    print_json,
+    print_rows,
+    progress,
+    report_errors,
+    results_in,
+)
+from telenano.console import send_control
+from telenano.runtime import RIG_HINT, TRAIN, Command
 from telenano.settings import TWO_SITES_FILE
-from telenano.wire.errors import RigError
-from telenano.wire.network_messages import LinkNetwork
-from telenano.wire.nodes import LINK
+from telenano.wire import LINK, LinkNetwork, RigError, TelenanoError
 from telenano_networks.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
 
 _TOPIC = "link/network"
@@ -87,7 +89,7 @@ def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:
 
 def _recorded(path: Path) -> Iterator[LinkNetwork]:
     """Yield the reports of a recording; at the master it has both directions, one of them as a copy."""
-    from telenano.recording.reader import Recording
+    from telenano.recording import Recording
 
     seen = set()
     for message in Recording(path).messages():

@@ -5,13 +5,9 @@ from typing import Any
 
 import msgspec
 
-from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.wiring.participant import open_participant
-from telenano.settings.config import flag_overrides
-from telenano.wire import TOPICS
-from telenano.wire.errors import ConfigError
-from telenano.wire.messages import Message
-from telenano.wire.nodes import name_of
+from telenano.runtime import AddressBook, open_participant
+from telenano.settings import flag_overrides
+from telenano.wire import TOPICS, ConfigError, Message, name_of
 
 # Readers of the endpoint take about so long to notice that it is there.
 _CONNECT_S = 0.5

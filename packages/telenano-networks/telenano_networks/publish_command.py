@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import JsonOption, report_errors
+from telenano.cli import JsonOption, report_errors
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire.nodes import VIEW
+from telenano.wire import VIEW
 
 
 def pub(
@@ -32,9 +32,8 @@ def pub(
 ) -> None:
     """Publish messages in the place of a node that does not run, until Ctrl-C or a number; for trials and tests."""
     with report_errors(as_json):
-        from telenano.cli.output import print_answer
-        from telenano.runtime.bus.address_book import load_site
-        from telenano.runtime.wiring.observer import known_name
+        from telenano.cli import print_answer
+        from telenano.runtime import known_name, load_site
         from telenano_networks.publish import publish
 
         sent = publish(load_site(site_file), src, known_name(topic)[0], fields, rate, count)

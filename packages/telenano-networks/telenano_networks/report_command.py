@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli.output import print_rows
-from telenano.extend.commands import JsonOption, TelenanoError, print_json, report_errors
+from telenano.cli import JsonOption, print_json, print_rows, report_errors
+from telenano.wire import TelenanoError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,8 +59,8 @@ def fates_in(recording: Path) -> dict[str, list[FateRow]]:
     Raises:
         RecordingError: The file is no recording.
     """
-    from telenano.recording.reader import Recording
-    from telenano.wire.messages import LinkFates
+    from telenano.recording import Recording
+    from telenano.wire import LinkFates
 
     found: dict[str, list[FateRow]] = {way: [] for way in _WAYS}
     for message in Recording(recording).messages(("link/fates",)):
@@ -82,7 +82,7 @@ def overflows_in(recording: Path) -> dict[str, int]:
     Raises:
         RecordingError: The file is no recording.
     """
-    from telenano.recording.reader import Recording
+    from telenano.recording import Recording
     from telenano_networks.udp_command import OVERFLOWED
 
     counts = Recording(recording).metadata.get(OVERFLOWED, {})

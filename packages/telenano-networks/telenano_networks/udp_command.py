@@ -7,20 +7,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli.output import fail_incomplete, print_rows
-from telenano.extend.commands import (
+from telenano.cli import (
     DurationOption,
     JsonOption,
     SiteFileOption,
-    TelenanoError,
+    fail_incomplete,
     print_json,
+    print_rows,
     report_errors,
 )
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import TelenanoError
 
 if TYPE_CHECKING:
-    from telenano.link.fate import Direction
-    from telenano.recording.writer import RecordingWriter
+    from telenano.link import Direction
+    from telenano.recording import RecordingWriter
     from telenano_networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
@@ -63,14 +64,10 @@ def udp(
     Ctrl-C ends it. The exit code is 3 where the recording could not be kept.
     """
     with report_errors(as_json):
-        from telenano.console.command_client import parse_parameters
-        from telenano.link.config import network_name, parse_settings
-        from telenano.runtime.bus.address_book import load_site
-        from telenano.runtime.loop.log import StructuredLog
-        from telenano.runtime.loop.realtime import apply_realtime
-        from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
-        from telenano.settings.config import nested
-        from telenano.settings.scenario import RealtimeConfig
+        from telenano.console import parse_parameters
+        from telenano.link import network_name, parse_settings
+        from telenano.runtime import StopSignals, StructuredLog, apply_realtime, load_site, open_participant, run_loop
+        from telenano.settings import RealtimeConfig, nested
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
 
@@ -132,8 +129,7 @@ class Keeper:
 
     def __call__(self, topic: str, payload: bytes) -> None:
         """Keep a message that the link has sent."""
-        from telenano.wire import read_header
-        from telenano.wire.errors import RecordingError
+        from telenano.wire import RecordingError, read_header
 
         if self.fault:
             return
@@ -150,7 +146,7 @@ class Keeper:
 
     def close(self, overflowed: Mapping["Direction", int] | None = None) -> None:
         """Complete the file, with what the sockets of the link had no room for, by direction."""
-        from telenano.wire.errors import RecordingError
+        from telenano.wire import RecordingError
 
         if self.fault:
             return
@@ -163,8 +159,8 @@ class Keeper:
 
 
 def _writer(path: Path) -> "RecordingWriter":
-    from telenano.recording.writer import FileSettings, RecordingWriter
-    from telenano.settings.config import validate
+    from telenano.recording import FileSettings, RecordingWriter
+    from telenano.settings import validate
 
     place = {"directory": path.absolute().parent, "file_name": path.name}
     return RecordingWriter.create(_KEY, validate(FileSettings, place, "--record"))

@@ -8,13 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
-from services.delay_node.node import DelayNode, DirectionPath, SiteEndpoint
-from telenano.link.config import LinkSettings
-from telenano.link.fate import Direction, Fate, Release
-from telenano.runtime.loop.node import NodeContext
-from telenano.timing.clock import NEVER_NS
-from telenano.wire.messages import SessionControl
-from telenano.wire.received import Received
+from telenano.link import Direction, Fate, LinkSettings, Release
+from telenano.runtime import DelayNode, DirectionPath, NodeContext, SiteEndpoint
+from telenano.timing import NEVER_NS
+from telenano.wire import Received, SessionControl
 
 TOPIC = "udp"
 WAYS: tuple[Direction, Direction] = ("forward", "backward")

@@ -10,12 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.link.fate import Direction
-from telenano.timing.clock import NEVER_NS, Clock
-from telenano.wire.errors import ConfigError
-from telenano.wire.messages import InputHealth
-from telenano.wire.received import Received
-from telenano.wire.sequence import SequenceTracker
+from telenano.link import Direction
+from telenano.timing import NEVER_NS, Clock
+from telenano.wire import ConfigError, InputHealth, Received, SequenceTracker
 
 # The largest datagram of UDP is smaller.
 _MOST_BYTES = 65_536

@@ -27,19 +27,19 @@ from telenano_networks.line_page import SLOWER
 from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
-import services.viz_node
 from telenano.cli.root import app
 from telenano.link.config import parse_settings
 from telenano.link.engine import fates_of
 from telenano.link.fate import Direction
 from telenano.link.profiles import Profile
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.serving import web_folder
 from telenano.settings.config import validate
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import LinkFate, LinkFates
 
-FOLDER = Path(services.viz_node.__path__[0]) / "web" / "gallery"
+FOLDER = web_folder() / "gallery"
 WAYS: tuple[Direction, ...] = ("forward", "backward")
 PERIOD_S, TIME_S, PER_S, STALL_S, SPREAD = 0.02, 0.08, 0.1, 0.3, 0.2
 TRUTH = {

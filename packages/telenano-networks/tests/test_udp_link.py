@@ -20,12 +20,12 @@ from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from telenano.extend.testing import NodeBench
 from telenano.link.config import LinkSettings, changed
 from telenano.link.fate import Direction
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.loop.node import resident_bytes
 from telenano.signals import children
+from telenano.testing import NodeBench
 from telenano.timing.clock import SystemClock
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError

@@ -15,19 +15,12 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from telenano.extend.exports import CopyResult, Recording, Selection, whole_file
-from telenano.extend.images import Image, ImageFacts, LiveImage, images_of_lines
-from telenano.extend.sessions import (
-    AfmConfig,
-    AfmScanline,
-    ConfigError,
-    RecordingError,
-    Timeline,
-    columns,
-    last_programme,
-    scenario_in,
-    validate,
-)
+from telenano.afm import AfmConfig
+from telenano.analysis import Image, ImageFacts, LiveImage, images_of_lines, scenario_in
+from telenano.files import whole_file
+from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_programme
+from telenano.settings import validate
+from telenano.wire import AfmScanline, ConfigError, RecordingError
 
 # The version of the definitions that are followed.
 DEFINITION = "2026.01"

@@ -2,16 +2,8 @@
 
 from pathlib import Path
 
-from telenano.extend.exports import (
-    CopyResult,
-    Payload,
-    Recording,
-    Selection,
-    json_schema,
-    model_of,
-    plain_schema,
-    write_viewer_mcap,
-)
+from telenano.recording import CopyResult, Payload, Recording, Selection, model_of, plain_schema, write_viewer_mcap
+from telenano.wire import json_schema
 from telenano_protobuf.message import ProtobufMessage
 
 

@@ -12,8 +12,8 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from telenano_protobuf.export import _payload_of
 
-from telenano.extend.exports import export_recording, plain, write_recording
-from telenano.extend.messages import TOPICS, example, recorded
+from telenano.recording import export_recording, plain, recorded, write_recording
+from telenano.wire import TOPICS, example
 
 EPOCH_NS = 1_750_000_000_000_000_000
 

@@ -6,9 +6,9 @@ import logging
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from telenano.extend.bridges import DEFAULT_RATE_HZ, Rate
-from telenano.extend.commands import ConfigError
-from telenano.extend.messages import RecordedMessage, RecordingError, plain
+from telenano.console import DEFAULT_RATE_HZ, Rate
+from telenano.recording import RecordedMessage, plain
+from telenano.wire import ConfigError, RecordingError
 from telenano_ros2.crtk import TOPICS_IN, Encoder, definitions
 
 DEFAULT_ROUTER = "127.0.0.1:7447"

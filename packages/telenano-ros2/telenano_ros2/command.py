@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.bridges import DEFAULT_RATE_HZ, hand_on, live_rig
-from telenano.extend.commands import DEFAULT_SITE_FILE, DurationOption, SiteFileOption, report_errors
+from telenano.cli import DurationOption, SiteFileOption, report_errors
+from telenano.console import DEFAULT_RATE_HZ, hand_on, live_rig
+from telenano.settings import DEFAULT_SITE_FILE
 from telenano_ros2.bridge import DEFAULT_ROUTER, Ros2Bridge, close_session, is_connected, zenoh_publishers
 
 

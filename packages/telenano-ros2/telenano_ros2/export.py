@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from telenano.extend.exports import (
+from telenano.recording import (
     CopyResult,
     RawChannel,
     RecordedChannel,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from telenano_ros2.bridge import Ros2Bridge, close_session, is_connected, zenoh_publishers
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.testing import hand_state, numbered, received
+from telenano.testing import hand_state, numbered, received
+from telenano.wire import ConfigError
 
 zenoh = pytest.importorskip("zenoh")
 typesys = pytest.importorskip("rosbags.typesys")

@@ -12,9 +12,8 @@ from rosbags import typesys
 from rosbags.highlevel import AnyReader
 from telenano_ros2.crtk import Encoder, definitions
 
-from telenano.extend.exports import RecordedMessage, export_recording, write_recording
-from telenano.extend.messages import recorded
-from telenano.extend.testing import EPOCH_NS, hand_state, numbered
+from telenano.recording import RecordedMessage, export_recording, recorded, write_recording
+from telenano.testing import EPOCH_NS, hand_state, numbered
 
 SECOND_NS = 10**9
 

@@ -7,10 +7,18 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from telenano.analysis.figure_style import FigureOptions, figure_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
-from telenano.cli.output import print_json, print_rows, report_errors
-from telenano.wire.errors import ConfigError, ReportError
+from telenano.analysis import FigureOptions, figure_options
+from telenano.cli import (
+    FormatOption,
+    JsonOption,
+    StyleOption,
+    TableOption,
+    print_json,
+    print_rows,
+    report_errors,
+    table_formats,
+)
+from telenano.wire import ConfigError, ReportError
 from telenano_studies.repetitions import CONFIDENCE, statistics_of
 
 
@@ -70,9 +78,7 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from telenano.analysis.figure_style import drawn
-    from telenano.analysis.report import write_files
-    from telenano.extend.sessions import described
+    from telenano.analysis import described, drawn, write_files
     from telenano_studies.comparison import beside, compare_figure, rows_of
     from telenano_studies.comparison import compare as read
     from telenano_studies.published import paper_points, read_published

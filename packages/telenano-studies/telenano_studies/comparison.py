@@ -5,10 +5,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from telenano.analysis.figure_style import COLUMN_IN, LINES, ON_SCREEN, REFERENCE, FigureOptions, lettered, styled
-from telenano.analysis.report import Session, read_session, scenario_in, summarise
-from telenano.extend.sessions import SessionSeries, open_recordings
-from telenano.wire.errors import ConfigError
+from telenano.analysis import (
+    COLUMN_IN,
+    LINES,
+    ON_SCREEN,
+    REFERENCE,
+    FigureOptions,
+    Session,
+    SessionSeries,
+    lettered,
+    read_session,
+    scenario_in,
+    styled,
+    summarise,
+)
+from telenano.recording import open_recordings
+from telenano.wire import ConfigError
 from telenano_studies.published import PANELS, Published, nearest
 
 if TYPE_CHECKING:

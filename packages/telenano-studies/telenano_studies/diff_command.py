@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli.options import ExcludeOption, JsonOption, TopicsOption
-from telenano.extend.commands import print_json, report_errors
+from telenano.cli import ExcludeOption, JsonOption, TopicsOption, print_json, report_errors
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
 
@@ -28,12 +27,10 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
-    from telenano.cli.exit_codes import EXIT_FAILED
-    from telenano.cli.output import print_rows
+    from telenano.cli import EXIT_FAILED, print_rows
 
     with report_errors(as_json):
-        from telenano.recording.channel_filter import Selection
-        from telenano.recording.tolerance import Tolerances
+        from telenano.recording import Selection, Tolerances
         from telenano_studies.recording_diff import diff_recordings
 
         allowed = Tolerances.parse(tolerance or ())

@@ -5,10 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli.options import JsonOption
-from telenano.cli.output import report_errors
-from telenano.cli.progress import progress
-from telenano.cli.sample_options import results_in
+from telenano.cli import JsonOption, progress, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.pages.gallery import STIFFNESS_N_PER_M, gallery, page_of, write_data
 from telenano_studies.study_results import NO_JOURNAL, print_result

@@ -5,10 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli.completion import law_names
-from telenano.cli.options import JsonOption
-from telenano.cli.output import report_errors
-from telenano.cli.sample_options import results_in
+from telenano.cli import JsonOption, law_names, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.loops.network import measured_network, rows_of, run_laws
 from telenano_studies.page import Page

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from telenano.laws.config import LAWS, OWN_LAWS
-from telenano.settings.config import flag_overrides, flatten
-from telenano.wire.errors import ConfigError, known_names
+from telenano.laws import LAWS, OWN_LAWS
+from telenano.settings import flag_overrides, flatten
+from telenano.wire import ConfigError, known_names
 
 _MOST_VALUES = 10_000
 # What is said of a file in the place of numbers.

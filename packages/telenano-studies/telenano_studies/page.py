@@ -8,10 +8,9 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from telenano.analysis.figure_style import ON_SCREEN, VERDICTS, FigureOptions, drawn
-from telenano.analysis.verdict import KINDS
-from telenano.extend.exports import versions
-from telenano.settings.config import flatten
+from telenano.analysis import KINDS, ON_SCREEN, VERDICTS, FigureOptions, drawn
+from telenano.recording import versions
+from telenano.settings import flatten
 from telenano_studies.table_files import table_files
 
 if TYPE_CHECKING:

@@ -8,11 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.files.whole_files import whole_file
-from telenano.recording.arrays import column_pieces
-from telenano.recording.indexed import IndexedRecording
-from telenano.recording.site_clock import Timeline
-from telenano.wire.errors import ConfigError, RecordingError
+from telenano.files import whole_file
+from telenano.recording import IndexedRecording, Timeline, column_pieces
+from telenano.wire import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.extend.commands import report_errors
+from telenano.cli import report_errors
 
 # A drawing has so many columns and rows where there is no terminal.
 _SIZE = (100, 12)
@@ -22,7 +22,7 @@ def plot(
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
     with report_errors(as_json=False):
-        from telenano.cli.output import console
+        from telenano.cli import console
         from telenano_studies.plot import draw, read_traces, save_png
 
         traces = read_traces(file, fields)

@@ -4,11 +4,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli.completion import law_names
-from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import JsonOption
-from telenano.cli.output import report_errors
-from telenano.cli.sample_options import results_in
+from telenano.cli import EXIT_FAILED, JsonOption, law_names, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.loops.promises import as_dict, broken, outcomes
 from telenano_studies.page import Page

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.readers import read_regular
-from telenano.extend.sessions import SessionSeries
-from telenano.wire.errors import ConfigError
+from telenano.analysis import SessionSeries
+from telenano.files import read_regular
+from telenano.wire import ConfigError
 
 Series = npt.NDArray[np.float64]
 

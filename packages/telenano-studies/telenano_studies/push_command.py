@@ -4,11 +4,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.analysis.figure_style import figure_options, styled
-from telenano.cli.completion import law_names
-from telenano.cli.options import FormatOption, JsonOption, StyleOption
-from telenano.cli.output import report_errors
-from telenano.cli.sample_options import results_in
+from telenano.analysis import figure_options, styled
+from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.page import Page, write_images
 from telenano_studies.study_options import OutOption, WorkersOption

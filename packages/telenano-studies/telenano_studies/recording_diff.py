@@ -5,10 +5,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from telenano.recording.channel_filter import ALL, Selection
-from telenano.recording.messages import RecordedChannel, RecordedMessage
-from telenano.recording.reader import Recording
-from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.recording import ALL, RecordedChannel, RecordedMessage, Recording, Selection, Tolerances, first_difference
 
 
 class ChannelDifference(BaseModel):

@@ -9,8 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from telenano.analysis.intervals import half_width, wilson
-from telenano.settings.config import flatten
+from telenano.analysis import half_width, wilson
+from telenano.settings import flatten
 
 CONFIDENCE = 0.95
 _NAMES = ("name", "description")

@@ -5,10 +5,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import JsonOption
-from telenano.cli.output import print_json, report_errors, results_folder
-from telenano.cli.progress import progress
+from telenano.cli import EXIT_FAILED, JsonOption, print_json, progress, report_errors, results_folder
 
 # For Fig. 10 and 12 a rig is run.
 PaperFigure = Literal["all", "equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12"]

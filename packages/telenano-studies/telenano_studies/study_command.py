@@ -9,13 +9,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.analysis.figure_style import figure_options, styled
-from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.model_options import Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group, table_formats
-from telenano.cli.output import report_errors, results_folder
-from telenano.cli.sample_options import results_in
-from telenano.extend.sessions import profile_named
+from telenano.analysis import figure_options, styled
+from telenano.cli import (
+    EXIT_FAILED,
+    FormatOption,
+    Given,
+    JsonOption,
+    StyleOption,
+    TableOption,
+    command_group,
+    report_errors,
+    results_folder,
+    results_in,
+    table_formats,
+    validated,
+    with_options,
+)
+from telenano.link import profile_named
 from telenano_studies.gallery_command import gallery_command
 from telenano_studies.loops import advice
 from telenano_studies.loops.advice import Question

@@ -11,8 +11,7 @@ from typing import Any
 import typer
 from rich.table import Column, Table
 
-from telenano.cli.output import console, print_json, results_folder
-from telenano.cli.progress import progress
+from telenano.cli import console, print_json, progress, results_folder
 from telenano_studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
 from telenano_studies.page import Page, text, write_tables
 

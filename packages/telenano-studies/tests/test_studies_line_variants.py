@@ -8,7 +8,7 @@ import pytest
 from telenano_studies.loops import line_variants
 from telenano_studies.loops.line_variants import between, half_of, stalls_of_both, variants
 
-from telenano.extend.sessions import profile_named
+from telenano.link import profile_named
 from telenano.link.config import parse_settings
 from telenano.link.engine import fates_of
 

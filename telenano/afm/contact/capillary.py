@@ -11,7 +11,7 @@ solid-solid term F_s-s of Eq. 6 is left out, as the paper does.
 
 import math
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 KELVIN_LENGTH_M = 0.54e-9  # water at 20 degrees Celsius, the number under Eq. 6
 

@@ -29,7 +29,7 @@ from telenano.afm.contact.maugis_dugdale import (
     end_angle,
 )
 from telenano.afm.contact.maugis_dugdale import indentation_m as indentation_under
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 FORCE_TOLERANCE = 1e-6  # of the force, or of FORCE_FLOOR pi w R where the force passes through zero
 STIFFNESS_TOLERANCE = 1e-4  # of the stiffness, or of its unit where that is larger

@@ -11,7 +11,7 @@ real tip has its oxide there: below the contact distance the force stays what it
 
 import math
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 VACUUM_PERMITTIVITY_F_PER_M = 8.8541878128e-12
 # a quasi-static tip and its force are found in turns, until a turn moves it by less than this [m]

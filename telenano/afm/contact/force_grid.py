@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.contact.tip_sample import TipSample, branch_force
-from telenano.numerics.compiled import always_compiled, compiled
+from telenano.numerics.compiler import always_compiled, compiled
 
 _CELL_M = 5e-12
 _DEEPEST_M = 5e-9

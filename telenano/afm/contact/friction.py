@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from telenano.afm.contact.tip_sample import TipSample, branch_force
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # cos theta - mu sin theta is taken no smaller: a tip on a steeper slope would jam
 _LEAST_SHARE = 0.05

@@ -2,7 +2,7 @@
 
 import math
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # F = 0 at a0 = 30^(-1/6) sigma, dF/dh = 0 at (8/60)^(1/6) sigma, d2F/dh2 = 0 further out.
 CONTACT_RATIO = 30.0 ** (-1.0 / 6.0)

@@ -24,7 +24,7 @@ Under displacement control the curve from that end to infinite indentation is si
 import math
 from typing import NamedTuple
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 FOLD_TRANSITION = (9.0 * math.pi / (16.0 * (math.pi - 1.0))) ** (1.0 / 3.0)  # 0.938: the fold enters the contact
 HALF_PI = 0.5 * math.pi

@@ -23,7 +23,7 @@ from telenano.afm.contact.capillary import meniscus_force, printed_meniscus_forc
 from telenano.afm.contact.contact_table import ContactTable, build_contact_table, table_force
 from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force
 from telenano.afm.contact.maugis_dugdale import FOLD_TRANSITION, cohesive_stress_pa, maugis_dugdale
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 CONSISTENT = 0
 AS_PRINTED = 1

@@ -37,7 +37,7 @@ with it from 0.4 times (set-point 0.5) to more than it (0.95).
 
 import math
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # Gains are multiplied by these before they are compared with the limit.
 CONTACT_MARGIN, TAPPING_MARGIN = 1.0, 1.5

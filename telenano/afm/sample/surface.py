@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 Heights = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from telenano.afm.programs.table import PROGRAMS
 LEAST_LOOP_HZ = 200.0
 
 
-class Capabilities(NamedTuple):
+class AfmCapabilities(NamedTuple):
     """What an instrument offers the rig.
 
     z_hz: how often z is set, and sample_hz, how often a new sample comes [Hz], as declared for the device as shipped;
@@ -35,15 +35,15 @@ class Capabilities(NamedTuple):
     scans: bool = False
 
 
-TABLE: Mapping[str, Capabilities] = {
-    "simulated": Capabilities(1000.0, 1000.0, 0.0, True, True, True, ("deflection",), "nothing has to"),
-    "modbus": Capabilities(
+TABLE: Mapping[str, AfmCapabilities] = {
+    "simulated": AfmCapabilities(1000.0, 1000.0, 0.0, True, True, True, ("deflection",), "nothing has to"),
+    "modbus": AfmCapabilities(
         500.0, 500.0, 2.5e-3, False, False, True, ("deflection",), "a script on a T7; a watchdog of 1 s elsewhere"
     ),
 }
 
 
-def capabilities_of(driver: str) -> Capabilities | None:
+def capabilities_of(driver: str) -> AfmCapabilities | None:
     """Return what a driver declares of its instrument; None where it declares nothing.
 
     Raises:
@@ -52,7 +52,7 @@ def capabilities_of(driver: str) -> Capabilities | None:
     found = DRIVERS.find(driver)
     if found is None or found.capabilities is None:
         return TABLE.get(driver)
-    return Capabilities(*found.capabilities)
+    return AfmCapabilities(*found.capabilities)
 
 
 def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:

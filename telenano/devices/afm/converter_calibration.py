@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 from pydantic import AwareDatetime, Field, model_validator
 
@@ -10,6 +10,8 @@ from telenano.afm.part import AfmSample
 from telenano.afm.safety import SafetyParams
 from telenano.devices.afm.register_map import MapName, RegisterMap
 from telenano.settings.config import Settings, read_yaml, validate
+
+_C = TypeVar("_C", bound=Settings)
 
 LEAST_HEARTBEAT_S = 0.02
 
@@ -190,6 +192,11 @@ class InstrumentCalibration(Settings):
         return faults
 
 
-def read_calibration(path: Path) -> InstrumentCalibration:
+def read_stage_calibration(path: Path) -> InstrumentCalibration:
     """Read a calibration file; ConfigError names file and key."""
     return validate(InstrumentCalibration, read_yaml(path), str(path))
+
+
+def read_controller(path: Path, model: type[_C]) -> _C:
+    """Read the calibration file of a controller; ConfigError names file and key, and a file of another controller."""
+    return validate(model, read_yaml(path), str(path))

@@ -136,7 +136,7 @@ class HandleCalibration(Settings):
         )
 
 
-def read_calibration(path: Path) -> HandleCalibration:
+def read_handle_calibration(path: Path) -> HandleCalibration:
     """Read a calibration file; ConfigError names file and key."""
     return validate(HandleCalibration, read_yaml(path), str(path))
 

@@ -70,10 +70,10 @@ class SerialHandle:
     ) -> None:
         self.path = path
         self._period_s = period_s
-        self.hello: wire.Hello | None = None
+        self.hello: wire.HandleHello | None = None
         # The number of the last session that was ready; it changes with each boot of the device.
         self._session: int | None = None
-        self.state: wire.State | None = None
+        self.state: wire.HandleState | None = None
         # Frame counters: dropped because the port was full, missing from the sequence, left out without a new sample.
         self.dropped = 0
         self.missed = 0
@@ -122,7 +122,7 @@ class SerialHandle:
             raise DeviceError(f"{self.path}: what the handle can do is known once it is open")
         flags, calibration = self.hello.flags, self._calibration
         ends = sorted(map(calibration.position_m, (self._limits.travel_min, self._limits.travel_max)))
-        measured = flags & wire.HAS_FORCE_SENSOR
+        measured = flags & wire.HandleAbility.HAS_FORCE_SENSOR
         return Capabilities(
             max_force_n=min(calibration.max_force_n, calibration.force.saturation_n),
             max_stiffness_n_per_m=calibration.servo.stiffness_n_per_m,
@@ -130,8 +130,12 @@ class SerialHandle:
             workspace_min_m=ends[0],
             workspace_max_m=ends[1],
             modes=modes_of(self.hello),
-            identity=identity_text(self.hello),
-            force_source="sensor" if measured else "estimate" if flags & wire.FORCE_IS_ESTIMATED else "none",
+            identity=self.hello.identity,
+            force_source="sensor"
+            if measured
+            else "estimate"
+            if flags & wire.HandleAbility.FORCE_IS_ESTIMATED
+            else "none",
             latency_s=self._latency_s(calibration),
             calibration=calibration.identity,
         )
@@ -167,7 +171,7 @@ class SerialHandle:
                 raise DeviceError(self._text)
         self._judge(self._now_ns())
 
-    def identify(self) -> wire.Hello:
+    def identify(self) -> wire.HandleHello:
         """Connect and return who the device is, without configuring it.
 
         Raises:
@@ -180,6 +184,17 @@ class SerialHandle:
             if self._phase is _Phase.CLOSED:
                 raise DeviceError(self._text)
         return self.hello
+
+    def listen(self, duration_s: float) -> list[wire.HandleState]:
+        """Return the samples that an identified device sends by itself within a time [s]; no command is sent."""
+        states: list[wire.HandleState] = []
+        end_ns = self._now_ns() + round(duration_s * 1e9)
+        while self._port is not None and self._now_ns() < end_ns:
+            self._sleep(_PERIOD_S)
+            states += [
+                answer for answer in self.reader.answers(self._port.read()) if isinstance(answer, wire.HandleState)
+            ]
+        return states
 
     def close(self) -> None:
         """Switch the drive off until the next session and let the port go; harmless when already closed."""
@@ -274,9 +289,9 @@ class SerialHandle:
                 self._send(wire.encode_config(self._next_seq(), self.hello.session, self._limits))
 
     def _on_answer(self, answer: wire.Answer, now_ns: int) -> None:
-        if isinstance(answer, wire.Hello):
+        if isinstance(answer, wire.HandleHello):
             self._on_hello(answer, now_ns)
-        elif isinstance(answer, wire.State):
+        elif isinstance(answer, wire.HandleState):
             self._on_state(answer, now_ns)
         elif isinstance(answer, wire.Configured):
             self._on_configured(answer)
@@ -285,7 +300,7 @@ class SerialHandle:
         else:
             self._text = f"{self.path}: the handle reports fault {answer.code}: {answer.text}"
 
-    def _on_hello(self, hello: wire.Hello, now_ns: int) -> None:
+    def _on_hello(self, hello: wire.HandleHello, now_ns: int) -> None:
         if self._phase is not _Phase.ASKING or hello.nonce != self._nonce:
             return
         fault = refusal(hello, self._calibration, self._period_s)
@@ -303,7 +318,7 @@ class SerialHandle:
             self._send_command(DriveCommand(MODE_OFF, 0.0, 0.0))
             self._awaited_seq = (self._seq - 1) & 0xFFFF
 
-    def _on_state(self, state: wire.State, now_ns: int) -> None:
+    def _on_state(self, state: wire.HandleState, now_ns: int) -> None:
         if self.hello is None:
             return
         if state.session != self.hello.session:
@@ -318,10 +333,10 @@ class SerialHandle:
             return
         self._received_ns = now_ns
         if self._phase is _Phase.CONFIGURING:
-            if not (state.flags & wire.IS_CONFIGURED and state.command_seq == self._awaited_seq):
+            if not (state.flags & wire.HandleFlag.IS_CONFIGURED and state.command_seq == self._awaited_seq):
                 return
             self._phase = _Phase.READY
-            self._text = f"{self.path}: {identity_text(self.hello)} is ready"
+            self._text = f"{self.path}: {self.hello.identity} is ready"
             # a board that was silent while it booted has said hello before anything else of its new session came
             if self._session not in (None, self.hello.session):
                 self._text += f"; {reset_text(self._session, self.hello.session)}"
@@ -351,14 +366,14 @@ class SerialHandle:
         status: Status = "ok"
         if self._phase is not _Phase.READY:
             status = "lost"
-        elif flags & wire.WATCHDOG_TRIPPED:
+        elif self.state is not None and self.state.watchdog_tripped:
             status = "lost"
             self._text = f"{self.path}: the handle got no command for its watchdog's time and is off until it gets one"
         elif now_ns - self._received_ns > STALE_NS:
             status = "stale"
         self._notice(now_ns, age_s, status)
         counts = counts_of(self.state) if self.state is not None else {}
-        self._report = DeviceReport(status, age_s, bool(flags & wire.ESTOP_PRESSED), self._text, counts)
+        self._report = DeviceReport(status, age_s, bool(flags & wire.HandleFlag.ESTOP_PRESSED), self._text, counts)
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
         """Say once what goes on for long: samples that are old, frames that are bad (once a second at most)."""
@@ -408,16 +423,10 @@ class SerialHandle:
         return seq
 
 
-def modes_of(hello: wire.Hello) -> tuple[int, ...]:
+def modes_of(hello: wire.HandleHello) -> tuple[int, ...]:
     """Return the modes that a device has; every one has off."""
-    bits = ((MODE_POSITION, wire.HAS_POSITION_MODE), (MODE_FORCE, wire.HAS_FORCE_MODE))
+    bits = ((MODE_POSITION, wire.HandleAbility.HAS_POSITION_MODE), (MODE_FORCE, wire.HandleAbility.HAS_FORCE_MODE))
     return (MODE_OFF, *(mode for mode, bit in bits if hello.flags & bit))
-
-
-def identity_text(hello: wire.Hello) -> str:
-    """Return who a device is, for a person."""
-    emulated = ", emulated" if hello.flags & wire.IS_EMULATED else ""
-    return f"{hello.model} {hello.device_id:016x}, firmware {hello.firmware >> 8}.{hello.firmware & 0xFF}{emulated}"
 
 
 def reset_text(before: int | None, session: int) -> str:
@@ -425,9 +434,9 @@ def reset_text(before: int | None, session: int) -> str:
     return f"the handle was reset: session {session}, not {before}"
 
 
-def refusal(hello: wire.Hello, calibration: HandleCalibration | None, period_s: float) -> str:
+def refusal(hello: wire.HandleHello, calibration: HandleCalibration | None, period_s: float) -> str:
     """Return why a device must not be driven with a calibration; empty if it may."""
-    if hello.major != wire.MAJOR:
+    if not hello.is_understood:
         return f"the handle speaks protocol {hello.major}.{hello.minor}, {wire.MAJOR} is needed: flash its firmware"
     if calibration is None:
         return ""
@@ -439,13 +448,13 @@ def refusal(hello: wire.Hello, calibration: HandleCalibration | None, period_s: 
     return ""
 
 
-def _is_newer(state: wire.State, before: wire.State) -> bool:
+def _is_newer(state: wire.HandleState, before: wire.HandleState) -> bool:
     """Return whether a sample was taken and sent after another one, by number and time of the device, which wrap."""
     ahead, later_us = (state.seq - before.seq) & 0xFFFF, (state.time_us - before.time_us) & 0xFFFFFFFF
     return 0 < ahead < 1 << 15 and 0 < later_us < 1 << 31
 
 
-def counts_of(state: wire.State) -> dict[str, int]:
+def counts_of(state: wire.HandleState) -> dict[str, int]:
     """Return a sample as it was sent, by the keys of haptic/state."""
     return {
         "position_raw": state.position,
@@ -455,10 +464,10 @@ def counts_of(state: wire.State) -> dict[str, int]:
     }
 
 
-def reading_of(state: wire.State, calibration: HandleCalibration) -> DeviceReading:
+def reading_of(state: wire.HandleState, calibration: HandleCalibration) -> DeviceReading:
     """Return a sample in SI units; a protocol without the voltage of the motor gives 0 for it."""
     force_n = calibration.operator_force_n(state.force)
-    saturated = bool(state.flags & wire.FORCE_SATURATED) or abs(force_n) >= calibration.force.saturation_n
+    saturated = bool(state.flags & wire.HandleFlag.FORCE_SATURATED) or abs(force_n) >= calibration.force.saturation_n
     return DeviceReading(
         position_m=calibration.position_m(state.position),
         velocity_m_per_s=calibration.velocity_m_per_s(state.velocity_per_s),
@@ -466,7 +475,7 @@ def reading_of(state: wire.State, calibration: HandleCalibration) -> DeviceReadi
         operator_force_limited=saturated,
         motor_force_n=calibration.drive_force_n(state.drive),
         motor_voltage_v=0.0,
-        end_stop=bool(state.flags & (wire.AT_MIN | wire.AT_MAX)),
-        voltage_limited=bool(state.flags & wire.VOLTAGE_LIMITED),
-        torque_limited=bool(state.flags & wire.CURRENT_LIMITED),
+        end_stop=bool(state.flags & (wire.HandleFlag.AT_MIN | wire.HandleFlag.AT_MAX)),
+        voltage_limited=bool(state.flags & wire.HandleFlag.VOLTAGE_LIMITED),
+        torque_limited=bool(state.flags & wire.HandleFlag.CURRENT_LIMITED),
     )

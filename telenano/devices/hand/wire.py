@@ -7,6 +7,7 @@ port or a clock. Quantities are raw counts of the device; `calibration.py` gives
 import binascii
 import struct
 from collections.abc import Iterator
+from enum import IntFlag
 from typing import Literal, NamedTuple
 
 MAJOR = 1
@@ -23,12 +24,6 @@ HELLO, CONFIGURED, STATE, FAULT = 0x81, 0x82, 0x90, 0x9F
 
 Fault = Literal["cobs", "crc", "length", "type"]
 
-# flags of HELLO
-HAS_POSITION_MODE, HAS_FORCE_MODE, HAS_FORCE_SENSOR, FORCE_IS_ESTIMATED = 1, 2, 4, 8
-IS_BACK_DRIVABLE, SENSES_CURRENT, IS_EMULATED = 32, 64, 128
-# flags of STATE
-IS_CONFIGURED, WATCHDOG_TRIPPED, ESTOP_PRESSED, AT_MIN, AT_MAX = 1, 2, 4, 8, 16
-VOLTAGE_LIMITED, CURRENT_LIMITED, FORCE_SATURATED = 32, 64, 128
 # flag of COMMAND
 SESSION_RUNS = 1
 
@@ -44,7 +39,32 @@ _STOP = struct.Struct("<BBHH")
 _FAULT = struct.Struct("<BBHBB32s")
 
 
-class Hello(NamedTuple):
+class HandleAbility(IntFlag):
+    """What a device can do, in the flags of HELLO."""
+
+    HAS_POSITION_MODE = 1
+    HAS_FORCE_MODE = 2
+    HAS_FORCE_SENSOR = 4
+    FORCE_IS_ESTIMATED = 8
+    IS_BACK_DRIVABLE = 32
+    SENSES_CURRENT = 64
+    IS_EMULATED = 128
+
+
+class HandleFlag(IntFlag):
+    """How a device is, in the flags of STATE."""
+
+    IS_CONFIGURED = 1
+    WATCHDOG_TRIPPED = 2
+    ESTOP_PRESSED = 4
+    AT_MIN = 8
+    AT_MAX = 16
+    VOLTAGE_LIMITED = 32
+    CURRENT_LIMITED = 64
+    FORCE_SATURATED = 128
+
+
+class HandleHello(NamedTuple):
     """Identity of a device and what it can do; `session` is new at every boot."""
 
     flags: int
@@ -61,6 +81,17 @@ class Hello(NamedTuple):
     firmware: int
     reset_cause: int
     model: str
+
+    @property
+    def identity(self) -> str:
+        """Return who a device is, for a person."""
+        emulated = ", emulated" if self.flags & HandleAbility.IS_EMULATED else ""
+        return f"{self.model} {self.device_id:016x}, firmware {self.firmware >> 8}.{self.firmware & 0xFF}{emulated}"
+
+    @property
+    def is_understood(self) -> bool:
+        """Return whether the device speaks the protocol of this program."""
+        return self.major == MAJOR
 
 
 class Limits(NamedTuple):
@@ -83,7 +114,7 @@ class Configured(NamedTuple):
     limits: Limits
 
 
-class State(NamedTuple):
+class HandleState(NamedTuple):
     """One sample of the device."""
 
     flags: int
@@ -101,6 +132,11 @@ class State(NamedTuple):
     receive_errors: int
     session: int
 
+    @property
+    def watchdog_tripped(self) -> bool:
+        """Return whether the device got no command for the time of its watchdog, and is off."""
+        return bool(self.flags & HandleFlag.WATCHDOG_TRIPPED)
+
 
 class DeviceFault(NamedTuple):
     """A fault that the device reports; severity 2 means that it cannot go on."""
@@ -111,7 +147,7 @@ class DeviceFault(NamedTuple):
     text: str
 
 
-Answer = Hello | Configured | State | DeviceFault
+Answer = HandleHello | Configured | HandleState | DeviceFault
 Request = tuple[int, bytes]
 
 
@@ -175,10 +211,10 @@ def parse_answer(payload: bytes) -> Answer:
         raise MalformedFrameError("length", f"type 0x{payload[0]:02X} has {len(payload)} bytes, {form.size} are needed")
     kind, flags, seq, *rest = form.unpack_from(payload)
     if kind == STATE:
-        return State(flags, seq, *rest)
+        return HandleState(flags, seq, *rest)
     if kind == HELLO:
         *numbers, _, model = rest
-        return Hello._make((flags, seq, *numbers, _text(model)))
+        return HandleHello._make((flags, seq, *numbers, _text(model)))
     if kind == CONFIGURED:
         return Configured(seq, rest[0], Limits(*rest[1:]))
     return DeviceFault(seq, rest[0], rest[1], _text(rest[2]))

@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from telenano.laws.shared.virtual_mass import bounded
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 # time constant over which the changes of force and place are taken for a drift [s]
 STEADY_S = 0.1

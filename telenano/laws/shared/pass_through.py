@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from telenano.laws.law import PortSignal, SlaveReference, TipMeasurement, tip_signal
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 
 class SlaveState(NamedTuple):

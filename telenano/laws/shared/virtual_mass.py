@@ -18,7 +18,7 @@ from pydantic import Field
 from telenano.laws.discretisation import exact_discretisation
 from telenano.laws.law import HandSample, PortSignal, TipMeasurement
 from telenano.laws.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings, filled
 from telenano.wire.topics import deadline_of
 

@@ -15,8 +15,9 @@ from telenano.afm import safety, sample_models
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.step import AfmInputs, AfmParams, initial_afm_state, step
-from telenano.extend.samples import AfmSample, PlantInputs, SampleModel, compiled
-from telenano.numerics.compiled import always_compiled
+from telenano.extend.samples import AfmSample, PlantInputs, SampleModel
+from telenano.numerics import compiled
+from telenano.numerics.compiler import always_compiled
 from telenano.settings.config import Settings
 
 

@@ -12,7 +12,7 @@ from telenano.afm import recorded_map
 from telenano.afm.part import PlantInputs
 from telenano.afm.recorded_map import MapState, value_at
 from telenano.afm.sample.force_map import checked_map, gates, map_params, read_map, write_map
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 from telenano.wire.errors import ConfigError, RefusedError
 
 

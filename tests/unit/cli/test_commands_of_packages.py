@@ -12,15 +12,15 @@ from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
 from telenano.afm.sample.surface_files import read_surface
-from telenano.cli import lazy_commands
+from telenano.analysis import Image
+from telenano.cli import lazy_commands, write_images
 from telenano.cli.commands.doctor import checks_of_packages
 from telenano.cli.root import app
-from telenano.extend.exports import write_recording
-from telenano.extend.images import Image, write_images
-from telenano.extend.messages import example, recorded
+from telenano.recording import recorded, write_recording
 from telenano.recording.export import export_recording
 from telenano.recording.provenance import plugin_facts
 from telenano.settings import plugins
+from telenano.wire import example
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
 
@@ -200,7 +200,7 @@ def test_a_format_of_a_package_exports_a_recording_and_one_that_is_missing_is_na
     make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = """
-from telenano.extend.exports import CopyResult, plain
+from telenano.recording import CopyResult, plain
 def names(recording, target, selection):
     found = [plain(message)["src"] for message in recording.select(selection)]
     target.write_text(" ".join(found))

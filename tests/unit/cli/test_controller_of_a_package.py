@@ -25,7 +25,8 @@ PACKAGE = """
 from pathlib import Path
 from typing import Literal
 from telenano.extend.devices import DeviceDriver
-from telenano.extend.instruments import AfmCapabilities, ControllerSettings, read_controller
+from telenano.devices import AfmCapabilities, read_controller
+from telenano.afm import AfmControllerConfig as ControllerSettings
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_driver import RequestDriver
 

@@ -40,7 +40,7 @@ CALLED = {
     "tasks": "hollow.task:FAILING",
 }
 FAILING = """
-from telenano.extend.readers import FileReader
+from telenano.settings import FileReader
 NUMBER = 3
 READER = FileReader(heights="hollow.failing:call")
 def call(*words):
@@ -84,9 +84,11 @@ import numpy as np
 from pathlib import Path
 from typer.testing import CliRunner
 from telenano.cli.root import app
-from telenano.extend.exports import write_recording
-from telenano.extend.images import Image, write_images
-from telenano.extend.messages import example, recorded
+from telenano.recording import write_recording
+from telenano.analysis import Image
+from telenano.cli import write_images
+from telenano.wire import example
+from telenano.recording import recorded
 
 write_recording(Path("recorded"), [recorded("session/event", example("session/event"), 10**18)])
 told = {}

@@ -25,8 +25,7 @@ import yaml
 from services.afm_node.node import AfmNode
 from telenano.afm import AfmConfig, requested
 from telenano.devices.afm.instrument import driver_of, reach_of
-from telenano.extend.testing import NodeBench
-from telenano.numerics.compiled import compiled_form
+from telenano.testing import NodeBench
 from telenano.settings import find_scenario, validate
 from telenano.wire import ConfigError
 from telenano.wire.node_state import pack, restore

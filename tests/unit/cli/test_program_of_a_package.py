@@ -19,7 +19,7 @@ from telenano.cli.new_package import new_package
 ON_THE_BENCH = """
 import json, math
 import pytest
-from telenano.extend.testing import NodeBench as Bench
+from telenano.testing import NodeBench as Bench
 from test_afm_programs import Imager
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.afm.config import AfmConfig

@@ -2,8 +2,8 @@
 
 import pytest
 
-from telenano.cli import progress as module
-from telenano.cli.progress import LINE_EVERY_S, progress
+from telenano.cli import progress_bar as module
+from telenano.cli.progress_bar import LINE_EVERY_S, progress
 
 
 class Clock:

@@ -14,9 +14,9 @@ from services.viz_node.requests import COMMANDS
 from telenano.cli.commands import session as session_command
 from telenano.cli.root import app
 from telenano.console.coupling import couple
-from telenano.extend.messages import example
 from telenano.runtime.loop.commands import Command
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import example
 from telenano.wire.errors import RigError
 
 HAND: dict[str, Any] = {

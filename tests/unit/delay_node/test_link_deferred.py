@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
-from services.delay_node.node import TRAIN, DelayNode
 from telenano.link.config import parse_settings
+from telenano.runtime.link_node import TRAIN, DelayNode
 from telenano.wire.errors import RefusedError
 
 MS = 1_000_000

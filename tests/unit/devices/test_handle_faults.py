@@ -115,7 +115,7 @@ def exchange_for(**answer: Any) -> Callable[[Line], None]:
 
         def other(sent: bytes) -> bytes:
             found = list(reader.answers(sent))
-            hellos = [hello._replace(**answer) for hello in found if isinstance(hello, wire.Hello)]
+            hellos = [hello._replace(**answer) for hello in found if isinstance(hello, wire.HandleHello)]
             return b"".join(wire.encode_frame(pack_hello(hello)) for hello in hellos) if hellos else sent
 
         line.to_host = other

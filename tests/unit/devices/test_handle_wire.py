@@ -14,8 +14,10 @@ from telenano.devices.hand import wire
 COMMAND = "0410010703efbe010440420f0101010103133600"
 ASK = "02010101020103341201010103aba900"
 LIMITS = wire.Limits(20, -450_000, 1_470_480, 3_600_000, 48_000, 125_633, 0)
-HELLO = wire.Hello(69, 1, 1, 0, 0x1234, 0x0102030405060708, 0xBEEF, 1000, 0.5, 0.25, 0.125, 0x0100, 2, "telenano posix")
-STATE = wire.State(5, 65535, 7, 1, 0, 4_294_967_295, -20480, 30_000, 8388, -2, 4800, 1, 3, 0xBEEF)
+HELLO = wire.HandleHello(
+    69, 1, 1, 0, 0x1234, 0x0102030405060708, 0xBEEF, 1000, 0.5, 0.25, 0.125, 0x0100, 2, "telenano posix"
+)
+STATE = wire.HandleState(5, 65535, 7, 1, 0, 4_294_967_295, -20480, 30_000, 8388, -2, 4800, 1, 3, 0xBEEF)
 # payload and what stands on the line
 GOLDEN = {
     "ask": (bytes.fromhex("010000000100341200000000"), ASK),

@@ -18,7 +18,8 @@ from telenano.wire.extras import how_to_add_package
 
 ROOT = Path(__file__).parents[3]
 DRIVER = """
-from telenano.extend.impedance import Settings, impedance_driver
+from telenano.settings import Settings
+from telenano.extend.impedance import impedance_driver
 
 class Config(Settings):
     force_n: float = 2.0

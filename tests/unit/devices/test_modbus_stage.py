@@ -16,7 +16,7 @@ from telenano.afm.sim import simulated_afm
 from telenano.devices.afm.modbus_driver import ModbusAfm
 from telenano.devices.afm.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
 from telenano.devices.afm.register_map import Register, RegisterMap, read_map
-from telenano.extend.testing import VirtualClock
+from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError
 
 RETRACTED_M = PARAMS.safety.retract_position_m

@@ -1,7 +1,7 @@
 import pytest
 
-from telenano.extend.testing import VirtualClock
 from telenano.launcher.liveness import NODE_TIMEOUT_S, SITE_TIMEOUT_S, Change, LivenessMonitor
+from telenano.testing import VirtualClock
 
 SECOND_NS = 1_000_000_000
 NODES = ("afm_node@slave", "controller@slave")

@@ -13,7 +13,6 @@ import msgspec
 import pytest
 from launcher_bench import SECOND_NS, FakeChildren, health
 
-from telenano.extend.testing import VirtualClock
 from telenano.launcher.page import inherited_by_page
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.launcher.processes import NodeProcesses, node_command
@@ -23,6 +22,7 @@ from telenano.launcher.watchdog import ProcessSample, Watchdog
 from telenano.runtime.loop.healthcheck import endpoint_of, receive_health
 from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
 from telenano.serving import serve
+from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
 from telenano.wire.extras import how_to_install
 from telenano.wire.messages import NodeHealth

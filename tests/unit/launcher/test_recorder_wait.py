@@ -4,8 +4,8 @@ import msgspec
 import pytest
 from launcher_bench import SECOND_NS, health, row
 
-from telenano.extend.testing import VirtualClock
 from telenano.launcher.recorder_wait import LastMessages, RecorderWait
+from telenano.testing import VirtualClock
 from telenano.wire.messages import InputHealth, NodeHealth
 
 RECORDER, HAND = "recorder@master", "haptic_node@master"

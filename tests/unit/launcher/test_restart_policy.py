@@ -1,8 +1,8 @@
 import pytest
 
-from telenano.extend.testing import VirtualClock
 from telenano.launcher import restart_policy
 from telenano.launcher.restart_policy import RestartTracker, describe_exit
+from telenano.testing import VirtualClock
 
 NODE = "afm_node@slave"
 SECOND_NS = 1_000_000_000

@@ -11,9 +11,9 @@ import msgspec
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, FakeChildren, health
 
-from telenano.extend.testing import VirtualClock
 from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import LOOK_S, RECORDER_BUSY_S, SILENCE_S, ProcessSample, ProcFiles, Watchdog
+from telenano.testing import VirtualClock
 
 NODE, OTHER = "afm_node@slave", "controller@slave"
 NODES = (NODE, OTHER)

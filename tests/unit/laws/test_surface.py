@@ -26,7 +26,7 @@ from telenano.laws.shared.surface import (
     solved_pair,
     unknown,
 )
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit
 K, RANGE = FIT.cantilever, FIT.range_nm

@@ -7,7 +7,7 @@ from telenano.hand.config import HapticConfig
 from telenano.hand.coupled import coupled_plant_step, initial_coupled
 from telenano.hand.driver import DriveCommand, SpatialCommand
 from telenano.lockstep.simulation import simulate_scenario
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 
 DEVICE = {"haptic_node.driver": "simulated_impedance", "haptic_node.coupling.rest_s": 0.05}
 # F_m over alpha_f F_s at rest

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from telenano.numerics.source_digest import (
+from telenano.numerics.digests import (
     KEPT_FOLDERS,
     SOURCES,
     _source_files,
@@ -29,7 +29,7 @@ USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
 
 MODULE = """
 from typing import NamedTuple
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 class State(NamedTuple):
     position_m: float
@@ -52,7 +52,7 @@ def calls_unmarked(x):
 """
 PROGRAM = """
 import model
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 step = compiled_form(model.step)
 assert step(model.State(1.0, 0), 0.25) == model.step(model.State(1.0, 0), 0.25) == (1.5, 1)
 print(type(model.step).__name__, type(step).__name__)
@@ -161,8 +161,8 @@ SPOIL = """
 import logging, os, model
 from numba.core import config
 from telenano.numerics import numba_parts
-from telenano.numerics.compiled import compiled, compiled_form
-from telenano.numerics.source_digest import cache_folder
+from telenano.numerics.compiler import compiled, compiled_form
+from telenano.numerics.digests import cache_folder
 
 def run():
     said.clear()
@@ -254,7 +254,7 @@ os.utime = os.mkdir = os.replace = tempfile.TemporaryFile = refused
 AT_ONCE = """
 import model
 from numba.core.caching import IndexDataCacheFile
-from telenano.numerics.compiled import compiled, compiled_form
+from telenano.numerics.compiler import compiled, compiled_form
 
 def run(value):
     result = compiled_form(compiled(model.twice))(value)
@@ -282,7 +282,7 @@ def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tm
 
 FORCE = """
 from typing import NamedTuple
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 class Spring(NamedTuple):
     k: float
@@ -294,7 +294,7 @@ def spring(params, x):
 """
 LOOP = """
 from pack import force
-from telenano.numerics.compiled import chosen_step, compiled
+from telenano.numerics.compiler import chosen_step, compiled
 
 STEPS = {force.Spring: force.spring}
 step = chosen_step(lambda kind: STEPS[kind])
@@ -309,7 +309,7 @@ def loop(params, count):
 RUN = """
 import os, pathlib
 from pack import force, loop
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 for line in os.environ.get("EDIT", "").splitlines():
     pathlib.Path(force.__file__).write_text(line)
 loop = compiled_form(loop.loop)
@@ -358,7 +358,7 @@ def test_what_steps_import_from_the_project_is_in_the_digest() -> None:
     outside = set()
     for path in _source_files(ROOT):
         text = path.read_text()
-        if "numerics.compiled import" in text and path.parent.name != "numerics":
+        if "numerics.compiler import" in text and path.parent.name != "numerics":
             outside |= set(re.findall(r"^from ((?:services|telenano)[\w.]*) import", text, re.M))
     known = tuple(source.removesuffix(".py").replace("/", ".") for source in SOURCES)
     assert {name for name in outside if not name.startswith(known)} <= NO_CONSTANTS
@@ -418,7 +418,7 @@ def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path, s
 def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
     program = """
 import model
-from telenano.numerics.compiled import compiled_form
+from telenano.numerics.compiler import compiled_form
 try:
     compiled_form(model.calls_unmarked)(1.0)
 except Exception as error:
@@ -431,7 +431,7 @@ def test_a_model_that_cannot_be_compiled_is_a_sentence_before_anything_ran(tmp_p
     program = """
 import logging, model
 from telenano.wire.errors import ConfigError
-from telenano.numerics.compiled import compiled_call
+from telenano.numerics.compiler import compiled_call
 said = []
 handler = logging.Handler()
 handler.emit = said.append

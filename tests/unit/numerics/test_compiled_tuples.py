@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from telenano.laws.law import NO_SIGNAL, PortSignal, port_signal
-from telenano.numerics.compiled import borrowed, compiled, compiled_form
+from telenano.numerics.compiler import borrowed, compiled, compiled_form
 
 ROOT = Path(__file__).resolve().parents[3]
 MARKS = {"compiled", "inlined", "always_compiled"}

@@ -15,7 +15,6 @@ from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
-from telenano.extend.testing import VirtualClock
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
@@ -26,6 +25,7 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.testing import VirtualClock
 from telenano.wire import decode, encode, fields_of
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
 from telenano.wire.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent

@@ -10,13 +10,13 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus
 from telenano.console.listener import Listener
-from telenano.extend.testing import VirtualClock
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.bus.publisher import NullPublisher, ZmqPublisher
+from telenano.testing import VirtualClock
 from telenano.wire import Message, encode
 
 HAND, AFM = "haptic_node@master", "afm_node@slave"

@@ -12,13 +12,13 @@ import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from services.recorder.intake import Intake, Listener
-from telenano.extend.testing import VirtualClock
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.security.peer_connections import MessagePermissions
+from telenano.testing import VirtualClock
 from telenano.wire import MAX_MESSAGE_BYTES, Message, encode, fields_of
 from telenano.wire.ends import end_data
 from telenano.wire.messages import SessionControl

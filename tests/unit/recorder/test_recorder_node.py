@@ -17,7 +17,6 @@ from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_contr
 from services.recorder.__main__ import begin, listeners
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
-from telenano.extend.testing import VirtualClock
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
@@ -30,6 +29,7 @@ from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.runtime.wiring.main import Wiring
 from telenano.runtime.wiring.transport import Transport
+from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, Message, compose, encode
 from telenano.wire.messages import InputHealth, SessionEvent

@@ -12,7 +12,6 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 
 from services.recorder.intake import Intake, Listener, begin_recording
 from services.recorder.node import RecorderNode
-from telenano.extend.testing import VirtualClock
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
@@ -22,6 +21,7 @@ from telenano.runtime.bus.publisher import NullPublisher
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings.config import validate
+from telenano.testing import VirtualClock
 from telenano.wire import Message, encode
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError
 from telenano.wire.messages import SessionEvent

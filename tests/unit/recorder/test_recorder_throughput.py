@@ -7,12 +7,12 @@ from processor_time import ratio_of_costs
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from services.recorder.intake import Intake, Listener
-from telenano.extend.testing import VirtualClock
 from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
+from telenano.testing import VirtualClock
 from telenano.wire import encode
 
 MESSAGES = 8000

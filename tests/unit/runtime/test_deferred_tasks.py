@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
+from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
 
 US, MS = 1_000, 1_000_000

@@ -18,9 +18,9 @@ from telenano_afm_controllers.nanonis_driver import FrameLog
 from telenano_afm_controllers.nanonis_model import DEFLECTION
 
 from telenano.devices.hand import wire
-from telenano.extend.testing import HOSTILITIES, HostileService, TakenReading, unseen
 from telenano.hand.driver import DriveCommand
 from telenano.hand.safety import MODE_OFF
+from telenano.testing import HOSTILITIES, HostileService, TakenReading, unseen
 
 MS = 1_000_000
 BEGINS_MS, ENDS_MS = 300, 1200

@@ -9,12 +9,12 @@ from test_runtime_node import MS, FakeBus, Rig
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.loop.commands import STALL_NS
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import SUPERSEDED, SessionControl, SessionEvent
 from telenano.wire.received import Received

@@ -18,9 +18,9 @@ import pytest
 import zmq
 from wire_contract import examples
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Subscriber, ZmqBus, split_frames
 from telenano.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
+from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
 from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
 from telenano.wire.errors import EndpointError

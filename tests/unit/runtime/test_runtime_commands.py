@@ -6,8 +6,8 @@ from typing import Any, Literal
 import msgspec
 import pytest
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.loop.commands import Command, CommandClient, CommandHandler
+from telenano.testing import VirtualClock
 from telenano.wire import decode
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar, SessionControl, SessionEvent

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.loop.deadlines import LatenessWindow, PeriodicDeadline
+from telenano.testing import VirtualClock
 
 MS = 1_000_000
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.loop.log import RateLimitedLog, StructuredLog, configure_logging
+from telenano.testing import VirtualClock
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.loop import journal
 from telenano.runtime.loop.deadlines import PeriodicDeadline
@@ -24,6 +23,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
 from telenano.wire import TOPICS, Message, compose, encode, fields_of
 from telenano.wire.ends import read_end

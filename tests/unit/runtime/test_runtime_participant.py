@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import pytest
 import zmq
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import NullPublisher
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
+from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.received import Received
 

@@ -29,7 +29,6 @@ from network_bench import (
     until,
 )
 
-from telenano.extend.testing import VirtualClock
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
@@ -39,6 +38,7 @@ from telenano.runtime.security.peer_connections import MessagePermissions
 from telenano.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
 from telenano.runtime.wiring import transport
 from telenano.runtime.wiring.transport import Transport
+from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
 from telenano.wire import WireError
 from telenano.wire.errors import ConfigError, EndpointError

@@ -92,7 +92,9 @@ def starts_in(text: str) -> list[int]:
 
 def uses_children(path: Path) -> bool:
     """Whether a file of the core or of a package starts a process by `children`."""
-    return bool(re.search(r"\bchildren\.(start|run|become|safe_path)\(", path.read_text()))
+    by_module = r"\bchildren\.(start|run|become|safe_path)\("
+    by_face = r"^ *from telenano\.signals import .*\b(start|run|safe_path)\b"
+    return bool(re.search(f"{by_module}|{by_face}", path.read_text(), re.MULTILINE))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from telenano.signals import interrupts
 {prepare}
 from telenano.afm.config import AfmConfig
 from telenano.afm.dynamic import NO_NOISE, advance, steady_state
-from telenano.numerics.compiled import compiled
+from telenano.numerics.compiler import compiled
 
 plant = AfmConfig().to_dynamic()
 state = steady_state(plant, -1e-6, 0.0)

@@ -1,6 +1,6 @@
 import pytest
 
-from telenano.extend.testing import VirtualClock
+from telenano.testing import VirtualClock
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from telenano.wire.errors import ConfigError
 

@@ -146,8 +146,8 @@ def test_a_node_keeps_a_journal_or_its_row_says_why_it_is_not_run_again() -> Non
     for row in NODES:
         assert (row.key in publishers or name_of(row.key) in publishers) == (not row.no_rerun), row.key
         assert no_rerun_reason(row.key) == row.no_rerun
-    # the halves of the controller are imported where its process chooses one
-    names = {name: "__main__" if name == "controller" else "node" for name in folders()}
+    # the halves of the controller and the node of the link are imported where their processes build them
+    names = {name: "__main__" if name in ("controller", "delay_node") else "node" for name in folders()}
     modules = {name: vars(importlib.import_module(f"services.{name}.{module}")) for name, module in names.items()}
     classes = {name: [value for value in found.values() if isinstance(value, type)] for name, found in modules.items()}
     journalled = {name for name, found in classes.items() if any(getattr(kind, "journalled", False) for kind in found)}

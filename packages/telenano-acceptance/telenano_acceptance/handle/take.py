@@ -7,10 +7,9 @@ until its watchdog switches it off, and its cable is pulled out.
 import math
 from typing import Any, NamedTuple
 
-from telenano.devices.hand import wire
-from telenano.devices.hand.calibration import HandleCalibration
-from telenano.extend.commands import TelenanoError
+from telenano.devices import HandleCalibration
 from telenano.extend.devices import MODE_OFF, MODE_POSITION, Capabilities, DriveCommand
+from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STATUSES = ("ok", "stale", "lost")
@@ -138,7 +137,7 @@ class _Motion:
         reading, report = driver.read(self._session_s, PERIOD_S), driver.report
         if report.status == "lost" and len(self.said) < _MOST_SAID:
             self.said[report.text] = None
-        tripped = driver.state is not None and bool(driver.state.flags & wire.WATCHDOG_TRIPPED)
+        tripped = driver.state is not None and driver.state.watchdog_tripped
         recorder.add(
             report.age_s, reading.position_m if reference_m is None else reference_m, reading.position_m,
             reading.operator_force_n, reading.motor_force_n, STATUSES.index(report.status), is_driven, tripped,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from telenano.extend.devices import Capabilities
-from telenano.hand.coupling import (
+from telenano.hand import (
     GATE_ACTIVE,
     GATE_DEADMAN,
     GATE_FROZEN,

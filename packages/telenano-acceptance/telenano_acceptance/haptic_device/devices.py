@@ -4,9 +4,9 @@ import gc
 from collections.abc import Mapping
 from typing import Any
 
-from telenano.extend.commands import ConfigError
 from telenano.extend.emulators import ProcessLink
-from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
+from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
+from telenano.wire import ConfigError
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
 from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of

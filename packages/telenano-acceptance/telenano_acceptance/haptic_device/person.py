@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from telenano.extend.devices import Capabilities
 from telenano.extend.emulators import HandMotion
-from telenano.hand.coupling import ZERO, Vector
+from telenano.hand import ZERO, Vector
 from telenano_acceptance.haptic_device.take import STANDARD_GRAVITY_M_PER_S2
 from telenano_acceptance.take import Step
 

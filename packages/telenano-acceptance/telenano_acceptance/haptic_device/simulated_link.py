@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 from telenano.extend.emulators import HandMotion, arm_step
 from telenano.extend.impedance import UPRIGHT, Capabilities, Quaternion
-from telenano.hand.coupling import ZERO, Vector
-from telenano.hand.servo import DeviceSample, Servo, ServoCommand, ServoSample
-from telenano.numerics.normal_numbers import normal_number
+from telenano.hand import ZERO, DeviceSample, Servo, ServoCommand, ServoSample, Vector
+from telenano.numerics import normal_number
 
 
 class DeviceFaults(NamedTuple):

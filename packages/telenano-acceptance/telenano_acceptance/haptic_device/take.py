@@ -5,11 +5,20 @@ A row is what the servo of the device said, and what was asked of it.
 
 from typing import NamedTuple
 
-from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import Capabilities
-from telenano.hand.coupling import FAULTS, GATE_ACTIVE, STABLE_MARGIN, ZERO, CouplingSettings, Vector
-from telenano.hand.impedance_config import bounds_of
-from telenano.hand.servo import ServoCommand, ServoLink, ServoSample
+from telenano.hand import (
+    FAULTS,
+    GATE_ACTIVE,
+    STABLE_MARGIN,
+    ZERO,
+    CouplingSettings,
+    ServoCommand,
+    ServoLink,
+    ServoSample,
+    Vector,
+    bounds_of,
+)
+from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665

@@ -3,12 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.afm.config import AfmConfig
-from telenano.devices.afm.capabilities import TABLE, capabilities_of
-from telenano.devices.afm.instrument import calibration_of_file, driver_of
-from telenano.extend.commands import ConfigError
+from telenano.afm import AfmConfig
+from telenano.devices import TABLE, calibration_of_file, capabilities_of, driver_of
 from telenano.extend.devices import AfmDriver
-from telenano.settings.config import merge, validate
+from telenano.settings import merge, validate
+from telenano.wire import ConfigError
 from telenano_acceptance.instrument.take import Facts, press_of, record_take
 from telenano_acceptance.take import MACHINE, PERIOD_S, SILENT, Clock, Guide, Take
 

@@ -9,9 +9,9 @@ import contextlib
 import math
 from typing import NamedTuple
 
-from telenano.afm import safety
-from telenano.extend.commands import TelenanoError
+from telenano.afm import TipGuard
 from telenano.extend.devices import AfmDriver, AfmLimits, AfmSample
+from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STATUSES = ("ok", "stale", "lost")
@@ -155,7 +155,7 @@ class _Motion:
 
     def __init__(self, driver: AfmDriver, limits: AfmLimits, recorder: Recorder, clock: Clock) -> None:
         self._driver, self._limits, self._recorder, self._clock = driver, limits, recorder, clock
-        self._guard = safety.initial_safety_state(limits)
+        self._guard = TipGuard(limits)
         self._force_n, self._lost = 0.0, False
         self.records = True
 
@@ -174,32 +174,33 @@ class _Motion:
         self._recorder.begin(number)
         return went[0]
 
-    def tick(self, reference_m: float, action: int = safety.ACTION_POSITION) -> AfmSample:
-        """Ask the guard for a base position, apply what it allows, and record what comes back."""
+    def tick(self, reference_m: float | None) -> AfmSample:
+        """Ask the guard for a base position, None: the safe one, apply what it allows, and record what comes back."""
         driver, recorder = self._driver, self._recorder
         if self.records:
             recorder.wait()
         else:
             self._clock.wait(self._clock.now_ns() + round(PERIOD_S * 1e9))
-        is_armed = self._guard.mode == safety.MODE_FOLLOW
-        arm = not is_armed and action == safety.ACTION_POSITION
-        asked = safety.SafetyInputs(reference_m, 0.0, action, arm, False, self._force_n, self._lost)
-        self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, PERIOD_S)
+        guard, force_n, is_lost, followed = self._guard, self._force_n, self._lost, self._guard.follows
+        if reference_m is None:
+            base_m = guard.retract(PERIOD_S, force_n=force_n, is_lost=is_lost)
+        else:
+            base_m = guard.follow(reference_m, PERIOD_S, force_n=force_n, is_lost=is_lost)
         if driver.simulation is not None:
             driver.simulation.elapse(PERIOD_S)
-        sample = driver.exchange(allowed.base_m)
+        sample = driver.exchange(base_m)
         report = driver.report
         status, age_s, in_range = ("ok", 0.0, True) if report is None else (report[0], report.age_s, report.force_valid)
         self._force_n, self._lost = sample.force_n if in_range else math.nan, status == "lost"
         fresh = getattr(driver, "fresh", getattr(driver, "exchanges", recorder.ticks))
         if self.records:
             recorder.add(
-                age_s, allowed.base_m, sample.base_m, sample.force_n, sample.bridge_voltage_v, fresh,
+                age_s, base_m, sample.base_m, sample.force_n, sample.bridge_voltage_v, fresh,
                 STATUSES.index(status), in_range,
             )  # fmt: skip
-        if is_armed and allowed.mode != safety.MODE_FOLLOW and action == safety.ACTION_POSITION:
+        if followed and not guard.follows and reference_m is not None:
             text = "" if report is None or not self._lost else f": {report.text}"
-            raise _StoppedError(f"{safety.REASON_NAMES[allowed.reason]} in the step {recorder.step.name}{text}")
+            raise _StoppedError(f"{guard.reason} in the step {recorder.step.name}{text}")
         return sample
 
     def stand(self, seconds: float) -> None:
@@ -235,13 +236,13 @@ class _Motion:
         """Go to the safe state, wherever the motion was."""
         with contextlib.suppress(TelenanoError, EndedError):
             for _ in range(round(1.0 / PERIOD_S)):
-                self.tick(self._limits.retract_position_m, safety.ACTION_RETRACT)
+                self.tick(None)
 
     def come_back(self) -> None:
         """Ask for the retracted tip until the instrument is there again, and for a while longer."""
         good = 0
         for _ in range(round(_BACK_S / PERIOD_S)):
-            self.tick(self._limits.retract_position_m, safety.ACTION_RETRACT)
+            self.tick(None)
             # A driver that has not noticed anything yet is asked for long enough to notice.
             good = 0 if self._lost else good + 1
             if good > _GOOD:

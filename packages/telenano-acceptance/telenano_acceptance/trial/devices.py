@@ -4,11 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.extend.commands import ConfigError, run_ahead
-from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings.config import validate
-from telenano.settings.device_drivers import missing_driver
-from telenano.wire.errors import known_names
+from telenano.cli import run_ahead
+from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from telenano.settings import missing_driver, validate
+from telenano.wire import ConfigError, known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
 
@@ -73,7 +72,7 @@ def tried(
 
 
 def _instrument(name: str, section: dict[str, Any], calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from telenano.devices.afm.instrument import calibration_of_file
+    from telenano.devices import calibration_of_file
     from telenano_acceptance.instrument.instruments import config_of, make_take
 
     if calibration is None:
@@ -92,13 +91,12 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
 
 
 def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from telenano.devices.hand.calibration import read_calibration
-    from telenano.devices.hand.serial_driver import SerialHandle
+    from telenano.devices import SerialHandle, read_handle_calibration
     from telenano_acceptance.handle.take import facts_of, record_take
 
     if port is None or calibration is None:
         raise ConfigError("serial: give the port of the handle by --port, and its calibration file by --calibration")
-    found = read_calibration(calibration)
+    found = read_handle_calibration(calibration)
 
     def record(guide: Guide) -> Take[Any]:
         run_ahead()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-from telenano.extend.commands import ConfigError
+from telenano.wire import ConfigError
 from telenano_acceptance.take import EndedError, Guide, Step, Verdict
 
 ENDED = "the person has ended it"

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.extend.commands import ConfigError, TelenanoError, flag_overrides, report_errors
+from telenano.cli import report_errors
+from telenano.settings import flag_overrides
+from telenano.wire import ConfigError, TelenanoError
 from telenano_acceptance.accept_command import MassOption, SettingsOption, StopOption
 
 if TYPE_CHECKING:
@@ -87,8 +89,8 @@ def make_trial(driver: str, device: "Tried", guide: "Guide", computer: "Callable
     Raises:
         ConfigError: It cannot be tried in this way.
     """
+    from telenano.afm import DeviceError as InstrumentError
     from telenano.extend.devices import DeviceError
-    from telenano.extend.instruments import DeviceError as InstrumentError
     from telenano_acceptance.take import LOADS, EndedError, Result, Verdict, overall
     from telenano_acceptance.trial.questions import ENDED
     from telenano_acceptance.trial.scrub import Scrubber

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from telenano.extend.exports import whole_file
-from telenano.extend.readers import open_regular
-from telenano.settings.plugins import all_installed
-from telenano.wire.errors import ConfigError
+from telenano.files import open_regular, whole_file
+from telenano.settings import all_installed
+from telenano.wire import ConfigError
 from telenano_acceptance.handle.checks import HANDLE
 from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
 from telenano_acceptance.instrument.checks import INSTRUMENT

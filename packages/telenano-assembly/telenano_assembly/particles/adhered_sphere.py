@@ -11,7 +11,7 @@ import math
 from typing import Literal, NamedTuple
 
 from telenano.afm import reduced_modulus_pa
-from telenano.extend.samples import compiled
+from telenano.numerics import compiled
 
 Motion = Literal["slide", "roll", "auto"]
 

@@ -9,7 +9,7 @@ has the same minimum where the weights have settled.
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.samples import compiled
+from telenano.numerics import compiled
 from telenano_assembly.particles.tip_shape import distance_m
 
 Array = npt.NDArray[np.float64]

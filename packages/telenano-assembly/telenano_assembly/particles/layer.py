@@ -27,7 +27,7 @@ from telenano.afm import (
     register_part,
     truths_of,
 )
-from telenano.extend.samples import compiled
+from telenano.numerics import compiled
 from telenano_assembly.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
 from telenano_assembly.particles.settings import ParticlesConfig
 from telenano_assembly.particles.tip_shape import Spring, TipShape, tip_shape

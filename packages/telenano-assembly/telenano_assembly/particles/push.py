@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.samples import compiled
-from telenano.numerics import always_compiled
+from telenano.numerics import always_compiled, compiled
 from telenano_assembly.particles.adhered_sphere import area_ratio
 from telenano_assembly.particles.cluster import give_way
 from telenano_assembly.particles.tip_shape import (

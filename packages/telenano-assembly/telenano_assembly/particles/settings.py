@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from telenano.extend.samples import Settings
+from telenano.settings import Settings
 from telenano_assembly.particles.adhered_sphere import KINDS, Kind, Motion, hold_of
 
 MOST_PARTICLES = 50

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files.regular_files import is_own, is_own_path
-from telenano.signals import children
-from telenano.wire.errors import TelenanoError
+from telenano.files import is_own, is_own_path
+from telenano.signals import run as run_child
+from telenano.wire import TelenanoError
 
 SOURCES = Path(__file__).parent / "handle"
 _FILES = ("core/frame.c", "core/handle.c", "boards/posix/posix.c")
@@ -92,7 +92,7 @@ def compiled(
     # The library is renamed into place whole, because another process may compile the same now.
     with tempfile.TemporaryDirectory(dir=cache) as work:
         made = Path(work) / library.name
-        done = children.run([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)
+        done = run_child([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)
         if done.returncode:
             needs = f" (apt install{extra})" if extra else ""
             raise FirmwareError(f"{name} does not compile with {compiler}{needs}: {done.stderr.strip()}")

@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from telenano.extend.sessions import profile_named
-from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.settings.config import Settings as StrictSettings
-from telenano.settings.option import Option
-from telenano.wire.errors import ConfigError
+from telenano.laws import OWN_LAWS as LAWS
+from telenano.link import profile_named
+from telenano.settings import Option
+from telenano.settings import Settings as StrictSettings
+from telenano.wire import ConfigError
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.tuning import Settings, tuned

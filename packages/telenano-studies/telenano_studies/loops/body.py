@@ -13,8 +13,9 @@ FASTEST_HZ in contact.
 import math
 from typing import NamedTuple
 
-from telenano.afm.part import Part, register_part
-from telenano.extend.samples import AfmSample, PlantInputs, compiled
+from telenano.afm import Part, register_part
+from telenano.extend.samples import AfmSample, PlantInputs
+from telenano.numerics import compiled
 
 FASTEST_HZ = 150.0
 # The fixed point of a step that makes or breaks contact takes at most so many passes; each leaves a quarter of the

@@ -17,27 +17,41 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from telenano.afm.cantilever import Plant
-from telenano.afm.config import SAMPLES, AfmConfig
-from telenano.afm.disturbances import DisturbanceConfig
-from telenano.afm.disturbed import noisy_params
-from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
-from telenano.afm.section_config import CantileverConfig, SafetyConfig
-from telenano.afm.spring import spring_params
-from telenano.afm.step import AfmParams
-from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
-from telenano.analysis.holds import FactKind, judge_holds
-from telenano.hand.config import HapticConfig, LimitsConfig
-from telenano.hand.operator_config import ARMS
-from telenano.laws.config import LAWS, ControllerConfig
-from telenano.link.config import LinkSettings, parse_settings
-from telenano.lockstep.link import Schedule, schedule_of
-from telenano.lockstep.lockstep import Rig, Series, Trajectory, build_rig, simulate, time_to_place_s
-from telenano.lockstep.simulation import instrument_of, known_of, programme_of
-from telenano.numerics.source_digest import source_digest
-from telenano.settings.config import Settings, merge, nested, validate
-from telenano.settings.option import Option
-from telenano.wire.errors import ConfigError, known_names
+from telenano.afm import (
+    MODE_FOLLOW,
+    MODE_HOLD,
+    SAMPLES,
+    AfmConfig,
+    AfmParams,
+    CantileverConfig,
+    DisturbanceConfig,
+    Plant,
+    SafetyConfig,
+    SafetyParams,
+    noisy_params,
+    spring_params,
+)
+from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
+from telenano.analysis import FactKind, judge_holds
+from telenano.hand import ARMS, HapticConfig, LimitsConfig
+from telenano.laws import LAWS, ControllerConfig
+from telenano.link import LinkSettings, parse_settings
+from telenano.lockstep import (
+    Rig,
+    Schedule,
+    Series,
+    Trajectory,
+    build_rig,
+    instrument_of,
+    known_of,
+    programme_of,
+    schedule_of,
+    simulate,
+    time_to_place_s,
+)
+from telenano.numerics import source_digest
+from telenano.settings import Option, Settings, merge, nested, validate
+from telenano.wire import ConfigError, known_names
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand

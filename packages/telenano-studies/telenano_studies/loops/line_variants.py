@@ -29,13 +29,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from telenano.extend.sessions import profile_named
-from telenano.link.config import Outage, parse_settings
-from telenano.link.models.outages import Outages
-from telenano.link.random_streams import stream
-from telenano.lockstep.link import Schedule, schedule_of
-from telenano.lockstep.lockstep import simulate
-from telenano.wire.errors import ConfigError
+from telenano.link import Outage, Outages, parse_settings, profile_named, stream
+from telenano.lockstep import Schedule, schedule_of, simulate
+from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settle_s, settle_ticks
 from telenano_studies.loops.network import CONTACT_N_PER_M
 

@@ -1,6 +1,6 @@
 """The linear loop of a cell, where its law and its environment have one."""
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 from telenano_studies.loops import linear_loop as of_a_law
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.linear_loop import LinearLoop

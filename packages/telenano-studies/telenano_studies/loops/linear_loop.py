@@ -19,12 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from telenano.hand.config import DeviceConfig
-from telenano.hand.motor import closed_loop_coefficients
-from telenano.hand.operator_config import ARMS
-from telenano.laws.config import LAWS, ControllerConfig
-from telenano.settings.config import Settings, merge, nested, validate
-from telenano.wire.errors import ConfigError, known_names
+from telenano.hand import ARMS, DeviceConfig, closed_loop_coefficients
+from telenano.laws import LAWS, ControllerConfig
+from telenano.settings import Settings, merge, nested, validate
+from telenano.wire import ConfigError, known_names
 from telenano_studies.loops.theory import (
     Arm,
     Complex,

@@ -4,8 +4,8 @@ from typing import Literal
 
 import numpy as np
 
-from telenano.link.config import LinkSettings, parse_settings
-from telenano.lockstep.link import Schedule, Times, fresh, last_together, schedule_from
+from telenano.link import LinkSettings, parse_settings
+from telenano.lockstep import Schedule, Times, fresh, last_together, schedule_from
 
 # How a link lets signals out in no even flow; `uneven_ns` says what each is.
 Uneven = Literal["slots", "outages", "bursts", "sawtooth"]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from telenano.link.config import LinkSettings, parse_settings
-from telenano.wire.errors import ConfigError
+from telenano.link import LinkSettings, parse_settings
+from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, course_of, judged
 from telenano_studies.loops.tuning import tuned
 

@@ -18,16 +18,13 @@ import numpy as np
 from pydantic import Field
 from telenano_assembly import bench, carried_out, new_hand, push_of
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.step import initial_afm_state
-from telenano.analysis.intervals import wilson
-from telenano.hand.config import HapticConfig
-from telenano.laws.config import LAWS, ControllerConfig
-from telenano.lockstep.link import Schedule, schedule_of
-from telenano.lockstep.lockstep import Rig, build_rig, simulate, time_to_place_s
-from telenano.lockstep.simulation import instrument_params
-from telenano.settings.config import Settings, validate
-from telenano.wire.errors import ConfigError, known_names
+from telenano.afm import AfmConfig, initial_afm_state
+from telenano.analysis import wilson
+from telenano.hand import HapticConfig
+from telenano.laws import LAWS, ControllerConfig
+from telenano.lockstep import Rig, Schedule, build_rig, instrument_params, schedule_of, simulate, time_to_place_s
+from telenano.settings import Settings, validate
+from telenano.wire import ConfigError, known_names
 from telenano_studies.loops.cells import sources
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.sweep import Kind

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, Schedule, fresh, last_together, schedule_from
-from telenano.recording.arrays import columns, last_programme
-from telenano.recording.reader import Recording
-from telenano.wire.errors import RecordingError
+from telenano.lockstep import BACKWARD_TOPIC, FORWARD_TOPIC, Schedule, fresh, last_together, schedule_from
+from telenano.recording import Recording, columns, last_programme
+from telenano.wire import RecordingError
 
 Times = npt.NDArray[np.int64]
 

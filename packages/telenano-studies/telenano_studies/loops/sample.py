@@ -3,7 +3,7 @@
 import random
 from typing import get_args
 
-from telenano.laws.law_names import LAW_NAMES
+from telenano.laws import LAW_NAMES
 from telenano_studies.loops.cells import Cell, Environment, Hand
 from telenano_studies.loops.tuning import Settings, tuned
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from telenano.settings.option import Option
-from telenano.wire.errors import ConfigError
+from telenano.settings import Option
+from telenano.wire import ConfigError
 from telenano_studies import option_values
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions
 from telenano_studies.loops.linear_cells import linear_loop, not_linear

@@ -16,10 +16,9 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files.whole_files import locked
-from telenano.signals import children
-from telenano.signals.interrupts import kept_from_children
-from telenano.wire.errors import ConfigError, RigError
+from telenano.files import locked
+from telenano.signals import kept_from_children, safe_path
+from telenano.wire import ConfigError, RigError
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"
@@ -172,10 +171,10 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
     # The workers are spawned, not forked, because the parent has threads of its own by now.
     others = set(active_children())
     # The pool itself starts a process, which tracks its semaphores.
-    with children.safe_path():
+    with safe_path():
         pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
-        with kept_from_children(), children.safe_path():
+        with kept_from_children(), safe_path():
             futures = [pool.submit(run_batch, batch, kind.run) for batch in batches]
         for future in as_completed(futures):
             yield future.result()

@@ -27,8 +27,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
-from telenano.lockstep.lockstep import Trajectory
+from telenano.afm import MODE_FOLLOW, MODE_HOLD
+from telenano.lockstep import Trajectory
 from telenano_studies.loops.cells import Cell, course_of, run_cell, scales_of
 
 FREQUENCY_HZ = 0.5

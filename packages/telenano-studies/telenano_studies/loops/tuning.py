@@ -10,7 +10,7 @@ import functools
 import math
 from typing import Any
 
-from telenano.laws.config import LAWS
+from telenano.laws import LAWS
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 
 DELAYS_BORNE = 2.0

@@ -31,16 +31,13 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from telenano.afm.config import SAMPLES, AfmConfig
-from telenano.analysis.holds import lacks_of
-from telenano.analysis.report import read_session
-from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.launcher.child_session import reason_of, run_session
-from telenano.lockstep.lockstep import Trajectory, simulate
-from telenano.recording.arrays import columns, last_programme
-from telenano.recording.reader import Recording
-from telenano.recording.site_clock import Timeline
-from telenano.wire.errors import ConfigError, RecordingError, TelenanoError
+from telenano.afm import SAMPLES, AfmConfig
+from telenano.analysis import lacks_of, read_session
+from telenano.cli import EXIT_INCOMPLETE
+from telenano.launcher import reason_of, run_session
+from telenano.lockstep import Trajectory, simulate
+from telenano.recording import Recording, Timeline, columns, last_programme
+from telenano.wire import ConfigError, RecordingError, TelenanoError
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
     Cell,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from telenano.laws.config import LAWS
+from telenano.laws import LAWS
 from telenano_studies.loops.transparency import Spectrum
 
 if TYPE_CHECKING:

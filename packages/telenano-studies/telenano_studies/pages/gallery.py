@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-import services.viz_node
-from telenano.laws.config import OWN_LAWS
+from telenano.laws import OWN_LAWS
+from telenano.serving import web_folder
 from telenano_studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
 from telenano_studies.loops.linear_cells import linear_loop, not_linear
 
@@ -27,7 +27,7 @@ _ENERGY_J, _MOST_J = 1e-6, 0.02
 _CURVE, _MOST_CURVE = 1e-2, 9.0
 _FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
 
-FOLDER = Path(services.viz_node.__path__[0]) / "web" / "gallery"
+FOLDER = web_folder() / "gallery"
 
 
 def cell_of(law: str, round_trip_ms: float, stiffness_n_per_m: float = STIFFNESS_N_PER_M) -> Cell:

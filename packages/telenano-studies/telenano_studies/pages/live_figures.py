@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.config import AfmConfig
-from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.launcher.child_session import reason_of, run_session
-from telenano.recording.arrays import columns
-from telenano.recording.reader import Recording
-from telenano.settings import SCENARIO_DIRECTORY
-from telenano.settings.scenario import load_scenario
-from telenano.wire.errors import RigError
+from telenano.afm import AfmConfig
+from telenano.cli import EXIT_INCOMPLETE
+from telenano.launcher import reason_of, run_session
+from telenano.recording import Recording, columns
+from telenano.settings import SCENARIO_DIRECTORY, load_scenario
+from telenano.wire import RigError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,17 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.contact.capillary import meniscus_force, printed_meniscus_force
-from telenano.afm.contact.maugis_dugdale import MaugisDugdale, pull_off_force_n
-from telenano.afm.dynamic import damping_at
-from telenano.afm.programs.tactile import felt_speed_m_per_s
-from telenano.afm.section_config import TipSampleConfig
-from telenano.hand.config import DeviceConfig
-from telenano.hand.motor import bandwidth_hz, closed_loop_poles
-from telenano.laws.config import LAWS
-from telenano.laws.tactile import impedance_scaled
-from telenano.lockstep.simulation import SimulatedSession, simulate_scenario
+from telenano.afm import (
+    AfmConfig,
+    MaugisDugdale,
+    TipSampleConfig,
+    damping_at,
+    felt_speed_m_per_s,
+    meniscus_force,
+    printed_meniscus_force,
+    pull_off_force_n,
+)
+from telenano.hand import DeviceConfig, bandwidth_hz, closed_loop_poles
+from telenano.laws import LAWS, impedance_scaled
+from telenano.lockstep import SimulatedSession, simulate_scenario
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 
 

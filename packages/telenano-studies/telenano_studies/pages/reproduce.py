@@ -11,15 +11,22 @@ from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
-from telenano.afm.cantilever import volts_per_m
-from telenano.afm.config import AfmConfig
-from telenano.afm.contact.capillary import meniscus_force, meniscus_radius_m
-from telenano.afm.contact.contact_table import table_force
-from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
-from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
-from telenano.afm.contact.tip_sample import branch_force
-from telenano.files.whole_files import whole_file
-from telenano.wire.errors import RigError
+from telenano.afm import (
+    AfmConfig,
+    branch_force,
+    cohesive_stress_pa,
+    contact_distance_m,
+    lennard_jones_force,
+    meniscus_force,
+    meniscus_radius_m,
+    minimum_distance_m,
+    pull_off_force_n,
+    reduced_modulus_pa,
+    table_force,
+    volts_per_m,
+)
+from telenano.files import whole_file
+from telenano.wire import RigError
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
@@ -229,7 +236,7 @@ def _add_curve(page: Page, curve: Curve) -> dict[str, object]:
 
 
 def _add_image(page: Page, found: SimulatedImage) -> dict[str, object]:
-    from telenano.analysis.image_files import Image, image_figure
+    from telenano.analysis import Image, image_figure
 
     titles = {"Height": found.height_m, "Surface as the tip sees it": found.truth_m,
               "Difference": found.height_m - found.truth_m}  # fmt: skip

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.figure_style import ON_SCREEN, VERDICTS, FigureOptions, styled
-from telenano.analysis.verdict import KINDS
-from telenano.files.whole_files import whole_results
+from telenano.analysis import KINDS, ON_SCREEN, VERDICTS, FigureOptions, styled
+from telenano.files import whole_results
 from telenano_studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_studies.loops.stability import LineResult
 from telenano_studies.loops.theory import hybrid_of, llewellyn

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from telenano.settings.option import Option
+from telenano.settings import Option
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.stability import Axes, Line
 from telenano_studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum

@@ -19,7 +19,7 @@ from types import FunctionType
 from typing import Any, TypeVar, cast
 
 # imported here because it notes when this process began, before steps are defined
-from telenano.numerics.source_digest import cache_folder
+from telenano.numerics.digests import cache_folder
 from telenano.wire.errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., object])

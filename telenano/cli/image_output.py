@@ -4,11 +4,7 @@ from pathlib import Path
 
 import typer
 
-from telenano.analysis.image_files import Image as Image
-from telenano.analysis.image_files import ImageFacts as ImageFacts
-from telenano.analysis.image_files import LiveImage as LiveImage
-from telenano.analysis.image_files import images_of_lines as images_of_lines
-from telenano.cli.sample_options import results_in as results_in
+from telenano.analysis.image_files import Image, ImageFacts
 from telenano.settings import plugins
 
 

@@ -5,16 +5,16 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-from telenano.extend.messages import RecordedMessage, example, recorded
 from telenano.laws.law import changed_in_contact as changed_in_contact
 from telenano.laws.law import longest_pause_periods as longest_pause_periods
 from telenano.laws.law import paced as paced
 from telenano.laws.law_rules import known_law as known_law
+from telenano.recording import RecordedMessage, recorded
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings.config import merge as merge
 from telenano.settings.config import validate as validate
-from telenano.wire import TOPICS, compose, encode
+from telenano.wire import TOPICS, compose, encode, example
 from telenano.wire.errors import RefusedError as RefusedError
 from telenano.wire.messages import Message
 from telenano.wire.nodes import TIP, module_of, name_of
@@ -30,7 +30,7 @@ def __getattr__(name: str) -> Any:
     """Return what an installed package brings for tests, by its entry point of the group `telenano.testing`."""
     for entry in entry_points(group="telenano.testing", name=name):
         return entry.load()
-    raise AttributeError(f"telenano.extend.testing has no {name}, and no installed package brings it")
+    raise AttributeError(f"telenano.testing has no {name}, and no installed package brings it")
 
 
 def numbered(topic: str, seq: int, **changes: Any) -> Message:

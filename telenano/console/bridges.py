@@ -7,8 +7,8 @@ from typing import Protocol
 
 import typer
 
-from telenano.console.live_recording import LiveRecording as LiveRecording
-from telenano.recording.messages import RecordedMessage as RecordedMessage
+from telenano.console.live_recording import LiveRecording
+from telenano.recording.messages import RecordedMessage
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
 from telenano.wire import TOPICS

@@ -1,0 +1,38 @@
+"""Recordings and records of messages that were made and not received, for the test of an export or of a bridge."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.recording.writer import RecordingWriter, channel_topic
+from telenano.wire import TOPICS, Message, encode
+from telenano.wire.nodes import site_of
+
+
+def recorded(topic: str, message: Message, log_ns: int, site: str = "") -> RecordedMessage:
+    """Return a message as a recording or a running rig gives it.
+
+    Args:
+        topic: The topic of the message.
+        message: The message.
+        log_ns: When it was received [ns since 1970].
+        site: The site at which it was received; empty for that of its publisher, else it is a copy that left the link.
+    """
+    row, site = TOPICS[topic], site or site_of(message.src)
+    via, name = "direct" if site == site_of(message.src) else "link", channel_topic(topic, message.src, site)
+    channel = RecordedChannel(name, topic, site, via, message.src, row.rate_hz, row.delivery)
+    return RecordedMessage(channel, log_ns, message.t_ns, message.seq, encode(message))
+
+
+def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:
+    """Write messages (`recorded`) as the recorder does, for a test; return the file."""
+    writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
+    numbers: dict[RecordedChannel, int] = {}
+    for message in messages:
+        known = message.channel
+        if known not in numbers:
+            numbers[known] = writer.channel(known.topic, known.src, known.site)
+        writer.write(numbers[known], message.log_ns, message.publish_ns, message.seq, message.payload)
+    writer.finish()
+    return writer.path
