@@ -18,7 +18,7 @@ from telenano.hand.config import HapticConfig
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
-from telenano.lockstep.simulation import instrument_params
+from telenano.lockstep import instrument_params
 from telenano.settings.config import validate
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano_experiments.operators import Profile

@@ -13,7 +13,7 @@ from telenano_experiments.types import particle_table
 
 def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> Any:
     # The models of the closed loop take seconds to load.
-    from telenano.lockstep.simulation import simulate_document
+    from telenano.lockstep import simulate_document
 
     return simulate_document(document, origin, steers)
 
