@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from telenano.afm.part import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
+from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 

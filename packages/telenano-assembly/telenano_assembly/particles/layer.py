@@ -17,6 +17,7 @@ from telenano.afm import (
     Ground,
     Part,
     Surface,
+    PlantInputs,
     height_over_middle,
     inputs_over,
     motion_around,
@@ -50,7 +51,7 @@ class ParticleLayerParams(NamedTuple):
     """
 
     within: Any
-    surface: Surface
+    surface: Any
     is_plane: bool
     model: Array
     tip: TipShape
