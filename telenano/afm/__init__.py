@@ -43,9 +43,6 @@ if TYPE_CHECKING:
     from telenano.afm.layers import Layer as Layer
     from telenano.afm.layers import Said as Said
     from telenano.afm.part import Part as Part
-    from telenano.afm.part import AfmSample as AfmSample
-    from telenano.afm.part import Part as Part
-    from telenano.afm.part import PlantInputs as PlantInputs
     from telenano.afm.part import inputs_over as inputs_over
     from telenano.afm.part import motion_around as motion_around
     from telenano.afm.part import part_start as part_start

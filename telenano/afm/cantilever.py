@@ -33,7 +33,6 @@ from telenano.afm.contact.electrostatic import (
 from telenano.afm.contact.tip_sample import TipSample, branch_force
 from telenano.afm.part import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
-from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 _TOLERANCE_M = 1e-17

@@ -26,7 +26,6 @@ from telenano.afm.disturbances import (
 )
 from telenano.afm.part import Part, part_start, part_step, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
-from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register_part
 from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]

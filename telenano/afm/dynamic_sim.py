@@ -18,7 +18,6 @@ from telenano.afm.dynamic import NO_NOISE, DynamicState, Reading, advance, free_
 from telenano.afm.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
 from telenano.afm.part import Motion, Part, register_part
 from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
-from telenano.afm.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register_part
 from telenano.numerics.compiler import always_compiled
 
 # the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,

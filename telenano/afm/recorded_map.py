@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from telenano.afm.part import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
-from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]

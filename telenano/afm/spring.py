@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from telenano.afm.part import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
-from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 

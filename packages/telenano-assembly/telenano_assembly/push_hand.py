@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.lockstep import HandSteps, register_hand
 from telenano.lockstep import HandSteps
 from telenano.numerics import compiled
 from telenano_assembly.particles.push import KINETIC, RADIUS

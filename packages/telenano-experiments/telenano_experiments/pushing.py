@@ -19,15 +19,6 @@ from telenano.link import LinkSettings
 from telenano.lockstep import instrument_params
 from telenano.settings import scenario_of
 from telenano_experiments.extend import Course
-from telenano.afm.config import AfmConfig
-from telenano.extend.tasks import Course
-from telenano.hand.config import HapticConfig
-from telenano.hand.lateral_hand import LateralHandConfig
-from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
-from telenano.lockstep import instrument_params
-from telenano.settings.config import validate
-from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.

@@ -16,8 +16,6 @@ import numpy.typing as npt
 from telenano.afm import (
     Ground,
     Part,
-    Surface,
-    PlantInputs,
     height_over_middle,
     inputs_over,
     motion_around,
