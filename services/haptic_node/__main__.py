@@ -24,7 +24,7 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
 
 def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
     if (driver := DRIVERS.find(config.driver)) is not None:
-        device: HapticDevice = driver.device(getattr(config, driver.name), config.limits, config, period_s)
+        device: HapticDevice = driver.device(config, config.limits, period_s)
         return device
     if config.serial is None or config.driver in ("simulated", SIMULATED_IMPEDANCE):
         declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None

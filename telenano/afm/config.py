@@ -7,7 +7,7 @@ import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from pydantic import Field, create_model, field_validator, model_validator
+from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
 
 from telenano.afm.cantilever import Plant, build_plant, volts_per_m
 from telenano.afm.contact.friction import FrictionParams, adhesion_n
@@ -38,6 +38,7 @@ from telenano.afm.torsion import TorsionConfig
 from telenano.extend.instruments import SafetyParams
 from telenano.extend.stage import LateralParams
 from telenano.settings.config import Settings, filled
+from telenano.settings.config import Settings, filled, package_fields, section_of
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError
@@ -65,7 +66,9 @@ _ENVIRONMENT: Any = Field(
 
 
 class _OwnSections(Settings):
-    """What the section `afm_node` has without packages; the names of all this are not free for a package."""
+    """What the section `afm_node` has without packages; these keys are not free for one."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
 
     driver: str = _DRIVER
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
@@ -127,7 +130,7 @@ class _OwnSections(Settings):
         if not self.simulated:
             return None
         if self.environment in SAMPLES.found:
-            return getattr(getattr(self, self.environment), "stiffness_n_per_m", None)
+            return getattr(section_of(self, self.environment), "stiffness_n_per_m", None)
         return self.spring.stiffness_n_per_m if self.environment == "spring" else self.felt_through_n_per_m
 
     @property
@@ -332,7 +335,7 @@ class _OwnSections(Settings):
 
     def to_sample_params(self) -> AfmParams:
         """Return the parameters of the sample of another package behind the same guard."""
-        return AfmParams(self.to_guard(), getattr(self, self.environment).to_params())
+        return AfmParams(self.to_guard(), section_of(self, self.environment).to_params())
 
     def to_dynamic(
         self,
@@ -389,8 +392,8 @@ class _OwnSections(Settings):
 
 
 _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
-# Packages may not use the keys of the section, nor the methods of its class.
-TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields, *dir(_OwnSections)})
+# Packages may not use the keys of the section.
+TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields})
 SAMPLES = load("samples", checked_sample, TAKEN)
 DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys())
 
@@ -408,10 +411,12 @@ else:
         "_PackageSections",
         __base__=_OwnSections,
         **DRIVERS.sections(),
-        **{
-            name: (sample.config, Field(sample.config(), description=f"The sample, for environment {name}."))
-            for name, sample in SAMPLES.found.items()
-        },
+        **package_fields(
+            {
+                name: (sample.config, sample.config(), f"The sample, for environment {name}.")
+                for name, sample in SAMPLES.found.items()
+            }
+        ),
     )
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, create_model, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.afm.layers import Layer, checked_layer
 from telenano.afm.sample.force_map import Span, span_of
 from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
 from telenano.afm.sample.surface_files import SHAPES, read_surface
-from telenano.settings.config import Settings, refused_code
+from telenano.settings.config import Settings, keys_of, refused_code, section_of
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError
@@ -31,7 +31,9 @@ Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
 
 
 class _OwnSample(Settings):
-    """What the section `sample` has without packages; the names of all this are not free for a layer."""
+    """What the section `sample` has without packages; these keys are not free for a layer."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
 
     name: str = Field(
         "dots",
@@ -65,7 +67,7 @@ class _OwnSample(Settings):
     @classmethod
     def _layers_are_here(cls, value: Any) -> Any:
         for key, section in value.items() if isinstance(value, Mapping) else ():
-            if section is not None and key not in cls.model_fields and (hint := where_it_is(f"layer {key}")):
+            if section is not None and key not in keys_of(cls) and (hint := where_it_is(f"layer {key}")):
                 raise ValueError(hint)
         return value
 
@@ -133,7 +135,7 @@ class _OwnSample(Settings):
             raise ValueError(f"failed for arrays of x and y in m: {type(error).__name__}: {error}") from error
 
 
-LAYERS = Entries("layers", "layer", checked_layer, frozenset({*_OwnSample.model_fields, *dir(_OwnSample)}))
+LAYERS = Entries("layers", "layer", checked_layer, frozenset(_OwnSample.model_fields))
 
 if TYPE_CHECKING:
 
@@ -150,6 +152,6 @@ class SampleConfig(_LayerSections):
 
 def layers_on(sample: SampleConfig | None) -> list[tuple[Layer, Any]]:
     """Return what lies on a sample, with the settings of each, from below upwards."""
-    given = [(name, getattr(sample, name, None)) for name in LAYERS.names]
+    given = [(name, None if sample is None else section_of(sample, name)) for name in LAYERS.names]
     found = [(LAYERS.find(name), settings) for name, settings in given if settings is not None]
     return [(layer, settings) for layer, settings in found if layer is not None]

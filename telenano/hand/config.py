@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from pydantic import Field, create_model, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.hand import step
 from telenano.hand.coupled import CoupledParams
@@ -152,7 +152,9 @@ _DRIVER: Any = Field(
 
 
 class _OwnSections(Settings):
-    """What the section `haptic_node` has without packages; the names of all this are not free for a package."""
+    """What the section `haptic_node` has without packages; these keys are not free for one."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
 
     driver: str = _DRIVER
     serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
@@ -235,8 +237,8 @@ class _OwnSections(Settings):
 SIMULATED_IMPEDANCE = "simulated_impedance"
 _SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
 _OWN_DRIVERS = (*_SIMULATED, "serial")
-# Packages may not use the keys of the section, nor the methods of its class.
-TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
+# Packages may not use the keys of the section.
+TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields})
 DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN)
 
 if TYPE_CHECKING:

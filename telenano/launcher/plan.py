@@ -22,7 +22,7 @@ from telenano.runtime.bus.address_book import AddressBook, load_site
 from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
-from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge
+from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
@@ -417,7 +417,7 @@ def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
     if drivers is None:
         return False
     section = getattr(loaded.scenario, name)
-    layers = (section.get("sample") or {}).keys() - SampleConfig.model_fields.keys()
+    layers = (section.get("sample") or {}).keys() - keys_of(SampleConfig).keys()
     program = (section.get("begin") or {}).get("program")
     absent = any(where_it_is(f"layer {layer}") for layer in layers)
     absent |= program not in PROGRAMS and bool(where_it_is(f"program {program}"))

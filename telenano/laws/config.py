@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, create_model, field_validator, model_validator
+from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
 
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
@@ -18,7 +18,7 @@ from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
 from telenano.laws.tactile import TACTILE, TactileConfig
 from telenano.laws.wave import WAVE, WaveConfig
-from telenano.settings.config import Settings, merge, nested, validate
+from telenano.settings.config import Settings, keys_of, merge, nested, package_fields, section_of, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError, RefusedError
@@ -43,7 +43,9 @@ _LAW: Any = Field(default="virtual_impedance", description="Law in force")
 
 
 class _OwnSections(Settings):
-    """What the section `controller` has without packages; the names of all this are not free for a package."""
+    """What the section `controller` has without packages; these keys are not free for one."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
 
     law: str = _LAW
     period_s: Annotated[float, Field(ge=1e-4, le=0.1)] = Field(
@@ -85,13 +87,13 @@ class _OwnSections(Settings):
     def _of_installed_laws(cls, given: Any) -> Any:
         """Refuse the settings of a law of this project's packages that is not installed, by the package's name."""
         for key in given if isinstance(given, dict) else ():
-            if key not in cls.model_fields and (where := where_it_is(f"law {key}")):
+            if key not in keys_of(cls) and (where := where_it_is(f"law {key}")):
                 raise ValueError(where)
         return given
 
     def law_config(self) -> Any:
         """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
-        return getattr(self, self.law)
+        return section_of(self, self.law)
 
     def params(self) -> Any:
         return self.clamp.applied_to(self.law_config().to_params(self.period_s))
@@ -170,9 +172,8 @@ def late_periods(latency_s: float, period_s: float) -> int:
     return math.ceil(latency_s / period_s - 1e-9)
 
 
-# Packages may not use the keys of the section, nor the methods of its class; laws of installed packages have the entry
-# point `telenano.laws`.
-TAKEN = frozenset({*OWN_LAWS, *_OwnSections.model_fields, *dir(_OwnSections)})
+# Packages may not use the keys of the section. Laws of installed packages have the entry point `telenano.laws`.
+TAKEN = frozenset({*OWN_LAWS, *_OwnSections.model_fields})
 PACKAGE_LAWS = load("laws", _with_own_parameters, TAKEN)
 LAWS: dict[str, Law] = {**OWN_LAWS, **PACKAGE_LAWS.found}
 # Under the tactile law the hand follows the surface and does not move the tip, so that there is no loop to study.
@@ -189,10 +190,12 @@ else:
     _LawSections = create_model(
         "_LawSections",
         __base__=_OwnSections,
-        **{
-            name: (law.config, Field(default=law.config(), description=f"Parameters of the law {name}"))
-            for name, law in PACKAGE_LAWS.found.items()
-        },
+        **package_fields(
+            {
+                name: (law.config, law.config(), f"Parameters of the law {name}")
+                for name, law in PACKAGE_LAWS.found.items()
+            }
+        ),
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from telenano.files.regular_files import read_regular
@@ -35,6 +35,38 @@ class Settings(BaseModel):
     """The base of settings: frozen and strict, without unknown keys and without infinite numbers."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+# The attribute of a package's section begins so, and no method of a model does: a key is free unless a key has it.
+_OF_PACKAGE = "package_"
+
+
+def package_fields(sections: Mapping[str, tuple[Any, Any, str]], titles: Mapping[str, str] | None = None) -> Any:
+    """Return fields of a model for the sections of packages.
+
+    `section_of` returns such a section. A model with them is written as it is read, so it has `serialize_by_alias`.
+
+    Args:
+        sections: For each key the type, the default and the description of its section.
+        titles: For a key, a title for people.
+    """
+    return {
+        f"{_OF_PACKAGE}{key}": (
+            kind,
+            Field(default, alias=key, description=description, title=(titles or {}).get(key)),
+        )
+        for key, (kind, default, description) in sections.items()
+    }
+
+
+def section_of(settings: BaseModel, key: str) -> Any:
+    """Return the section of a key, of the node's own or of a package."""
+    return getattr(settings, key if key in type(settings).model_fields else f"{_OF_PACKAGE}{key}")
+
+
+def keys_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return the fields of a model by the keys that a person writes."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def filled(kind: type[T], settings: BaseModel, /, **others: Any) -> T:
@@ -252,7 +284,7 @@ def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
         return ""
     *path, name = fault["loc"]
     owner = _model_at(model, path)
-    field = owner.model_fields.get(str(name)) if owner is not None else None
+    field = keys_of(owner).get(str(name)) if owner is not None else None
     bounds = bounds_of(field) if field is not None else {}
     low = next((f"from {word}{bounds[key]:g}" for key, word in (("ge", ""), ("gt", "above ")) if key in bounds), "")
     high = next((f"to {word}{bounds[key]:g}" for key, word in (("le", ""), ("lt", "below ")) if key in bounds), "")
@@ -274,7 +306,7 @@ def bounds_of(part: Any) -> dict[str, float]:
 def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
     """Name the keys that would be right."""
     owner = _model_at(model, path[:-1])
-    return f", {known_names(str(path[-1]), owner.model_fields)}" if owner is not None else ""
+    return f", {known_names(str(path[-1]), keys_of(owner))}" if owner is not None else ""
 
 
 def _model_at(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel] | None:
@@ -283,8 +315,8 @@ def _model_at(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseMod
     for part in path:
         if get_origin(kind) is dict:
             kind = get_args(kind)[1]
-        elif isinstance(kind, type) and issubclass(kind, BaseModel) and str(part) in kind.model_fields:
-            kind = kind.model_fields[str(part)].annotation
+        elif isinstance(kind, type) and issubclass(kind, BaseModel) and str(part) in (keys := keys_of(kind)):
+            kind = keys[str(part)].annotation
         else:
             return None
     return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None

@@ -12,6 +12,9 @@ from pydantic_core import PydanticKnownError, core_schema
 
 from telenano.settings.config import validate
 from telenano.settings.entries import Entries
+from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
+
+from telenano.settings.config import package_fields, section_of, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import installed
 
@@ -46,17 +49,22 @@ class DeviceDriver:
     own: Any = None
     what: str = ""
 
-    def device(self, settings: BaseModel | None, limits: Any, section: Any, period_s: float) -> Any:
-        """Return a device with these settings, or with the default ones.
+    def section(self, node: BaseModel) -> BaseModel:
+        """Return the settings of the driver in the section of its node, or the default ones."""
+        found: BaseModel | None = section_of(node, self.name)
+        return found or self.config()
+
+    def device(self, node: BaseModel, limits: Any, period_s: float, settings: BaseModel | None = None) -> Any:
+        """Return the device of a node.
 
         Args:
-            settings: The settings of the driver's own section.
+            node: The section of the node, with that of the driver and the keys that `told` names.
             limits: The limits of the guard.
-            section: The section of the node, for the keys that `told` names.
             period_s: The period of the loop [s].
+            settings: The settings of the driver, where they are not those of the section.
         """
-        named = {name: period_s if name == "period_s" else getattr(section, name) for name in self.told}
-        return self.build(settings or self.config(), limits, **named)
+        named = {name: period_s if name == "period_s" else getattr(node, name) for name in self.told}
+        return self.build(settings or self.section(node), limits, **named)
 
     def settings(self, values: dict[str, Any]) -> BaseModel:
         """Return the settings of the driver's section from plain values; ConfigError names the key at fault."""
@@ -89,7 +97,7 @@ class Drivers(Entries[DeviceDriver]):
         driver = self.find(name)
         fields = {} if driver is None else driver.config.model_fields
         needed = [key for key, field in fields.items() if field.is_required()]
-        if needed and getattr(config, name) is None:
+        if needed and section_of(config, name) is None:
             raise ValueError(f"driver: {name} needs a section {name} with {', '.join(needed)}")
 
     def name_type(self) -> Any:

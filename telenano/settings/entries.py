@@ -8,10 +8,11 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
 from telenano.settings import plugins
+from telenano.settings.config import package_fields
 from telenano.settings.plugins import Loaded, load
 
 T = TypeVar("T")
@@ -64,12 +65,11 @@ class Entries(Generic[T]):
         """Return every entry, all of them imported now."""
         return load(self._kind, self._check, self._taken)
 
-    def sections(self) -> dict[str, Any]:
+    def sections(self) -> Any:
         """Return the fields of a section for the settings of each entry; its model is loaded at validation."""
-        return {
-            name: (Annotated[Any, _Section(self, name)], Field(None, description=f"Settings of {self._what} {name}."))
-            for name in self.names
-        }
+        return package_fields({
+            name: (Annotated[Any, _Section(self, name)], None, f"Settings of {self._what} {name}.") for name in self.names
+        })  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,8 @@ def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     if kind == SIMULATED_IMPEDANCE:
         found = config.impedance.capabilities()
     else:
-        section = getattr(config, kind)
-        wire = wire_of(kind, {} if section is None else section.model_dump(mode="json"))
+        section = _driver_of_package(kind).section(config)
+        wire = wire_of(kind, section.model_dump(mode="json"))
         try:
             found = wire.open()
         finally:
@@ -254,7 +254,7 @@ def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
     else:
         config = validate(AfmConfig, given[node], "--set", node)
         config, limits = config.model_copy(update={"attended": True}), config.to_params().safety
-    device = driver.device(getattr(config, name), limits, config, _PERIOD_S)
+    device = driver.device(config, limits, _PERIOD_S)
     device.open()
     return device, _reads_handle(device) if node == "haptic_node" else _reads_instrument(device)
 

@@ -11,6 +11,19 @@ from telenano.extend.instruments import AfmDriver
 from telenano.extend.programs import Position
 from telenano.settings.config import Settings, changed_disturbances, nested, validate
 from telenano.settings.known_packages import where_it_is
+from pydantic import ConfigDict, Field, create_model, field_validator
+
+from telenano.afm.driver import AfmDriver
+from telenano.afm.programs.program_settings import Position
+from telenano.afm.programs.table import CHANGES, OWN_PROGRAMS, PACKAGE_PROGRAMS, PROGRAMS
+from telenano.settings.config import (
+    Settings,
+    changed_disturbances,
+    nested,
+    package_fields,
+    section_of,
+    validate,
+)
 from telenano.settings.plugins import refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
@@ -29,9 +42,15 @@ class LateralTarget(Settings):
     y_m: Position | None = Field(None, description="Along y [m]; 0 is the middle of the sample.")
 
 
+class _Written(Settings):
+    model_config = ConfigDict(serialize_by_alias=True)
+
+
+_FOUND = PACKAGE_PROGRAMS.found
+
 if TYPE_CHECKING:
 
-    class _Programs(Settings):
+    class _Programs(_Written):
         """The name of a program, and the sections of all of them."""
 
         program: str | None = None
@@ -39,7 +58,7 @@ if TYPE_CHECKING:
 else:
     _Programs = create_model(
         "_Programs",
-        __base__=Settings,
+        __base__=_Written,
         program=(
             Literal[(*PROGRAMS, *CHANGES)] | None,
             Field(
@@ -50,8 +69,12 @@ else:
         ),
         **{
             name: (program.settings, Field(program.settings(), title=program.title, description=program.about))
-            for name, program in PROGRAMS.items()
+            for name, program in OWN_PROGRAMS.items()
         },
+        **package_fields(
+            {name: (program.settings, program.settings(), program.about) for name, program in _FOUND.items()},
+            {name: program.title for name, program in _FOUND.items()},
+        ),
     )
 
 
@@ -77,7 +100,7 @@ class InstrumentRequest(_Programs):
 
     def settings_of(self, program: str) -> Any:
         """Return the section of a program."""
-        return getattr(self, program)
+        return section_of(self, program)
 
 
 def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | None = None) -> InstrumentRequest:

@@ -31,8 +31,7 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     if config.driver == "modbus" and config.modbus is not None:
         return modbus_driver(config.modbus, config.to_params().safety, period_s)
     if (driver := DRIVERS.find(config.driver)) is not None:
-        section, limits = getattr(config, driver.name), config.to_params().safety
-        device: AfmDriver = driver.device(section, limits, config, period_s)
+        device: AfmDriver = driver.device(config, config.to_params().safety, period_s)
         return device
     if config.environment in SAMPLES.found:
         return SimulatedInstrument(config.to_sample_params())
@@ -124,7 +123,7 @@ def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
         return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
     driver, _ = _calibrated(kind, calibration)
     section = driver.config(calibration=str(calibration))
-    return driver.device(section, limits, config, LOOP_PERIOD_S)
+    return driver.device(config, limits, LOOP_PERIOD_S, section)
 
 
 def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseModel]]:

@@ -54,8 +54,7 @@ def make_take(
         others = (name for name, one in DRIVERS.all().found.items() if takes_force(one))
         known = ", ".join((SIMULATED_IMPEDANCE, *others))
         raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
-    settings_of_driver = getattr(config, driver.name) or driver.config()
-    link = ProcessLink(driver.name, settings_of_driver.model_dump(mode="json"))
+    link = ProcessLink(driver.name, driver.section(config).model_dump(mode="json"))
     # As run_ahead does for the other devices: a full collection would hold up the motion for a tenth of a second.
     gc.collect()
     gc.freeze()
