@@ -37,7 +37,6 @@ from telenano.afm.step import AfmParams
 from telenano.afm.torsion import TorsionConfig
 from telenano.extend.instruments import SafetyParams
 from telenano.extend.stage import LateralParams
-from telenano.settings.config import Settings, filled
 from telenano.settings.config import Settings, filled, package_fields, section_of
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.plugins import load, refuse

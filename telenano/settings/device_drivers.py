@@ -10,11 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel
 from pydantic_core import PydanticKnownError, core_schema
 
-from telenano.settings.config import validate
+from telenano.settings.config import section_of, validate
 from telenano.settings.entries import Entries
-from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
-
-from telenano.settings.config import package_fields, section_of, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import installed
 

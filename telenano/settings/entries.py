@@ -67,9 +67,8 @@ class Entries(Generic[T]):
 
     def sections(self) -> Any:
         """Return the fields of a section for the settings of each entry; its model is loaded at validation."""
-        return package_fields({
-            name: (Annotated[Any, _Section(self, name)], None, f"Settings of {self._what} {name}.") for name in self.names
-        })  # fmt: skip
+        about = f"Settings of {self._what}"
+        return package_fields({n: (Annotated[Any, _Section(self, n)], None, f"{about} {n}.") for n in self.names})
 
 
 @dataclass(frozen=True)

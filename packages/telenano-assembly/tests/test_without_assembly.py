@@ -68,7 +68,7 @@ found = {
     "info": run("bag", "info", recording),
     "verify": run("bag", "verify", recording),
     "report": run("report", recording, "--out", out + "/report"),
-    "export": run("bag", "export", recording, "--to", "csv", "--out", out + "/tables"),
+    "export": run("bag", "export", recording, "--to", "mcap-json", "--out", out + "/plain.mcap"),
     "rerun": run("bag", "rerun", recording, "--node", "afm_node@slave"),
 }
 print(json.dumps(found))

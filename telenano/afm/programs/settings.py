@@ -4,18 +4,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field, create_model, field_validator, model_validator
+from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
 
-from telenano.afm.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
+from telenano.afm.programs.table import CHANGES, OWN_PROGRAMS, PACKAGE_PROGRAMS, PROGRAMS
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.programs import Position
-from telenano.settings.config import Settings, changed_disturbances, nested, validate
-from telenano.settings.known_packages import where_it_is
-from pydantic import ConfigDict, Field, create_model, field_validator
-
-from telenano.afm.driver import AfmDriver
-from telenano.afm.programs.program_settings import Position
-from telenano.afm.programs.table import CHANGES, OWN_PROGRAMS, PACKAGE_PROGRAMS, PROGRAMS
 from telenano.settings.config import (
     Settings,
     changed_disturbances,
@@ -24,6 +17,7 @@ from telenano.settings.config import (
     section_of,
     validate,
 )
+from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar

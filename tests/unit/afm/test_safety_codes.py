@@ -1,6 +1,7 @@
 """The codes of both guards: numbers that stand in the journals of recordings, and bits that can be told apart."""
 
 from telenano.afm import safety as tip
+from telenano.extend.hands import MODE_NAMES
 from telenano.hand import safety as hand
 
 
@@ -9,7 +10,7 @@ def test_codes_of_the_guards_keep_their_numbers_which_journals_of_recordings_hol
     assert list(tip.ACTION_NAMES) == list(range(3))
     assert list(tip.REASON_NAMES) == list(range(12))
     assert list(tip.ARM_REFUSAL_NAMES) == list(range(5))
-    assert list(hand.MODE_NAMES) == list(range(3))
+    assert list(MODE_NAMES) == list(range(3))
     assert list(hand.REASONS) == list(range(11))
 
 

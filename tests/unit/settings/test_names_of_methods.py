@@ -14,10 +14,13 @@ PACKAGE = """
 import dataclasses
 from typing import NamedTuple
 
-from telenano.extend.devices import DeviceDriver
-from telenano.extend.laws import law_of, pass_through, virtual_impedance
+from telenano.settings import DeviceDriver
+from telenano.extend.laws import law_of
+from telenano.extend import pass_through, virtual_impedance
 from telenano.extend.programs import Program
-from telenano.extend.samples import AfmSample, SampleModel, Settings, compiled
+from telenano.extend.samples import AfmSample, SampleModel
+from telenano.settings import Settings
+from telenano.numerics import compiled
 
 class SampleParams(NamedTuple):
     stiffness_n_per_m: float
