@@ -87,9 +87,9 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
         readers = [reader for reader in network.subscribers({peer: [topic]}) if reader.topics]
         log = StructuredLog(node)
         participant = Participant(key=node, book=book, clock=clock, log=log, network=network, wake_descriptor=-1)
-        ends = participant.datagrams(publisher, publisher, readers)
+        ends = participant.link_ends(publisher, publisher, readers)
         poller = zmq.Poller()
-        for descriptor in (*(reader.socket for reader in (*ends, *readers)), *network.descriptors):
+        for descriptor in (*(reader.socket for reader in (*ends.readers, *readers)), *network.descriptors):
             poller.register(descriptor, zmq.POLLIN)
         freeze_garbage()
         pipe.send("ready")
@@ -109,7 +109,7 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
             while not answered and time.monotonic() < until:
                 ready = {found for found, _ in poller.poll(20)}
                 network.process_events()
-                for reader in (*ends, *readers):
+                for reader in (*ends.readers, *readers):
                     for _ in reader.receive(signalled=reader.descriptor in ready):
                         answered = True
             if answered and asking:
@@ -123,7 +123,7 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
                 count += 1
                 cpu_s = cpu_s or time.process_time()
             # the loop of a node asks its end in every turn, also when nothing has come: what is due is done then
-            for end in ends:
+            for end in ends.readers:
                 end.receive()
             if asking and time.monotonic() - silent_since > 20 * LOST_S:
                 break
