@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from observers import Load, SessionError, medians, session
 
-from telenano.wire import TOPICS
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 # These are sent at the rate of the loop, so the first few topics cost the most.
 OF_THE_LOOP = ("haptic/state", "afm/state", "teleop/forward", "teleop/backward", "haptic/command", "afm/command")

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.link.config import EVEN as EVEN
     from telenano.link.config import DirectionSettings as DirectionSettings
     from telenano.link.config import Jitter as Jitter
     from telenano.link.config import LinkSettings as LinkSettings
@@ -23,9 +22,7 @@ if TYPE_CHECKING:
     from telenano.link.models.outages import Outages as Outages
     from telenano.link.pipeline import Files as Files
     from telenano.link.pipeline import Pipeline as Pipeline
-    from telenano.link.profiles import PROFILES as PROFILES
     from telenano.link.profiles import profile_named as profile_named
-    from telenano.link.profiles import refusal_of as refusal_of
     from telenano.link.random_streams import SMALLEST as SMALLEST
     from telenano.link.random_streams import stream as stream
 else:

@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import load_site as load_site
     from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
     from telenano.runtime.bus.bus import Subscriber as Subscriber
-    from telenano.runtime.bus.local_endpoint import RIG_VARIABLE as RIG_VARIABLE
     from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
     from telenano.runtime.bus.publisher import publish_end as publish_end
     from telenano.runtime.bus.transports import LinkTransport as LinkTransport
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from telenano.runtime.link_node import SiteEndpoint as SiteEndpoint
     from telenano.runtime.loop.commands import Command as Command
     from telenano.runtime.loop.commands import CommandClient as CommandClient
-    from telenano.runtime.loop.commands import CommandName as CommandName
     from telenano.runtime.loop.log import StructuredLog as StructuredLog
     from telenano.runtime.loop.node import NodeContext as NodeContext
     from telenano.runtime.loop.own_process import schedule_as_node as schedule_as_node

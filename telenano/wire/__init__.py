@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from telenano.wire.errors import TelenanoError as TelenanoError
     from telenano.wire.errors import cause as cause
     from telenano.wire.errors import known_names as known_names
-    from telenano.wire.errors import probably_meant as probably_meant
     from telenano.wire.examples import example as example
     from telenano.wire.examples import required_keys as required_keys
     from telenano.wire.faults import Fault as Fault
@@ -59,12 +58,8 @@ if TYPE_CHECKING:
     from telenano.wire.network_messages import LinkKey as LinkKey
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
     from telenano.wire.network_messages import RecordingPiece as RecordingPiece
-    from telenano.wire.nodes import EXPERIMENT as EXPERIMENT
     from telenano.wire.nodes import FAR_END as FAR_END
-    from telenano.wire.nodes import HAND as HAND
     from telenano.wire.nodes import LINK as LINK
-    from telenano.wire.nodes import RECORDER as RECORDER
-    from telenano.wire.nodes import TIP as TIP
     from telenano.wire.nodes import VIEW as VIEW
     from telenano.wire.nodes import name_of as name_of
     from telenano.wire.ranges import DurationS as DurationS
@@ -75,7 +70,6 @@ if TYPE_CHECKING:
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
-    from telenano.wire.topics import deadline_of as deadline_of
     from telenano.wire.topics import take_up as take_up
 else:
     __getattr__, __dir__ = face(__name__)

@@ -5,9 +5,10 @@ docs/extending.md); a process takes one into the table when a command, a recordi
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from types import MappingProxyType
 from typing import Any, Literal
 
 import msgspec
@@ -83,6 +84,8 @@ _ROWS = (
 
 # The rows that this process knows: those of the core, and of packages those that were named to it.
 TOPICS: dict[str, Topic] = {row.name: row for row in _ROWS}
+# The rows of the core alone, whatever was named to this process: what the contract of the wire consists of.
+OWN_TOPICS: Mapping[str, Topic] = MappingProxyType({row.name: row for row in _ROWS})
 NAME = re.compile(r"[a-z]+/[a-z]+")
 # A recorder keeps at most this many topics that it does not know.
 MOST_UNKNOWN = 64

@@ -22,9 +22,10 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RECORDS, GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
 from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 FILE = Path(__file__).with_suffix(".json")
 SCENARIO = Path(__file__).parents[2] / "telenano" / "settings" / "scenarios" / "fig12.yaml"
@@ -103,6 +104,11 @@ def recording() -> dict[str, Any]:
             metadata.pop("plugins", None)
             # the settings of the recorder are keys of a scenario, which have a rule of their own (docs/release.md)
             metadata["recording"] = [key for key in metadata["recording"] if not key.startswith("recorder ")]
+            # topics of packages are no part of the format
+            metadata = {
+                name: [key for key in keys if not key.startswith("schema ") or key.removeprefix("schema ") in TOPICS]
+                for name, keys in metadata.items()
+            }
             rows = {channel.topic: (schema.name, channel) for schema, channel, _ in reader.iter_messages() if schema}
     assert summary is not None
     return {

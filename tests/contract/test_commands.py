@@ -27,9 +27,10 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.settings.config import flatten
 from telenano.testing import VirtualClock
-from telenano.wire import TOPICS, Message, decode
+from telenano.wire import Message, decode
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import AfmState, SessionControl, SessionEvent
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 COMMANDS = get_args(SessionControl.__annotations__["command"].__origin__)
 _SPEC = command_table.SPEC.read_text(encoding="utf-8")

@@ -13,10 +13,10 @@ from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.testing import VirtualClock
-from telenano.wire import TOPICS
 from telenano.wire.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

@@ -17,8 +17,9 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring, Role
 from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.testing import VirtualClock
-from telenano.wire import TOPICS, Message, encode
+from telenano.wire import Message, encode
 from telenano.wire.received import Received
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

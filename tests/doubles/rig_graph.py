@@ -5,8 +5,8 @@ from typing import NamedTuple
 from services.afm_node.node import INPUTS as AFM_INPUTS
 from services.controller.__main__ import HALVES
 from services.haptic_node.node import INPUTS as HAPTIC_INPUTS
-from telenano.wire import TOPICS
 from telenano.wire.nodes import LINK, START_ORDER, VIEW, name_of, site_of
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import Topic
 
 # Every node sends these topics, and only people and the launcher read them; they would hide the loop.

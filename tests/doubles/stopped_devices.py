@@ -22,11 +22,12 @@ from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import is_meant, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)

@@ -48,10 +48,11 @@ from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
-from telenano.wire import TOPICS, Message, compose
+from telenano.wire import Message, compose
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP
 from telenano.wire.received import Received
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood

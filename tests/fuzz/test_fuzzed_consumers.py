@@ -43,7 +43,8 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.serving.access import Role
 from telenano.testing import VirtualClock
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 SEED = 42
 SITES = {"haptic_node": "master", "delay_node": "master", "launcher": "master", "view": "master"}

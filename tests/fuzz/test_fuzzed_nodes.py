@@ -14,8 +14,9 @@ from fuzz_frames import Frames, stream
 from wire_contract import examples
 
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.wire import TOPICS, accept, encode
+from telenano.wire import accept, encode
 from telenano.wire.sequence import MOST_COUNTED
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 ROOT = Path(__file__).parents[2]
 COUNT = 150

@@ -39,9 +39,10 @@ from telenano.recording.rewrite import filter_recording
 from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun import rerun
 from telenano.rerun.rerun_bus import RerunBus
-from telenano.wire import TOPICS, Message
+from telenano.wire import Message
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmState
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 # shows all that the instrument does
 SHORT_S = 1.3

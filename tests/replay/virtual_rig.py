@@ -40,11 +40,12 @@ from telenano.settings.config import flag_overrides, merge
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.testing import VirtualClock
 from telenano.timing.freshness import DELAY_STEP_NS
-from telenano.wire import TOPICS, Message, WireError, compose, decode, decode_header, encode
+from telenano.wire import Message, WireError, compose, decode, decode_header, encode
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"

@@ -17,7 +17,7 @@ from stack_rig import Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_th
 
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import RerunResult, rerun
-from telenano.wire import TOPICS
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 LOSSLESS = [name for name, topic in TOPICS.items() if topic.delivery == "lossless"]
 FAST = [name for name, topic in TOPICS.items() if topic.rate_hz == 1000.0]

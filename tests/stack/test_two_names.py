@@ -23,7 +23,8 @@ packages = ["proto"]
 """
 BOTH = """
 import proto, telenano
-from telenano.wire import TOPICS, decode
+from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire import decode
 from telenano.wire import example
 assert proto.NAME == "the stranger's" and len(TOPICS) > 20
 assert example("afm/state", seq=7).seq == 7

@@ -11,7 +11,8 @@ from telenano_foxglove.bridge import LEFT_OUT, Bridge, FoxgloveServer, address_o
 
 from telenano.serving import Access, bind
 from telenano.testing import EPOCH_NS, hand_state, numbered, received
-from telenano.wire import TOPICS, TelenanoError
+from telenano.wire import TelenanoError
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 
 class Server:

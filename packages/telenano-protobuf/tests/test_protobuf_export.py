@@ -13,7 +13,8 @@ from mcap.reader import make_reader
 from telenano_protobuf.export import _payload_of
 
 from telenano.recording import export_recording, plain, recorded, write_recording
-from telenano.wire import TOPICS, example
+from telenano.wire import example
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 EPOCH_NS = 1_750_000_000_000_000_000
 

@@ -15,7 +15,7 @@ if "services.controller" in sys.orig_argv:
     from telenano_wide_area.datagram.end import DatagramEnd
 
     from telenano.runtime.bus.publisher import ZmqPublisher
-    from telenano.wire import TOPICS
+    from telenano.wire.topics import OWN_TOPICS as TOPICS
 
     # A frame for so many messages: the link's bytes are counted, and what is genuine should still get through.
     ONE_IN = 8

@@ -7,7 +7,8 @@ import pytest
 from wire_contract import examples
 
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 TOPIC = "teleop/forward"
 BASE = examples(TOPICS[TOPIC])["ordinary"]

@@ -17,7 +17,7 @@ import tables
 from loop import ProcessWatch
 from observers import Load, SessionError, said
 
-from telenano.wire import TOPICS
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 GOOD = {
     "asked_hz": 1000.0, "hand_hz": 999.5, "tip_hz": 1000.2, "p50_ms": 0.7, "p99_ms": 0.95, "superseded_hz": 2.0,

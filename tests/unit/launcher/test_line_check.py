@@ -8,8 +8,8 @@ from launcher_bench import SECOND_NS, TICK_NS, Rig
 from wire_contract import examples
 
 from telenano.launcher.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
-from telenano.wire import TOPICS
 from telenano.wire.network_messages import LinkNetwork
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

@@ -31,10 +31,11 @@ from telenano.runtime.wiring.main import Wiring
 from telenano.runtime.wiring.transport import Transport
 from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
-from telenano.wire import TOPICS, Message, compose, encode
+from telenano.wire import Message, compose, encode
 from telenano.wire.messages import InputHealth, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 PATIENCE_S = 30.0
 

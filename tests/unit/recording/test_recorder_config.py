@@ -4,8 +4,8 @@ import pytest
 
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.settings.config import validate
-from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 
 def test_a_yaml_section_becomes_a_configuration() -> None:

@@ -19,10 +19,11 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import REJECTED_TOPIC
 from telenano.recording.tables import line, plain
 from telenano.recording.writer import RecordingWriter
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmScanline
 from telenano.wire.schema import json_schema
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import pytest
 from telenano.runtime.bus.address_book import AddressBook, NodeEntry, is_relayed, may_carry
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.settings.config import read_yaml, validate
-from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.nodes import site_of
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 TWO_SITES = Path(__file__).resolve().parents[3] / "telenano" / "settings" / "sites" / "two_sites.yaml"
 NODES = (

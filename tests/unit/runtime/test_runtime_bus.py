@@ -22,12 +22,13 @@ from telenano.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Subscribe
 from telenano.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
 from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
-from telenano.wire import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
+from telenano.wire import MAX_MESSAGE_BYTES, WireError, decode, encode
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import AfmState, HapticState, SessionControl
 from telenano.wire.nodes import NODES, name_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024

@@ -25,13 +25,14 @@ from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
-from telenano.wire import TOPICS, Message, compose, encode, fields_of
+from telenano.wire import Message, compose, encode, fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from telenano.runtime.loop.node import Node
-from telenano.wire import TOPICS
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Scalar
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 Parameters = dict[str, Scalar]
 THERMAL = {"disturbances.thermal.enabled": True}

@@ -288,7 +288,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
-    "telenano/extend/processes.py": (by_servo,),
+    "telenano/runtime/loop/own_process.py": (by_servo,),
     "telenano/launcher/child_session.py": (by_child_session,),
     "telenano/launcher/fan_out.py": (by_fan_out,),
     "telenano/launcher/processes.py": (by_launcher,),

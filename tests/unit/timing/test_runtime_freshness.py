@@ -5,9 +5,9 @@ import pytest
 
 from telenano.timing.clock import NEVER_NS
 from telenano.timing.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, Freshness, age_s
-from telenano.wire import TOPICS
 from telenano.wire.messages import LinkDelay
 from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9

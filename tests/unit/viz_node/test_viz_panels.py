@@ -23,7 +23,8 @@ from telenano.serving.panels import Panels, installed_panels
 from telenano.serving.serve import addresses_of
 from telenano.settings.plugins import Loaded
 from telenano.wire import DurationS, Message, RefusedError, Topic, about
-from telenano.wire.topics import TOPICS, take_up
+from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import take_up
 
 ACCESS = Access("operator-token-0001", "observer-token-0001", participant_token="guest-token-000001")
 HEADERS = {"origin": "http://127.0.0.1:8650", "host": "127.0.0.1:8650"}

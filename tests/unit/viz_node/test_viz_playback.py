@@ -12,9 +12,10 @@ from services.viz_node.feed import Feed
 from services.viz_node.playback import RecordingPlayback
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Array
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 MS = 1_000_000
 

@@ -19,7 +19,6 @@ from wire_contract import examples, schema_of
 
 from telenano.wire import (
     MAX_MESSAGE_BYTES,
-    TOPICS,
     Message,
     WireError,
     accept,
@@ -31,6 +30,7 @@ from telenano.wire import (
 )
 from telenano.wire.codec import MAX_PLAIN_BYTES, MOST_BYTES, keys_twice, sound_header
 from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 TOPIC = st.sampled_from(list(TOPICS))
 GOLDEN = {topic: [encode(message) for message in examples(row).values()] for topic, row in TOPICS.items()}

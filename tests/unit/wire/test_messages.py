@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from wire_contract import examples
 
-from telenano.wire import TOPICS, accept, compose, fields_of
+from telenano.wire import accept, compose, fields_of
 from telenano.wire.messages import Array, HapticState
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 
 @pytest.mark.parametrize("topic", TOPICS)

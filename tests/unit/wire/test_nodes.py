@@ -15,7 +15,6 @@ from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.main import NodeKind, node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
 from telenano.settings.scenario import Scenario
-from telenano.wire import TOPICS
 from telenano.wire.nodes import (
     HAND,
     LAUNCHER,
@@ -39,6 +38,7 @@ from telenano.wire.nodes import (
     site_of,
     sites_of,
 )
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 ROOT = Path(__file__).resolve().parents[3]
 COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]

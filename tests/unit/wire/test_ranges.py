@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from telenano.wire import TOPICS, WireError, accept, compose, encode
+from telenano.wire import WireError, accept, compose, encode
 from telenano.wire.messages import InputHealth, LawStatus
 from telenano.wire.sequence import MOST_COUNTED
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 
 def _fields(topic: str) -> dict[str, Any]:
