@@ -254,6 +254,9 @@ def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progr
                 if isinstance(message, SessionEvent):
                     client.on_event(message)
                 elif isinstance(message, RecordingPiece) and message.src == SENDER:
+                    if message.file != part.name and SENDER not in client.answers:
+                        # What comes before the answer to this command belongs to the one before it.
+                        continue
                     if part.add(message):
                         heard_ns = newest_ns = now
                         progress(part.name, part.offset, part.size or 0)

@@ -315,6 +315,24 @@ def book(tmp_path: Path) -> AddressBook:
     return AddressBook(nodes={name: NodeEntry(local=f"ipc://{sockets}/{name}") for name in names})
 
 
+def test_what_was_asked_for_by_a_fetch_that_was_ended_is_none_of_the_next_one(
+    far: Path, tmp_path: Path, book: AddressBook
+) -> None:
+    (far / "session_2.mcap").write_bytes(bytes(100 * PIECE_BYTES))
+
+    def ended(name: str, done: int, size: int) -> None:
+        raise KeyboardInterrupt
+
+    with FarSite(book, far):
+        for _ in range(3):
+            # the other site goes on with what it was asked for, a piece in 65 ms
+            with pytest.raises(KeyboardInterrupt):
+                fetch(book, ["session_2.mcap"], tmp_path / "far", kbit_per_s=8000.0, progress=ended)
+            (fetched,) = fetch(book, [NAME], tmp_path / "far")
+            assert fetched.read_bytes() == (far / NAME).read_bytes()
+            fetched.unlink()
+
+
 def test_a_fetch_goes_on_after_a_kill_and_after_a_silence_of_the_line(
     far: Path, tmp_path: Path, book: AddressBook
 ) -> None:
