@@ -11,7 +11,7 @@ OUT ?= out/fig12
 # Each image with its lock, and the packages of the project that go in as well.
 IMAGES := haptic_node:node:telenano-haptic-devices controller:node delay_node:node \
   afm_node:node:telenano-afm-controllers recorder:node session:rig:telenano-afm-controllers viz_node:rig \
-  study:study:telenano-studies,telenano-microscopy
+  study:study:telenano-studies,telenano-assembly,telenano-microscopy
 # The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
 NODE := haptic afm controller delay
 RIG := launcher view haptic afm controller delay
@@ -170,7 +170,7 @@ dist: page ## Build wheels, source distribution, SBOM and licences, and try them
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
-	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies \
+	  --no-emit-package telenano-assembly --no-emit-package telenano-microscopy --no-emit-package telenano-studies \
 	  --no-emit-package gwyddionpy-converter -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
@@ -194,7 +194,7 @@ images: ## Build the container images of deploy/.
 packages_of = $(sort $(foreach image,$(IMAGES),$(if $(filter $(1),$(word 2,$(subst :, ,$(image)))),\
   $(subst $(comma), ,$(word 3,$(subst :, ,$(image)))))))
 image_lock = printf '%s\n' $(3) | $(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(call packages_of,$(1))) - \
-  --constraint requirements.lock --no-emit-package telenano --no-emit-package telenano-microscopy \
+  --constraint requirements.lock --no-emit-package telenano $(addprefix --no-emit-package telenano-,assembly microscopy) \
   $(addprefix --extra ,$(2)) -o deploy/locks/$(1).lock
 
 clean: ## Remove .venv, out and the caches.

@@ -30,7 +30,6 @@ from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError, cause
-from telenano.wire.instrument import MOST_TEXT
 from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 from telenano.wire.node_state import FindInput, Part, part
 from telenano.wire.received import Received
@@ -321,7 +320,7 @@ class AfmNode(DeviceNode):
             return
         memory.told_ns = memory.stepped_ns
         report = programs.report()
-        self.publish("afm/program", **report._replace(text=report.text[:MOST_TEXT])._asdict())
+        self.publish("afm/program", **report.fields())
         if programs.is_over:
             level = "info" if programs.state == "finished" else "warning"
             self.event("mode", level, report.text, program=report.program, program_state=report.state)

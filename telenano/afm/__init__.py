@@ -43,12 +43,19 @@ if TYPE_CHECKING:
     from telenano.afm.dynamic import steady_state as steady_state
     from telenano.afm.dynamic_sim import require_steps as require_steps
     from telenano.afm.felt import ChannelName as ChannelName
+    from telenano.afm.layers import Ground as Ground
+    from telenano.afm.layers import Height as Height
+    from telenano.afm.layers import Layer as Layer
+    from telenano.afm.layers import Said as Said
     from telenano.afm.part import AfmSample as AfmSample
     from telenano.afm.part import Part as Part
-    from telenano.afm.part import register as register
-    from telenano.afm.particles.push import KINETIC as KINETIC
-    from telenano.afm.particles.push import RADIUS as RADIUS
-    from telenano.afm.particles.tip_shape import touch_distance_m as touch_distance_m
+    from telenano.afm.part import PlantInputs as PlantInputs
+    from telenano.afm.part import inputs_over as inputs_over
+    from telenano.afm.part import motion_around as motion_around
+    from telenano.afm.part import part_start as part_start
+    from telenano.afm.part import part_step as part_step
+    from telenano.afm.part import register_part as register_part
+    from telenano.afm.part import truths_of as truths_of
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
     from telenano.afm.programs.program import FinishedLine as FinishedLine
     from telenano.afm.programs.program import Wanted as Wanted
@@ -63,7 +70,10 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.safety import SafetyParams as SafetyParams
     from telenano.afm.safety import initial_safety_state as initial_safety_state
+    from telenano.afm.sample.surface import Surface as Surface
     from telenano.afm.sample.surface import height_at as height_at
+    from telenano.afm.sample.surface import height_over_middle as height_over_middle
+    from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
     from telenano.afm.section_config import CantileverConfig as CantileverConfig
     from telenano.afm.section_config import SafetyConfig as SafetyConfig

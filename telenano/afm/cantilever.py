@@ -31,7 +31,7 @@ from telenano.afm.contact.electrostatic import (
     electrostatic_strength_n_m2,
 )
 from telenano.afm.contact.tip_sample import TipSample, branch_force
-from telenano.afm.part import AfmSample, Part, PlantInputs, register
+from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 _TOLERANCE_M = 1e-17
@@ -262,7 +262,7 @@ def _start(plant: Plant, inputs: PlantInputs) -> PlantState:
     return initial_state(plant, inputs.base_m + inputs.height_m)
 
 
-register(Plant, Part(_start, step))
+register_part(Plant, Part(_start, step))
 
 
 def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float, volts_per_m: float) -> Plant:

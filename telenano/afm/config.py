@@ -16,14 +16,13 @@ from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSamplePro
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.felt import FeelConfig
 from telenano.afm.lateral import LateralParams
-from telenano.afm.made_samples import SampleConfig
-from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.particles.tip_shape import Spring, tip_shape
+from telenano.afm.layers import Ground, Height
+from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
 from telenano.afm.safety import SafetyParams
 from telenano.afm.sample.force_map import Span
-from telenano.afm.sample.surface import Surface, dilated
+from telenano.afm.sample.surface import PLANE, Surface, dilated
 from telenano.afm.sample_models import checked_sample
 from telenano.afm.section_config import (
     MOST_CONTRADICTION,
@@ -42,7 +41,7 @@ from telenano.settings.config import Settings, filled
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError
-from telenano.wire.extras import how_to_install
+from telenano.wire.extras import missing
 
 if TYPE_CHECKING:
     from telenano.afm.dynamic_plant import DynamicPlant
@@ -175,8 +174,8 @@ class _OwnSections(Settings):
             raise ValueError(f"begin.program: must be one of {', '.join(PROGRAMS)}, and is {self.begin.program}")
         if self.model == "dynamic":
             self._check_dynamic()
-        if self.sample is not None and self.sample.particles is not None:
-            self._check_particles(self.sample.particles)
+        for layer, settings in layers_on(self.sample):
+            self._check_layer(layer.name, layer.height(settings))
         if self.sample is not None and self.sample.map is not None:
             self._check_map(self.sample.map)
         if self.torsion != TorsionConfig():
@@ -196,18 +195,18 @@ class _OwnSections(Settings):
                 f" in a step of the node, not {self.cantilever.resonance_hz:g} Hz"
             )
 
-    def _check_particles(self, particles: ParticlesConfig) -> None:
+    def _check_layer(self, layer: str, above: Height) -> None:
         if self.driver != "simulated" or self.environment != "tip_sample":
-            raise ValueError("sample.particles are for driver simulated and environment tip_sample")
-        needed = self.rest_distance_m - particles.clear_m
+            raise ValueError(f"sample.{layer}: a layer is for driver simulated and environment tip_sample")
+        needed = self.rest_distance_m - above.clear_m
         for name, base_m in (
             ("retract_position_m", self.safety.retract_position_m),
             ("base_min_m", self.safety.base_min_m),
         ):
             if base_m > needed:
                 raise ValueError(
-                    f"safety.{name} = {base_m:g} m does not clear the highest particle: with a radius of"
-                    f" {particles.kind.radius_m:g} m it must be {math.floor(needed * 1e9) * 1e-9:.4g} m or less"
+                    f"safety.{name} = {base_m:g} m does not clear {above.what}: it must be"
+                    f" {math.floor(needed * 1e9) * 1e-9:.4g} m or less"
                 )
 
     def _check_torsion(self) -> None:
@@ -299,27 +298,32 @@ class _OwnSections(Settings):
         """Return the parameters of a part whose lateral force the torsion channel measures, if that has errors."""
         return part if self.torsion == TorsionConfig() else self.torsion.around(part, self.cantilever.stiffness_n_per_m)
 
-    def to_particle_layer(self, within: Any, surface: Surface | None) -> Any:
-        """Return the parameters of the particles around a part over a surface, the part where there are none.
+    def with_layers(self, part: Any, surface: Surface | None) -> Any:
+        """Return the parameters of what lies on the sample around a part over a surface, the part where nothing does.
 
         Raises:
-            ConfigError: They find no room, overlap or lie outside of the sample, or numba is missing.
+            ConfigError: A layer cannot lie there, or something that it needs is not installed.
         """
-        if self.sample is None or self.sample.particles is None:
-            return within
-        try:
-            from telenano.afm.particles.layer import particle_layer
-        except ImportError as error:
-            raise ConfigError(f"afm_node.sample.particles: needs numba: {how_to_install('studies')}") from error
-        p, plant = self.sample.particles, self.to_params().plant
-        try:
-            fixed, start = p.rows(self.tip_sample.tip_radius_m, *self.sample_sides_m())
-        except ValueError as error:
-            raise ConfigError(f"afm_node.sample.{error}") from error
-        tip = tip_shape(self.tip_sample.tip_radius_m, math.radians(p.cone_deg))
-        lateral = self.friction.lateral_stiffness_n_per_m
-        spring = Spring(plant.stiffness_n_per_m, lateral, p.tip_friction, p.loaded_area, p.rest_s)
-        return particle_layer(within, surface, tip, spring, fixed, start, plant)
+        for layer, settings in layers_on(self.sample):
+            plant = self.to_params().plant
+            seen = PLANE if surface is None or not surface.height_m.any() else surface
+            ground = Ground(
+                surface=seen,
+                is_plane=seen is PLANE,
+                sides_m=self.sample_sides_m(),
+                tip_radius_m=self.tip_sample.tip_radius_m,
+                stiffness_n_per_m=plant.stiffness_n_per_m,
+                lateral_n_per_m=self.friction.lateral_stiffness_n_per_m,
+                rest_distance_m=plant.rest_distance_m,
+                volts_per_m=plant.volts_per_m,
+            )
+            try:
+                part = layer.around(settings, part, ground)
+            except ImportError as error:
+                raise ConfigError(f"afm_node.sample.{layer.name}: {missing(error.name or str(error))}") from error
+            except ValueError as error:
+                raise ConfigError(f"afm_node.sample.{error}") from error
+        return part
 
     def to_spring_params(self) -> AfmParams:
         """Return the parameters of the linear environment behind the same guard."""

@@ -24,7 +24,7 @@ from telenano.afm.disturbances import (
     noise_start,
     noise_step,
 )
-from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register
+from telenano.afm.part import AfmSample, Part, PlantInputs, part_start, part_step, register_part
 from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
@@ -228,4 +228,4 @@ def _noisy_start(params: NoisyParams, inputs: PlantInputs) -> NoisyState:
     return NoisyState(0.0, DisturbedState(tip, piezo_at_rest(inputs.base_m)))
 
 
-register(NoisyParams, Part(_noisy_start, _noisy_step, lateral=False))
+register_part(NoisyParams, Part(_noisy_start, _noisy_step, lateral=False))

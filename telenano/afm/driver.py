@@ -3,13 +3,14 @@
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
 
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.disturbances import DisturbanceConfig
-from telenano.afm.part import AfmSample, Particles
+from telenano.afm.part import AfmSample
 from telenano.afm.part import Oscillation as Oscillation
 from telenano.afm.sample.surface import Surface
 from telenano.wire.errors import ConfigError
@@ -101,7 +102,7 @@ class OwnScan(Protocol):
 class Relief(NamedTuple):
     """What is known in advance of the heights under the tip: the surface as the tip sees it, None for a plane at 0.
 
-    above_m: how far particles stand above it [m], wherever they are.
+    above_m: how far what lies on it stands above it [m], wherever that is.
     """
 
     surface: Surface | None
@@ -122,8 +123,8 @@ class Simulation(Protocol):
         """Take other disturbances from now on."""
 
     @property
-    def particles(self) -> Particles | None:
-        """Return where the particles really are, which no instrument knows; None without any."""
+    def truths(self) -> Mapping[str, Any]:
+        """Return what is so of what lies on the sample, by the name of the layer, which no instrument knows."""
 
     @property
     def is_spring(self) -> bool:
@@ -133,7 +134,7 @@ class Simulation(Protocol):
         """Take another stiffness of the environment [N/m], which must be a spring."""
 
     def restore_sample(self) -> None:
-        """Take a sample as it was in the beginning, with its particles where they lay."""
+        """Take a sample as it was in the beginning, with what lies on it where it lay."""
 
     @property
     def settles(self) -> bool:

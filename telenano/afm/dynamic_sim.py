@@ -16,7 +16,7 @@ from telenano.afm.cantilever import Plant, initial_state
 from telenano.afm.contact.electrostatic import electrostatic_strength_n_m2
 from telenano.afm.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m, lag_rad
 from telenano.afm.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
-from telenano.afm.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register
+from telenano.afm.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register_part
 from telenano.numerics.compiler import always_compiled
 
 # the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
@@ -253,4 +253,4 @@ def _oscillation(state: DynamicTip) -> Oscillation:
 
 
 _MOTION = Motion(_settle, _oscillation)
-register(DynamicParams, Part(_start, _step, motion=lambda params: _MOTION))
+register_part(DynamicParams, Part(_start, _step, motion=lambda params: _MOTION))

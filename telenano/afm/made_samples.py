@@ -1,18 +1,19 @@
 """Which sample lies under the tip: a shape that is computed, a file, or a function of one's own."""
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
-from telenano.afm.particles.settings import ParticlesConfig
+from telenano.afm.layers import Layer, checked_layer
 from telenano.afm.sample.force_map import Span, span_of
 from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
 from telenano.afm.sample.surface_files import SHAPES, read_surface
 from telenano.settings.config import Settings, refused_code
+from telenano.settings.entries import Entries, missing_entry
 from telenano.wire.errors import ConfigError
 
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {
@@ -28,8 +29,8 @@ _LEVELLED = {
 Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
 
 
-class SampleConfig(Settings):
-    """The surface under the tip. Every default is Fig. 8 of the paper, or ours where it gives none."""
+class _OwnSample(Settings):
+    """What the section `sample` has without packages; the names of all this are not free for a layer."""
 
     name: str = Field(
         "dots",
@@ -58,7 +59,14 @@ class SampleConfig(Settings):
     dot_radius_m: Length = Field(5e-9, description="Radius of a dot at its foot [m].")
     height_m: float = Field(10e-9, ge=0.0, le=1e-4, description="Height of a dot or of a ridge [m].")
     period_m: Length = Field(50e-9, description="Period of the grating [m].")
-    particles: ParticlesConfig | None = Field(None, description="Spheres on it which the tip moves; none by default.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _layers_are_here(cls, value: Any) -> Any:
+        for key, section in value.items() if isinstance(value, Mapping) else ():
+            if section is not None and key not in cls.model_fields and (hint := missing_entry("layer", key)):
+                raise ValueError(hint)
+        return value
 
     @model_validator(mode="after")
     def _size_where_needed(self) -> Self:
@@ -122,3 +130,25 @@ class SampleConfig(Settings):
         # The function of a package may raise anything.
         except Exception as error:
             raise ValueError(f"failed for arrays of x and y in m: {type(error).__name__}: {error}") from error
+
+
+LAYERS = Entries("layers", "layer", checked_layer, frozenset({*_OwnSample.model_fields, *dir(_OwnSample)}))
+
+if TYPE_CHECKING:
+
+    class _LayerSections(_OwnSample):
+        """The sections of layers."""
+
+else:
+    _LayerSections = create_model("_LayerSections", __base__=_OwnSample, **LAYERS.sections())
+
+
+class SampleConfig(_LayerSections):
+    """The surface under the tip. Every default is Fig. 8 of the paper, or ours where it gives none."""
+
+
+def layers_on(sample: SampleConfig | None) -> list[tuple[Layer, Any]]:
+    """Return what lies on a sample, with the settings of each, from below upwards."""
+    given = [(name, getattr(sample, name, None)) for name in LAYERS.names]
+    found = [(LAYERS.find(name), settings) for name, settings in given if settings is not None]
+    return [(layer, settings) for layer, settings in found if layer is not None]

@@ -14,7 +14,7 @@ from telenano.afm.part import (
     motion_around,
     part_start,
     part_step,
-    register,
+    register_part,
 )
 from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
 from telenano.numerics.compiler import compiled
@@ -84,4 +84,4 @@ def _start(params: OverSurfaceParams, inputs: PlantInputs) -> OverSurfaceState:
     return OverSurfaceState(tip, inputs.x_m, inputs.y_m, FrictionState(0.0, 0.0))
 
 
-register(OverSurfaceParams, Part(_start, _step, motion=lambda params: motion_around(params, "tip")))
+register_part(OverSurfaceParams, Part(_start, _step, motion=lambda params: motion_around(params, "tip")))

@@ -7,11 +7,8 @@ surface, and that has a cantilever, which is quasi-static or dynamic. `step.step
 for a study in lockstep, and `sim.SimulatedInstrument` makes the driver of a node of it. Both call the same steps.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
 
 from telenano.numerics.compiler import chosen_step, compiled
 
@@ -100,33 +97,26 @@ class Motion(NamedTuple):
     oscillation: Callable[[Any], Oscillation]
 
 
-class Particles(NamedTuple):
-    """Where the particles of a simulation really are: places (n, 2) [m], radii (n,) [m], and which move, (n,)."""
-
-    places_m: npt.NDArray[np.float64]
-    radii_m: npt.NDArray[np.float64]
-    moving: npt.NDArray[np.bool_]
-
-
 class Part(NamedTuple):
     """The functions of a part.
 
     start(params, inputs) gives the state of a part that has been there for long. lateral: whether x and y mean anything
     to it. motion(params) gives what a part has whose tip moves between two steps, None for one that does not.
-    particles(params, state) gives those that it has, for who judges a simulation and for nobody who plans.
+    truths(params, state) gives what is so in it and no instrument knows, by the name of its layer (`layers`), for who
+    judges a simulation and for nobody who plans; None where the part has none, nor a part within that may have one.
     """
 
     start: Callable[[Any, PlantInputs], Any]
     step: Callable[[Any, Any, PlantInputs, float], tuple[Any, AfmSample]]
     lateral: bool = True
     motion: Callable[[Any], Motion | None] | None = None
-    particles: Callable[[Any, Any], Particles | None] | None = None
+    truths: Callable[[Any, Any], Mapping[str, Any]] | None = None
 
 
 _PARTS: dict[type, Part] = {}
 
 
-def register(kind: type, part: Part) -> None:
+def register_part(kind: type, part: Part) -> None:
     """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already."""
     if kind in _PARTS:
         raise TypeError(f"another part has the parameters {kind.__module__}.{kind.__name__} already")
@@ -141,6 +131,12 @@ def part_of(params: Any) -> Part:
 def part_start(params: Any, inputs: PlantInputs) -> Any:
     """Return the state in which the part with these parameters starts."""
     return part_of(params).start(params, inputs)
+
+
+def truths_of(params: Any, state: Any) -> Mapping[str, Any]:
+    """Return what is so in the part with these parameters and no instrument knows, by the name of the layer."""
+    truths = part_of(params).truths
+    return {} if truths is None else truths(params, state)
 
 
 def motion_of(params: Any) -> Motion | None:

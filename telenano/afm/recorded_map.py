@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.part import AfmSample, Part, PlantInputs, register
+from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 Array = npt.NDArray[np.float64]
@@ -170,4 +170,4 @@ def _start(params: MapParams, inputs: PlantInputs) -> MapState:
     return step(params, above._replace(z_m=params.rest_distance_m - inputs.base_m), inputs, 0.0)[0]
 
 
-register(MapParams, Part(_start, step))
+register_part(MapParams, Part(_start, step))

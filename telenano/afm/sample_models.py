@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from telenano.afm.part import Part, PlantInputs, register
+from telenano.afm.part import Part, PlantInputs, register_part
 
 Step = Callable[..., Any]
 
@@ -56,4 +56,4 @@ def register_sample(model: SampleModel) -> None:
     def start(params: Any, inputs: PlantInputs) -> Any:
         return model.start(params, inputs.base_m)
 
-    register(model.params, Part(start, model.measure))
+    register_part(model.params, Part(start, model.measure))

@@ -1,7 +1,7 @@
 """The driver of every simulated instrument: any part (`part`) behind the driver protocol of the node."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -15,12 +15,12 @@ from telenano.afm.over_surface import over_surface
 from telenano.afm.part import (
     AfmSample,
     Oscillation,
-    Particles,
     PlantInputs,
     motion_of,
     part_of,
     part_start,
     part_step,
+    truths_of,
 )
 from telenano.afm.sample.surface import Surface
 from telenano.afm.spring import SpringParams, spring_params
@@ -171,7 +171,7 @@ class SimulatedInstrument:
         self._params = self._params._replace(plant=changed)
 
     def restore_sample(self) -> None:
-        """Take a sample as it was in the beginning: its particles lie where they lay, and nothing is remembered."""
+        """Take a sample as it was in the beginning: what lies on it is where it lay, and nothing is remembered."""
         state = self.state
         if state.part is not None:
             state.part = part_start(self._params.plant, state.inputs)
@@ -181,9 +181,8 @@ class SimulatedInstrument:
         self.state.elapsed_s += dt
 
     @property
-    def particles(self) -> Particles | None:
-        find, part = part_of(self._params.plant).particles, self.state.part
-        return None if find is None or part is None else find(self._params.plant, part)
+    def truths(self) -> Mapping[str, Any]:
+        return {} if self.state.part is None else truths_of(self._params.plant, self.state.part)
 
     @property
     def settles(self) -> bool:

@@ -6,7 +6,7 @@ It is a spring on the base itself, so there is no deflection. The distance repor
 import math
 from typing import NamedTuple
 
-from telenano.afm.part import AfmSample, Part, PlantInputs, register
+from telenano.afm.part import AfmSample, Part, PlantInputs, register_part
 from telenano.numerics.compiler import compiled
 
 
@@ -71,4 +71,4 @@ def _start(params: SpringParams, inputs: PlantInputs) -> SpringState:
     return SpringState(spring_force(params, inputs.base_m))
 
 
-register(SpringParams, Part(_start, step, lateral=False))
+register_part(SpringParams, Part(_start, step, lateral=False))

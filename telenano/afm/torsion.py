@@ -7,9 +7,10 @@ and is wrong by an error e:
     F = clip((1 + e) (F_lateral + c k zeta), +-C U),  U the range of the read-out
 
 c k zeta is the lateral force that a bent cantilever seems to have. What comes after this part (guard, programs, hand,
-images) knows the measured force only; the particles obey the true one.
+images) knows the measured force only; what lies on the sample obeys the true one.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pydantic import Field
@@ -19,13 +20,12 @@ from telenano.afm.part import (
     Motion,
     Oscillation,
     Part,
-    Particles,
     PlantInputs,
     motion_of,
-    part_of,
     part_start,
     part_step,
-    register,
+    register_part,
+    truths_of,
 )
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
@@ -109,9 +109,8 @@ def _motion(params: TorsionParams) -> Motion | None:
     return Motion(settle, oscillation)
 
 
-def _particles(params: TorsionParams, state: Any) -> Particles | None:
-    find = part_of(params.within).particles
-    return None if find is None else find(params.within, state)
+def _truths(params: TorsionParams, state: Any) -> Mapping[str, Any]:
+    return truths_of(params.within, state)
 
 
-register(TorsionParams, Part(_start, _step, motion=_motion, particles=_particles))
+register_part(TorsionParams, Part(_start, _step, motion=_motion, truths=_truths))

@@ -10,6 +10,8 @@ from pydantic import Field
 
 from telenano.afm.config import DRIVERS as INSTRUMENTS
 from telenano.afm.config import AfmConfig
+from telenano.afm.made_samples import SampleConfig
+from telenano.afm.programs.table import PROGRAMS
 from telenano.afm.sample.force_map import read_map
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
@@ -20,6 +22,7 @@ from telenano.runtime.bus.address_book import AddressBook, load_site
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, merge
+from telenano.settings.entries import missing_entry
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
 from telenano.wire.errors import ConfigError, RigError, known_names
@@ -151,7 +154,7 @@ class Plan:
     @property
     def stiffness_warning(self) -> str:
         """Why the sample is too stiff for the law with such an instrument and line; else empty."""
-        if driver_is_absent(self.loaded, "afm_node"):
+        if package_is_absent(self.loaded, "afm_node"):
             return ""
         afm = self.loaded.section("afm_node", AfmConfig)
         controller = self.loaded.section("controller", ControllerConfig)
@@ -399,12 +402,19 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
             raise ConfigError(f"{loaded.origin}: afm_node.sample.map: {error}") from error
 
 
-def driver_is_absent(loaded: LoadedScenario, name: str) -> bool:
-    """Return whether no package on this machine has the driver that the section of a node names."""
+def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
+    """Return whether no package on this machine has the driver, a layer or the program that a section names."""
     from telenano.hand.config import DRIVERS as HANDLES
 
     drivers = {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
-    return drivers is not None and drivers.is_absent(getattr(loaded.scenario, name).get("driver"))
+    if drivers is None:
+        return False
+    section = getattr(loaded.scenario, name)
+    layers = (section.get("sample") or {}).keys() - SampleConfig.model_fields.keys()
+    program = (section.get("begin") or {}).get("program")
+    absent = any(missing_entry("layer", layer) for layer in layers)
+    absent |= program not in PROGRAMS and bool(missing_entry("program", program))
+    return absent or drivers.is_absent(section.get("driver"))
 
 
 def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> None:
@@ -417,7 +427,7 @@ def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> N
         elsewhere: The nodes that run on other machines: each checks its own section there, and its driver's package
             does not have to be on this one.
     """
-    absent = {name for name in elsewhere if driver_is_absent(loaded, name)}
+    absent = {name for name in elsewhere if package_is_absent(loaded, name)}
     for name in SERVICES:
         if name not in absent:
             loaded.section(name, node_kind(name).config)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.lockstep.across import steering_force_n as steering_force_n
     from telenano.lockstep.link import BACKWARD_TOPIC as BACKWARD_TOPIC
     from telenano.lockstep.link import FORWARD_TOPIC as FORWARD_TOPIC
     from telenano.lockstep.link import Schedule as Schedule
@@ -26,5 +27,7 @@ if TYPE_CHECKING:
     from telenano.lockstep.simulation import programme_of as programme_of
     from telenano.lockstep.simulation import simulate_document as simulate_document
     from telenano.lockstep.simulation import simulate_scenario as simulate_scenario
+    from telenano.lockstep.steering import HandSteps as HandSteps
+    from telenano.lockstep.steering import register_hand as register_hand
 else:
     __getattr__, __dir__ = face(__name__)

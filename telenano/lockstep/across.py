@@ -33,10 +33,9 @@ Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]
 
 # The columns of the course are the stylus [m], the force that it is shown [N], the stage [m], the force on the tip
-# [N], the energy that has entered across and by the hold of the depth [J], and the true place of the particle of a hand
-# that steers [m].
-X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH, PARTICLE_X, PARTICLE_Y = range(12)
-COLUMNS = 12
+# [N], and the energy that has entered across and by the hold of the depth [J]. Those of a hand that steers come after.
+X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH = range(10)
+WIDTH = 10
 
 
 class AcrossPath(NamedTuple):
@@ -44,7 +43,8 @@ class AcrossPath(NamedTuple):
 
     silence_s: without an answer for longer nothing is known of the tip [s]; forward: references by the number of the
     sample, (window, 2) [m]; backward: place and force by the number of the answer, (window, 4) [m, N]; rows: (ticks,
-    COLUMNS), columns X to PARTICLE_Y. Those of stage, tip and particle are written by the loop.
+    WIDTH or more), columns X to ENTERED_DEPTH and those of a hand that steers. Those of stage, tip and hand are
+    written by the loop.
     """
 
     lateral: LateralParams
@@ -65,8 +65,10 @@ class AcrossState(NamedTuple):
     depth_j: float
 
 
-def across_path(controller: ControllerConfig, hand: LateralHandConfig, schedule: Schedule) -> AcrossPath:
-    """Return the path of a rig over a link, nothing on it yet."""
+def across_path(
+    controller: ControllerConfig, hand: LateralHandConfig, schedule: Schedule, further: int = 0
+) -> AcrossPath:
+    """Return the path of a rig over a link, nothing on it yet, with room for further columns of a hand that steers."""
     window = schedule.window
     return AcrossPath(
         controller.lateral_params(),
@@ -74,7 +76,7 @@ def across_path(controller: ControllerConfig, hand: LateralHandConfig, schedule:
         controller.law_config().silence_limit_s,
         np.zeros((window, 2)),
         np.zeros((window, 4)),
-        np.zeros((schedule.ticks, COLUMNS)),
+        np.zeros((schedule.ticks, WIDTH + further)),
     )
 
 

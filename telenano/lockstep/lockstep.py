@@ -39,9 +39,8 @@ from telenano.laws.deadband import deadband, initial_deadband_state
 from telenano.laws.lateral import hand_moves as moves_stage
 from telenano.laws.law import NO_SIGNAL, TipMeasurement
 from telenano.lockstep.across import (
-    PARTICLE_X,
-    PARTICLE_Y,
     STAGE_X,
+    WIDTH,
     AcrossPath,
     across_at_rest,
     across_heard,
@@ -51,7 +50,6 @@ from telenano.lockstep.across import (
     guided,
 )
 from telenano.lockstep.link import Schedule
-from telenano.lockstep.push_hand import DONE, PHASE, TRUE_X, TRUE_Y, Hand, hand_moves
 from telenano.lockstep.sites import (
     Halves,
     Instrument,
@@ -67,12 +65,12 @@ from telenano.lockstep.sites import (
     master_at,
     master_with_answer,
     master_with_sample,
-    noted,
     put_answer,
     slave_at,
     slave_with_signal,
     went_on,
 )
+from telenano.lockstep.steering import hand_ends, hand_moves, hand_notes, hand_sees, hand_writes
 from telenano.numerics.compiler import borrowed, compiled, compiled_call, inlined, is_compiled
 from telenano.wire.errors import ConfigError, RigError
 
@@ -155,9 +153,9 @@ class Trajectory:
     hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
     safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
-    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 12),
-    the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long the rig ran
-    before the session [s].
+    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10)
+    or wider, the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long
+    the rig ran before the session [s].
     """
 
     time_s: Series
@@ -183,7 +181,7 @@ def simulate(
     rig: Rig,
     schedule: Schedule,
     session_tick: int,
-    hand: Hand | None = None,
+    hand: Any = None,
     path: AcrossPath | None = None,
     *,
     at_once: bool = True,
@@ -195,7 +193,8 @@ def simulate(
         schedule: The arrivals of `link.schedule_of`, whose number of ticks is the length of the run.
         session_tick: The tick at which the operator's program starts (`time_to_place_s`), or later, when the tip is
             placed.
-        hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
+        hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
+            without a path the run ends when it is done.
         path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
         at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
             where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.
@@ -278,7 +277,7 @@ def _run(
     schedule: Schedule,
     session_tick: int,
     rows: Series,
-    steers: Hand | None,
+    steers: Any,
     path: AcrossPath | None,
 ) -> tuple[int, int]:
     """Fill `rows` (columns, ticks) with the closed loop; the module's text gives the order.
@@ -302,6 +301,8 @@ def _run(
     # A sample that the dead band keeps back has a place in the schedule, and arrives nowhere.
     sent_forward, sent_backward = np.zeros(window, np.bool_), np.zeros(window, np.bool_)
     answered = np.zeros(window, np.int64)
+    # the same of a hand that steers: speeds [m/s], and places with forces of the answers [m, N]
+    speeds, answers = np.zeros((window, 2)), np.zeros((window, 4))
     slave_band = initial_deadband_state(NO_SIGNAL)
     m, s = master_at(halves, haptic, haptic_state), slave_at(halves)
     i = instrument_at(instrument_state, period_ns)
@@ -325,9 +326,9 @@ def _run(
             across = across_sampled(path, across, hand, counts(m, path, now_ns), n, session_s, dt, own_n)
             hand = guided(across, hand)
         elif steers is not None:
-            if steers.state[PHASE] == DONE:
+            if hand_ends(steers):
                 return start, n
-            steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, since)
+            speeds[n & mask, 0], speeds[n & mask, 1] = hand_moves(steers, since)
         m, forward[n & mask], sent_forward[n & mask] = master_with_sample(halves, m, hand, now_ns)
         end_ns = now_ns + period_ns
         while True:
@@ -347,15 +348,16 @@ def _run(
                             x_m, y_m = across.slave.x_m, across.slave.y_m
                             i = driven(i, Lateral(x_m, y_m, 0.0, 0.0, -1, was.force_x_n, was.force_y_n))
                     elif steers is not None:
-                        i = driven(i, by_rate(i.lateral, steers.forward[tick & mask], event_ns))
+                        i = driven(i, by_rate(i.lateral, speeds[tick & mask], event_ns))
                     s = slave_with_signal(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                     s, i, signal = carried_out(halves, instrument, s, i, event_ns)
                     elapsed_s = s.timing.pacing.elapsed * dt
                     slave_band, sent_backward[f & mask] = deadband(halves.band, slave_band, signal, elapsed_s)
                     backward[f & mask], answered[f & mask] = signal, tick
                     if steers is not None:
-                        noted(steers.state, i)
-                        put_answer(steers.backward[f & mask], i.lateral)
+                        across_n = (i.lateral.force_x_n, i.lateral.force_y_n)
+                        hand_notes(steers, i.state.plant, i.state.force_n, across_n)
+                        put_answer(answers[f & mask], i.lateral)
                     if path is not None:
                         put_answer(path.backward[f & mask], i.lateral)
                 f += 1
@@ -365,7 +367,7 @@ def _run(
                     hand_ns, there_ns = answered[answer & mask] * period_ns, forward_ns[answer]
                     m = master_with_answer(halves, m, backward[answer & mask], hand_ns, there_ns, event_ns)
                     if steers is not None:
-                        steers.seen[:] = steers.backward[answer & mask]
+                        hand_sees(steers, answers[answer & mask])
                     if path is not None:
                         across = across_heard(path, across, answer)
                 b += 1
@@ -375,7 +377,7 @@ def _run(
         if path is not None:
             put_answer(path.rows[n, STAGE_X:], i.lateral)
             if steers is not None:
-                path.rows[n, PARTICLE_X], path.rows[n, PARTICLE_Y] = steers.state[TRUE_X], steers.state[TRUE_Y]
+                hand_writes(steers, path.rows[n, WIDTH:])
     return start, schedule.ticks
 
 

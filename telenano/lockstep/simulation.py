@@ -40,7 +40,7 @@ from telenano.link.config import EVEN, LinkSettings, network_name
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule, schedule_of
 from telenano.lockstep.lockstep import Trajectory, build_rig, simulate, time_to_place_s
-from telenano.lockstep.push_hand import Hand as PushHand
+from telenano.lockstep.steering import columns_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings import find_scenario
 from telenano.settings.config import merge, nested, read_yaml
@@ -74,13 +74,8 @@ _ACROSS = {
     "across_j": (across.ENTERED, "J", "Energy that the hand has put in across the sample"),
     "depth_j": (across.ENTERED_DEPTH, "J", "Energy that the hand has put into the hold of its depth"),
 }
-# These columns are added for a hand that steers the tip to a particle.
-_STEERED = {
-    "particle_x_m": (across.PARTICLE_X, "m", "Where the particle really is, x"),
-    "particle_y_m": (across.PARTICLE_Y, "m", "Where the particle really is, y"),
-}
-# Makes the hand that steers, from the window of the link's numbers and the period [s].
-Steers = Callable[[int, float], PushHand]
+# Makes the hand that steers (`telenano.lockstep.steering`), from the period [s].
+Steers = Callable[[float], Any]
 # The same in the names and the frame of the bus, z away from the sample: column and sign of each.
 _CHANNELS = {
     "haptic/state": {
@@ -134,7 +129,7 @@ class SimulatedSession(ColumnTable):
         force_scale: float,
         safety: SafetyParams | None = None,
         *,
-        steered: bool = False,
+        further: Mapping[str, tuple[str, str]] | None = None,
         known: Programme = NO_PROGRAMME,
         position_scale: float | None = None,
     ) -> None:
@@ -148,9 +143,10 @@ class SimulatedSession(ColumnTable):
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
         told = dict(_COLUMNS)
         if course.across is not None:
-            columns = {**_ACROSS, **(_STEERED if steered else {})}
-            values |= {name: course.across[:, column] for name, (column, *_) in columns.items()}
-            told |= {name: (unit, text) for name, (_, unit, text) in columns.items()}
+            columns = {name: column for name, (column, *_) in _ACROSS.items()}
+            columns |= {name: column for column, name in enumerate(further or (), across.WIDTH)}
+            values |= {name: course.across[:, column] for name, column in columns.items()}
+            told |= {name: (unit, text) for name, (_, unit, text) in _ACROSS.items()} | dict(further or {})
         super().__init__(
             "a simulated session",
             {name: np.asarray(column) for name, column in values.items()},
@@ -309,7 +305,7 @@ def simulate_document(
     Args:
         document: The scenario.
         origin: What an error names.
-        steers: Makes a hand that steers the tip across the sample to a particle, in mode rate.
+        steers: Makes a hand that steers the tip across the sample, in mode rate.
         at_once: Whether to compile for the first session, as in `telenano.lockstep.lockstep.simulate`.
     """
     loaded = scenario_of(document, origin)
@@ -337,14 +333,14 @@ def simulate_document(
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
     rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
     schedule, path = schedule_of(link, ticks, period_s), None
+    hand = None if steers is None else steers(period_s)
     if haptic.lateral is not None and controller.lateral.mode != "direct":
-        path = across.across_path(controller, haptic.lateral, schedule)
+        path = across.across_path(controller, haptic.lateral, schedule, len(columns_of(hand)))
     if steers is not None and (path is None or controller.lateral.mode != "rate"):
         text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
         raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
     if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=network_name(link) in EVEN):
         warnings.warn(text, stacklevel=3)
-    hand = None if steers is None else steers(schedule.window, period_s)
     course = simulate(rig, schedule, settle, hand, path, at_once=at_once)
     section = controller.law_config()
     conditions = Conditions(
@@ -366,7 +362,7 @@ def simulate_document(
         course,
         section.force_scale,
         safety,
-        steered=hand is not None,
+        further=columns_of(hand),
         known=known,
         position_scale=section.position_scale,
     )
@@ -401,7 +397,7 @@ def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmP
             return params._replace(plant=noisy_params(config.disturbances, params.plant, duration_s))
         surface = config.to_surface()
         plant = over_surface(params.plant, surface, config.to_friction_params())
-        plant = config.to_particle_layer(plant, surface)
+        plant = config.with_layers(plant, surface)
         params = params._replace(plant=plant)
     if disturbed:
         text = "a lockstep has them over a plane of environment tip_sample only; `up` can run them"

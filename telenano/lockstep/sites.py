@@ -22,7 +22,6 @@ from telenano.laws.integration import Heard, MasterTiming, Settled, SlaveTiming,
 from telenano.laws.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
-from telenano.lockstep.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
 from telenano.numerics.compiler import inlined
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire.topics import LOOP_DEADLINE_S
@@ -366,14 +365,6 @@ def goes_on(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: 
     timing, begins = integration.slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
     follows = not begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
     return follows, timing.pacing.elapsed * halves.period_s
-
-
-@inlined
-def noted(state: Array, i: Instrument) -> None:
-    """Write down the largest forces on the tip [N], and where its particle really is [m]."""
-    across = np.sqrt(i.lateral.force_x_n * i.lateral.force_x_n + i.lateral.force_y_n * i.lateral.force_y_n)
-    state[PEAK_ACROSS], state[PEAK_ALONG] = max(state[PEAK_ACROSS], across), max(state[PEAK_ALONG], i.state.force_n)
-    state[TRUE_X], state[TRUE_Y] = i.state.plant.moving[0, 0], i.state.plant.moving[0, 1]
 
 
 @inlined

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.numerics.compiler import always_compiled as always_compiled
     from telenano.numerics.compiler import compiled as compiled
     from telenano.numerics.compiler import compiled_form as compiled_form
     from telenano.numerics.digests import source_digest as source_digest

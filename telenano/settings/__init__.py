@@ -63,6 +63,10 @@ def find_scenario(name: str) -> Path:
     path = packages.found.get(name, Path(name))
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
+    from telenano.settings.entries import missing_entry
+
+    if hint := missing_entry("scenario", name):
+        raise ConfigError(hint)
     known = known_scenarios()
     listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
     raise ConfigError(f"unknown scenario {name!r}: {listed}")

@@ -3,17 +3,15 @@
 Their names come from the metadata of the packages; a package is imported when a scenario names its driver.
 """
 
-import json
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field
-from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
+from pydantic import BaseModel
+from pydantic_core import PydanticKnownError, core_schema
 
-from telenano.settings.known_packages import KNOWN_PACKAGES
-from telenano.settings.plugins import Loaded, installed, load
-from telenano.wire.extras import how_to_add_package
+from telenano.settings.entries import Entries, missing_entry
+from telenano.settings.plugins import installed
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class DeviceDriver:
         return self.build(settings or self.config(), limits, **{name: told[name] for name in self.told})
 
 
-class Drivers:
+class Drivers(Entries[DeviceDriver]):
     """The drivers of packages for a node, each imported when it is asked for.
 
     Args:
@@ -59,36 +57,12 @@ class Drivers:
     """
 
     def __init__(self, node: str, own: Collection[str], taken: Collection[str]) -> None:
-        self._node, self._own, self._taken = node, tuple(own), frozenset(taken)
-        self._asked: dict[str, DeviceDriver | None] = {}
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names that could be drivers of this node, of which only an import tells."""
-        return tuple(name for name in installed("devices") if name not in self._taken)
-
-    def find(self, name: str) -> DeviceDriver | None:
-        """Return the driver of that name, imported now; None where no package has one for this node.
-
-        Raises:
-            ValueError: It cannot be used; the message says why.
-        """
-        if name in self._own:
-            return None
-        if name not in self._asked:
-            loaded = load("devices", self._check, self._taken, name)
-            if name in loaded.problems:
-                raise ValueError(loaded.problems[name])
-            self._asked[name] = loaded.found.get(name)
-        return self._asked[name]
+        super().__init__("devices", "driver", self._checked, taken, own)
+        self._node = node
 
     def is_absent(self, name: object) -> bool:
         """Return whether a driver is neither one of the node's own nor one of a package on this machine."""
         return isinstance(name, str) and name not in self._own and name not in installed("devices")
-
-    def all(self) -> Loaded[DeviceDriver]:
-        """Return every driver for this node, all of them imported now."""
-        return load("devices", self._check, self._taken)
 
     def is_simulated(self, name: str) -> bool:
         driver = self.find(name)
@@ -106,14 +80,7 @@ class Drivers:
         """Return the type of the key `driver`."""
         return Annotated[str, _Name(self, self._own)]
 
-    def sections(self) -> dict[str, Any]:
-        """Return the fields of a section for the settings of each driver; its model is loaded at validation."""
-        return {
-            name: (Annotated[Any, _Section(self, name)], Field(None, description=f"Settings of driver {name}."))
-            for name in self.names
-        }
-
-    def _check(self, name: str, value: Any) -> DeviceDriver | None:
+    def _checked(self, name: str, value: Any) -> DeviceDriver | None:
         if not isinstance(value, DeviceDriver):
             raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver")
         if value.name != name:
@@ -123,8 +90,7 @@ class Drivers:
 
 def missing_driver(name: object) -> str:
     """Return which package of this project has a driver and how it is installed; empty where none has."""
-    package = KNOWN_PACKAGES.get(f"driver {name}", "")
-    return f"the driver {name} is in the package {package}: {how_to_add_package(package)}" if package else ""
+    return missing_entry("driver", name)
 
 
 @dataclass(frozen=True)
@@ -150,31 +116,3 @@ class _Name:
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         return {"enum": list(self._known()), "type": "string"}
-
-
-@dataclass(frozen=True)
-class _Section:
-    """The rule of a driver's section; what is written out of one node has those of the other's drivers, as None."""
-
-    drivers: Drivers
-    name: str
-
-    def _checked(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel | None:
-        if value is None:
-            return None
-        driver = self.drivers.find(self.name)
-        if driver is None:
-            raise PydanticKnownError("extra_forbidden")
-        if info.mode == "json":
-            # A strict model takes a list for a tuple from JSON alone.
-            return driver.config.model_validate_json(json.dumps(value))
-        return driver.config.model_validate(value)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        return core_schema.with_info_plain_validator_function(self._checked)
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        driver = self.drivers.all().found.get(self.name)
-        if driver is None:
-            raise PydanticOmit
-        return {"anyOf": [handler(driver.config.__pydantic_core_schema__), {"type": "null"}]}

@@ -93,19 +93,24 @@ _NAMED = (
     ("devices", ("afm_node", "driver")),
     ("operators", ("haptic_node", "operator", "kind")),
     ("samples", ("afm_node", "environment")),
+    ("programs", ("afm_node", "begin", "program")),
 )
+_LAYERS = ("afm_node", "sample")
 
 
 def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return kind and name of each law, device, operator and sample that a scenario names."""
-    found = []
-    for kind, path in _NAMED:
-        value: Any = document
-        for key in path:
-            value = value.get(key) if isinstance(value, Mapping) else None
-        if isinstance(value, str):
-            found.append((kind, value))
-    return found
+    """Return kind and name of each law, device, operator, sample, layer and program that a scenario names."""
+    named = ((kind, _at(document, path)) for kind, path in _NAMED)
+    found = [(kind, value) for kind, value in named if isinstance(value, str)]
+    sample = _at(document, _LAYERS)
+    sections = sample.items() if isinstance(sample, Mapping) else ()
+    return found + [("layers", name) for name, section in sections if isinstance(section, Mapping)]
+
+
+def _at(document: Any, path: Sequence[str]) -> Any:
+    for key in path:
+        document = document.get(key) if isinstance(document, Mapping) else None
+    return document
 
 
 @dataclass(frozen=True)

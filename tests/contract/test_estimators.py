@@ -68,7 +68,7 @@ def phase() -> None:
 
 def particle() -> None:
     find = importlib.import_module("telenano_assembly.find")
-    shape = importlib.import_module("telenano.afm.particles.tip_shape")
+    shape = importlib.import_module("telenano_assembly.particles.tip_shape")
     step_m = 62.5e-9
     x, y = np.meshgrid(step_m * np.arange(-24, 24), step_m * np.arange(-24, 24))
     # a block with a flat top and upright sides

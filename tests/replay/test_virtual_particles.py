@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import msgspec
 import pytest
-from telenano_microscopy.particle_bench import bench
+from telenano_assembly import bench
+from telenano_assembly.particles import layer
 from virtual_rig import ARMED_S, VirtualRig
 
-from telenano.afm.particles import layer
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.wire.instrument import AfmParticles

@@ -1,1 +1,33 @@
-"""Particles that are found in images and pushed into patterns, in simulated time or by the instrument of a rig."""
+"""Particles: how they lie on a sample and yield to a tip, how images find them, and how pushes bring them in place.
+
+What is named here is public for other packages:
+
+    from telenano_assembly import Push, bench, carried_out, new_hand
+"""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano_assembly.particle_bench import bench as bench
+    from telenano_assembly.particles.adhered_sphere import KINDS as KINDS
+    from telenano_assembly.particles.adhered_sphere import hold_of as hold_of
+    from telenano_assembly.particles.push import X as X
+    from telenano_assembly.particles.push import Y as Y
+    from telenano_assembly.particles.push import packed as packed
+    from telenano_assembly.particles.push import push_step as push_step
+    from telenano_assembly.particles.settings import ParticlesConfig as ParticlesConfig
+    from telenano_assembly.particles.steering import steered as steered
+    from telenano_assembly.particles.tip_shape import Spring as Spring
+    from telenano_assembly.particles.tip_shape import TipShape as TipShape
+    from telenano_assembly.particles.tip_shape import tip_shape as tip_shape
+    from telenano_assembly.particles.tip_shape import touch_distance_m as touch_distance_m
+    from telenano_assembly.push_hand import Hand as Hand
+    from telenano_assembly.push_hand import Push as Push
+    from telenano_assembly.push_hand import carried_out as carried_out
+    from telenano_assembly.push_hand import hand_moves as hand_moves
+    from telenano_assembly.push_hand import new_hand as new_hand
+    from telenano_assembly.push_hand import push_of as push_of
+else:
+    __getattr__, __dir__ = face(__name__)

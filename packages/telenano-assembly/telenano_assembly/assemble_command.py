@@ -9,17 +9,21 @@ import typer
 from rich.console import Console
 from telenano_microscopy.program_view import LiveOption
 
-from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import print_document, report_errors
-from telenano.cli.progress_bar import progress
-from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
-from telenano.files.whole_files import whole_file
+from telenano.cli import (
+    AfmOption,
+    ChannelOption,
+    JsonOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    report_errors,
+    results_in,
+)
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.settings.config import flag_overrides, merge, validate
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.afm.config import AfmConfig
+    from telenano.afm import AfmConfig
     from telenano_assembly.find import Found
     from telenano_assembly.plan import Point
     from telenano_assembly.run import ProgramBench
@@ -45,9 +49,10 @@ def particles(
 ) -> None:
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
-        from telenano.afm.particles.tip_shape import tip_shape
-        from telenano.afm.sample.surface_files import read_surface
+        from telenano.afm import read_surface
+        from telenano.files import whole_file
         from telenano_assembly.find import find_particles
+        from telenano_assembly.particles.tip_shape import tip_shape
 
         surface = read_surface(file, channel, None if size is None else size * 1e-9, may_lack=True)
         shape = tip_shape(tip_radius * 1e-9, math.radians(cone))
@@ -116,7 +121,7 @@ def assemble(
         with results_in(out) as folder:
             with progress("the first image", len(targets), shown=not as_json, counted=True) as show:
                 virtual = None if live else VirtualBench(config, folder)
-                bench: ProgramBench = virtual or LiveBench(config, site_file, lambda report: "")
+                bench: ProgramBench = virtual or LiveBench(config, site_file)
 
                 def tell(text: str, done: int) -> None:
                     show(done, text=text)
@@ -167,20 +172,18 @@ def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
 
 
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":
-    from telenano_microscopy.particle_bench import DISTURBED, bench
+    from telenano_assembly.particle_bench import DISTURBED, configured, particles_of
 
-    from telenano.afm.config import AfmConfig
-
-    given = flag_overrides(overrides)
-    has_places = "places" in given.get("sample", {}).get("particles", {})
-    particles = {} if has_places else {"count": 8, "seed": seed}
-    document = bench(particles, disturbances={**DISTURBED, "seed": seed})
-    config = validate(AfmConfig, merge(document, given), "--afm")
-    if config.sample is None or config.sample.particles is None:
+    disturbances = {**DISTURBED, "seed": seed}
+    config = configured(overrides, {"count": 8, "seed": seed}, disturbances, "places")
+    if particles_of(config) is None:
         raise ConfigError("--afm: an assembly needs sample.particles")
     return config
 
 
 def _diameter_m(config: "AfmConfig") -> float:
-    assert config.sample is not None and config.sample.particles is not None
-    return 2.0 * config.sample.particles.kind.radius_m
+    from telenano_assembly.particle_bench import particles_of
+
+    particles = particles_of(config)
+    assert particles is not None
+    return 2.0 * particles.kind.radius_m

@@ -1,5 +1,8 @@
-"""The commands of this package, which telenano lists without importing what they need."""
+"""The commands and the scenario of this package, which telenano lists without importing what they need."""
 
+from pathlib import Path
+
+SCENARIO = Path(__file__).with_name("assembly.yaml")
 COMMANDS = {
     "particles": (
         "telenano_assembly.assemble_command:particles",

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, optimize
 
-from telenano.afm.particles.tip_shape import TipShape
+from telenano_assembly.particles.tip_shape import TipShape
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -1,18 +1,16 @@
 """An assembly on a running rig: its images and pushes are programs of the instrument there."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig
 from telenano.analysis import LiveImage
-from telenano.console.live_program import run_program
-from telenano.wire.errors import RigError
-from telenano.wire.instrument import AfmProgram
-from telenano.wire.messages import Scalar
+from telenano.console import run_program
+from telenano.wire import RigError, Scalar
 from telenano_assembly.run import ProgramBench
 
 Array = npt.NDArray[np.float64]
@@ -24,12 +22,11 @@ class LiveBench(ProgramBench):
     Args:
         config: What is known of the tip and of the kind of particle.
         site_file: The site file of the rig.
-        on_report: Called with each report of a program; what it returns (abort or nothing) is sent.
     """
 
-    def __init__(self, config: AfmConfig, site_file: Path, on_report: Callable[[AfmProgram], str]) -> None:
+    def __init__(self, config: AfmConfig, site_file: Path) -> None:
         super().__init__(config)
-        self._site_file, self._on_report = site_file, on_report
+        self._site_file = site_file
 
     @property
     def time_s(self) -> float:
@@ -41,15 +38,15 @@ class LiveBench(ProgramBench):
             yield from enumerate(heights)
 
     def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
-        _, report = self._run(keys)
-        if report.values is None:
+        _, values = self._run(keys)
+        if values is None:
             raise RigError("the instrument says nothing of what it has pushed: is it of an older version?")
-        return report.values
+        return values
 
-    def _run(self, keys: dict[str, Scalar]) -> tuple[LiveImage, AfmProgram]:
-        """Run a program to its end; RigError, where something else ended it."""
+    def _run(self, keys: dict[str, Scalar]) -> tuple[LiveImage, Mapping[str, Scalar] | None]:
+        """Run a program to its end, and return its image and values; RigError, where something else ended it."""
         image = LiveImage()
-        report = run_program(self._site_file, keys, image, self._on_report)
+        report = run_program(self._site_file, keys, image, lambda report: "")
         if report.state != "finished":
             raise RigError(report.text)
-        return image, report
+        return image, report.values

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 from telenano_assembly.plan import Point
 
 NAMES = ("line", "square", "ring", "letters:TEXT")

@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 Array = npt.NDArray[np.float64]
 Point = tuple[float, float]

@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
-from telenano.afm.programs.push import AT_GOAL, PushSettings
-from telenano.cli import JsonOption, SiteFileOption, print_document, progress, report_errors
-from telenano.cli.model_options import validated, with_options
-from telenano.cli.sample_options import AfmOption
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides
-from telenano.settings.config import merge, validate
-from telenano.wire import ConfigError
-from telenano.wire.errors import RigError
+from telenano.cli import (
+    AfmOption,
+    JsonOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    report_errors,
+    validated,
+    with_options,
+)
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import ConfigError, RigError
+from telenano_assembly.push_program import AT_GOAL, PushSettings
 
 if TYPE_CHECKING:
-    from telenano.wire.messages import Scalar
+    from telenano.wire import Scalar
 
 _REACH_M = 1e-3
 _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
@@ -82,16 +87,13 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
-    from telenano_microscopy.particle_bench import DISTURBED, bench
     from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-    from telenano.afm.config import AfmConfig
-    from telenano.afm.programs.settings import requested
+    from telenano.afm import requested
+    from telenano_assembly.particle_bench import DISTURBED, configured
 
-    given = flag_overrides(overrides)
-    lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}
-    particles = {} if lie_elsewhere else {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
-    config = validate(AfmConfig, merge(bench(particles, disturbances=DISTURBED), given), "--afm")
+    particles = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
+    config = configured(overrides, particles, DISTURBED, "places", "count", "seed")
     instrument = VirtualInstrument(config)
     with progress("push", 1.0, shown=not as_json) as show:
         # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
@@ -101,7 +103,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     outcome = instrument.outcome
     if outcome is None or outcome.values is None or outcome.state != "finished":
         raise ConfigError("--from: nothing was pushed" if outcome is None else outcome.text)
-    places = instrument.device.state.part.moving[:, :2].tolist()
+    places = instrument.truths["particles"].places_m.tolist()
     told = _told(outcome.values)
     # What the simulation knows, and neither the program nor a real instrument does.
     return {**told, "true_m": min(places, key=lambda place: math.dist(place, told["believed_m"]))}

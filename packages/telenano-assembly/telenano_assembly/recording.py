@@ -5,16 +5,18 @@ from typing import Any
 
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from telenano.afm.programs.runner import Report
-from telenano.devices.afm.guarded import Step, line_fields, particle_fields
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.afm import Report
+from telenano.devices import Step, line_fields
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.wire import TOPICS, compose
-from telenano.wire.instrument import MOST_TEXT
+from telenano_assembly.layers import says
 
 NAME = "assembly.mcap"
 _INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"
 # The instrument is recorded so often, and so often where nothing moves [s].
 _STATE_S, _REPORT_S, _RESTING_S = 0.05, 0.1, 1.0
+# characters of a sentence of the assembly
+_MOST_TEXT = 512
 # Simulated time begins here [ns], because 0 means that there is no message.
 _BEGAN_NS = 1_000_000_000
 
@@ -52,21 +54,19 @@ class AssemblyRecorder:
 
     def say(self, text: str) -> None:
         """Record a sentence of the assembly."""
-        self._write("session/event", _PLANNER, id="", kind="mark", level="info", text=text[:MOST_TEXT], data={})
+        self._write("session/event", _PLANNER, id="", kind="mark", level="info", text=text[:_MOST_TEXT], data={})
 
     def finish(self) -> None:
         """Close the file."""
         self._writer.finish()
 
     def _truth(self) -> None:
-        simulation = self._instrument.device.simulation
-        found = None if simulation is None else simulation.particles
-        if found is None or not (found.moving.any() or self._is_due("afm/particles", _RESTING_S)):
-            return
-        self._write("afm/particles", **particle_fields(found))
+        said = says(self._instrument.truths["particles"])
+        if said.changes or self._is_due(said.topic, _RESTING_S):
+            self._write(said.topic, **said.fields)
 
     def _report(self, report: Report) -> None:
-        self._write("afm/program", **report._replace(text=report.text[:MOST_TEXT])._asdict())
+        self._write("afm/program", **report.fields())
 
     def _is_due(self, topic: str, period_s: float) -> bool:
         if self._instrument.time_s < self._due_s[topic]:

@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.particles.tip_shape import tip_shape, touch_distance_m
-from telenano.afm.programs.settings import requested
-from telenano.devices.afm.guarded import Step
-from telenano.wire.messages import Scalar
+from telenano.afm import AfmConfig, requested
+from telenano.devices import Step
+from telenano.wire import Scalar
 from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places
+from telenano_assembly.particle_bench import particles_of
+from telenano_assembly.particles.settings import ParticlesConfig
+from telenano_assembly.particles.tip_shape import tip_shape, touch_distance_m
 from telenano_assembly.plan import Point, Task, UnreachableError, planned, require_room
 from telenano_assembly.recording import AssemblyRecorder
 
@@ -124,7 +124,7 @@ class ProgramBench(ABC):
     """
 
     def __init__(self, config: AfmConfig, setpoint_n: float = 1.5e-9, scan_m_per_s: float = 2e-6) -> None:
-        particles = ParticlesConfig() if config.sample is None else config.sample.particles or ParticlesConfig()
+        particles = particles_of(config) or ParticlesConfig()
         self._scan_m_per_s = scan_m_per_s
         self._scan: dict[str, Scalar] = {
             "program": "scan",
@@ -198,7 +198,7 @@ class VirtualBench(ProgramBench):
 
     def truth(self) -> list[Point]:
         """Return where the particles really are on the sample [m]: what no planner may know."""
-        return [(x, y) for x, y, _ in self.instrument.device.state.part.moving.tolist()]
+        return [(x, y) for x, y in self.instrument.truths["particles"].places_m.tolist()]
 
     def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
         for step in self._steps(keys):
@@ -268,7 +268,7 @@ class Assembler:
         sides_m: tuple[float, float],
         report: Callable[[str, int], None] = lambda text, done: None,
     ) -> None:
-        particles = ParticlesConfig() if config.sample is None else config.sample.particles or ParticlesConfig()
+        particles = particles_of(config) or ParticlesConfig()
         self._nominal_m = particles.kind.radius_m
         self._bench, self._targets, self._sides, self._report = bench, targets, sides_m, report
         self._tip = tip_shape(config.tip_sample.tip_radius_m, math.radians(particles.cone_deg))

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 from telenano_assembly.find import sphere_m
+from telenano_assembly.particles.tip_shape import tip_shape
 from typer.testing import CliRunner
 
-from telenano.afm.particles.tip_shape import tip_shape
 from telenano.cli.root import app
 from telenano.recording.reader import Recording
 from telenano.recording.verify import verify

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from telenano_assembly.find import Found, find_particles, fixed_places, sphere_m
+from telenano_assembly.particles.tip_shape import tip_shape
 
-from telenano.afm.particles.tip_shape import tip_shape
 from telenano.cli.app import main
 
 TIP = tip_shape(10e-9, math.radians(15.0))

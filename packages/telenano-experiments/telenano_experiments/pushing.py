@@ -1,6 +1,6 @@
 """The hand of a simulated participant who steers the tip across the sample, in lockstep and on the rig alike.
 
-It is the scripted hand of `telenano study push` (`telenano.lockstep.push_hand`), which sees and feels what has come
+It is the scripted hand of `telenano study push` (`telenano_assembly.push_hand`), which sees and feels what has come
 back over the link. It moves the stylus as a person does in the controller's mode rate: its displacement is the velocity
 of the tip.
 """
@@ -9,16 +9,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from telenano_assembly import Hand, new_hand, push_of
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
 from telenano.afm import AfmConfig
-from telenano.afm.particles.push import KINETIC, RADIUS
-from telenano.afm.particles.tip_shape import touch_distance_m
 from telenano.hand import HapticConfig, LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
 from telenano.lockstep import instrument_params
-from telenano.lockstep.push_hand import Hand, Push, new_hand
 from telenano.settings import scenario_of
 from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
@@ -29,8 +27,8 @@ _TOUCHED_S, _LEAVES = 1.0, 0.5
 
 def steering_of(
     document: Mapping[str, Any], goal: Course, tolerance_m: float, who: Profile, seed: int
-) -> Callable[[int, float], Hand]:
-    """Return what makes the hand of a trial, from the window of the link's numbers and the period [s].
+) -> Callable[[float], Hand]:
+    """Return what makes the hand of a trial, from the period [s].
 
     Args:
         document: The checked scenario, whose sample has a particle.
@@ -48,20 +46,17 @@ def steering_of(
     arm_s = (lateral.damping_n_s_per_m + loaded.section("controller", ControllerConfig).lateral.damping_n_s_per_m) / (
         lateral.stiffness_n_per_m
     )
-    radius_m, (x_m, y_m) = float(plant.fixed[0, RADIUS]), plant.start[0, :2].tolist()
-    push = Push(
+    push = push_of(
+        plant,
         goal_m=(float(goal.values[-1, 0]), float(goal.values[-1, 1])),
-        place_m=(x_m, y_m),
-        d_m=touch_distance_m(plant.tip, radius_m, 0.0),
-        friction_n=float(plant.fixed[0, KINETIC]),
         speed_m_per_s=SPEED_M_PER_S,
         reaction_s=who.reaction_time_s,
         answers_s=trip_s + arm_s,
         leaves_m=_LEAVES * tolerance_m,
     )
 
-    def make(window: int, period_s: float) -> Hand:
+    def make(period_s: float) -> Hand:
         random = np.random.Generator(np.random.PCG64(seed))
-        return new_hand(push, random, round((_TOUCHED_S + 2.0 * trip_s) / period_s), window, period_s)
+        return new_hand(push, random, round((_TOUCHED_S + 2.0 * trip_s) / period_s), period_s)
 
     return make

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from telenano_assembly import steered
 
-from telenano.extend.learning import steered, wilson
+from telenano.analysis import wilson
 from telenano_learning import engine
 from telenano_learning.push_env import PushVectorEnv
 

@@ -11,20 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
-from telenano.extend.learning import (
+from telenano_assembly import (
     KINDS,
     Spring,
     TipShape,
     X,
     Y,
-    always_compiled,
     hold_of,
     packed,
     push_step,
     tip_shape,
     touch_distance_m,
 )
+
+from telenano.numerics import always_compiled
 
 Array = npt.NDArray[np.float64]
 

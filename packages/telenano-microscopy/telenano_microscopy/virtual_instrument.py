@@ -1,6 +1,6 @@
 """The instrument of a configuration in simulated time: guard, programs and device of the node, without a bus."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from telenano.afm import (
@@ -78,6 +78,11 @@ class VirtualInstrument:
     def fields(self, step: Step) -> dict[str, Any]:
         """Return afm/state after a step."""
         return {"command_seq": 0, "hand_seq": 0, "hand_t_ns": 0, **step.fields(self._memory)}
+
+    @property
+    def truths(self) -> Mapping[str, Any]:
+        """Return what is so of what lies on the sample, by the name of its layer, which no instrument knows."""
+        return {} if self.device.simulation is None else self.device.simulation.truths
 
     def report(self) -> Report | None:
         """Return how far the program is that runs, None where none does."""

@@ -8,21 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from telenano_assembly import push_hand
+from telenano_assembly.particles.adhered_sphere import KINDS
+from telenano_assembly.particles.push import KINETIC, push_step
+from telenano_assembly.particles.steering import steered
+from telenano_assembly.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano_studies import push_command
 from telenano_studies.loops import push_study
 from telenano_studies.loops.push_study import Outcome, Trial, check, read, rows_of, trials_of
 from telenano_studies.loops.sweep import Journal
 from typer.testing import CliRunner
 
-from telenano.afm.particles.adhered_sphere import KINDS
-from telenano.afm.particles.push import KINETIC, push_step
-from telenano.afm.particles.steering import steered
-from telenano.afm.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano.analysis.intervals import wilson
 from telenano.cli.root import app
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from telenano.laws.lateral_settings import LateralConfig
-from telenano.lockstep import across, lockstep, push_hand
+from telenano.lockstep import across, lockstep
 from telenano.lockstep.simulation import simulate_document
 from telenano.settings import find_scenario
 from telenano.wire.errors import ConfigError
@@ -49,8 +50,6 @@ def placed_by(seed: int, delay_ticks: int, **changes: float) -> tuple[float, np.
     hand = push_hand.Hand(
         plan=plan,
         state=state,
-        forward=np.zeros((0, 2)),
-        backward=np.zeros((0, 4)),
         seen=np.zeros(4),
         perceived=np.zeros((200, 4)),
         errors=random.standard_normal((512, 6)),
@@ -145,8 +144,8 @@ def test_a_hand_that_steers_by_the_stylus_moves_the_tip_and_sees_it_later(monkey
     document |= {"duration_s": 1.0, "delay_node": {way: {"delay_s": 0.02} for way in ("forward", "backward")}}
     push = push_hand.Push((0.0, 0.0), (7e-7, 0.0), D_M, 2e-8, 3e-7, 0.2, 0.0, 3e-8)
 
-    def hand(window: int, period_s: float) -> push_hand.Hand:
-        return push_hand.new_hand(push, np.random.Generator(np.random.PCG64(1)), 0, window, period_s)
+    def hand(period_s: float) -> push_hand.Hand:
+        return push_hand.new_hand(push, np.random.Generator(np.random.PCG64(1)), 0, period_s)
 
     found = simulate_document(document, "a test", hand)
     tip_m = found["tip_x_m"]

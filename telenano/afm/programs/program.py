@@ -168,7 +168,8 @@ class Program(ABC, Generic[S, P, T]):
 
     settings: the model of its section, with units, bounds and defaults; title: what the page calls it; about: one line
     for a person; label: its name in sentences, where it differs from the one in the table; can_pause: it can stand
-    where it is, and go on; leaves_tip: the stage stays where the program ends, for a hand that goes on from there.
+    where it is, and go on; leaves_tip: the stage stays where the program ends, for a hand that goes on from there;
+    moves_across: it needs an instrument that moves the tip over the sample.
     """
 
     settings: type[S]
@@ -177,6 +178,7 @@ class Program(ABC, Generic[S, P, T]):
     label: ClassVar[str] = ""
     can_pause: ClassVar[bool] = False
     leaves_tip: ClassVar[bool] = False
+    moves_across: ClassVar[bool] = False
 
     @classmethod
     def kinds(cls) -> tuple[type[P], type[T]]:

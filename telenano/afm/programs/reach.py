@@ -31,7 +31,7 @@ class Span(NamedTuple):
 class Reach(NamedTuple):
     """A surface as the tip sees it, None for a plane at height 0; rest distance L [m]; limits of the base.
 
-    above_m: how far particles stand above the surface [m], which may be anywhere.
+    above_m: how far what lies on the surface stands above it [m], which may be anywhere.
     """
 
     surface: Surface | None

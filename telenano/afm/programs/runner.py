@@ -10,6 +10,7 @@ from telenano.afm.programs.program import Inputs, Instrument, Wanted
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS, AnyProgram
 from telenano.wire.errors import RefusedError
+from telenano.wire.instrument import MOST_TEXT
 from telenano.wire.messages import Scalar
 from telenano.wire.node_state import Part, part
 
@@ -29,7 +30,7 @@ class Asked(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What is reported of a program: `afm/program`."""
+    """What is reported of a program; `fields` returns afm/program."""
 
     program: str
     state: RunState
@@ -38,6 +39,9 @@ class Report(NamedTuple):
     line: int
     lines: int
     values: Mapping[str, Scalar] | None = None
+
+    def fields(self) -> dict[str, Any]:
+        return {**self._asdict(), "text": self.text[:MOST_TEXT]}
 
 
 class RunnerState(NamedTuple):

@@ -127,6 +127,7 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
     settings = ScanSettings
     title, about = "Scan", "What is imaged."
     can_pause = True
+    moves_across = True
 
     def begin(self, settings: ScanSettings, instrument: Instrument, place: Place) -> Begun[ScanPlan, ScanState]:
         s = settings

@@ -4,12 +4,13 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field, create_model, field_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
 from telenano.afm.driver import AfmDriver
 from telenano.afm.programs.program_settings import Position
 from telenano.afm.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
 from telenano.settings.config import Settings, changed_disturbances, nested, validate
+from telenano.settings.entries import missing_entry
 from telenano.settings.plugins import refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
@@ -59,10 +60,19 @@ class InstrumentRequest(_Programs):
 
     lateral: LateralTarget = Field(LateralTarget(), description="Where the tip is to be.")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _programs_are_here(cls, given: Any) -> Any:
+        for name in given if isinstance(given, Mapping) else ():
+            cls._usable_program(name)
+        return given
+
     @field_validator("program", mode="before")
     @classmethod
     def _usable_program(cls, name: Any) -> Any:
         refuse(PACKAGE_PROGRAMS, name)
+        if name not in PROGRAMS and (hint := missing_entry("program", name)):
+            raise ValueError(hint)
         return name
 
     def settings_of(self, program: str) -> Any:

@@ -4,7 +4,6 @@ from typing import Any
 
 from telenano.afm.programs.curve import Curve
 from telenano.afm.programs.program import Program
-from telenano.afm.programs.push import Push
 from telenano.afm.programs.scan import Scan
 from telenano.afm.programs.tactile import Tactile
 from telenano.settings.config import Settings
@@ -12,7 +11,7 @@ from telenano.settings.plugins import load
 
 AnyProgram = Program[Any, Any, Any]
 
-OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile(), "push": Push()}
+OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile()}
 # With one of these `program=...` changes the program that runs.
 CHANGES = ("pause", "resume", "abort")
 # `set` takes these other keys at the instrument.

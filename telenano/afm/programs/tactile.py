@@ -100,6 +100,7 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
 
     settings = TactileSettings
     title, about = "Tactile", "The path that a hand feels."
+    moves_across = True
     label = "tactile path"
 
     def begin(

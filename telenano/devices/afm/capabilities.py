@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from telenano.afm.config import DRIVERS
+from telenano.afm.programs.table import PROGRAMS
 
 # A loop through link and instrument needs z and force at this rate at least [Hz]; slower ones shake a hand in contact.
 LEAST_LOOP_HZ = 200.0
@@ -82,7 +83,7 @@ def refusal(driver: str, program: str) -> str:
     found = capabilities_of(driver)
     if found is None:
         return ""
-    if program in ("scan", "tactile", "push") and not found.lateral:
+    if program in PROGRAMS and PROGRAMS[program].moves_across and not found.lateral:
         return f"{program} moves the tip over the sample, and {driver} moves it along z only"
     if program == "scan" and found.scans:
         return ""

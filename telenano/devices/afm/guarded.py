@@ -4,19 +4,20 @@ A part is what an instrument may have or lack, such as a lateral stage or a reco
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
 import msgspec
-import numpy as np
 
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
 from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
 from telenano.afm.lateral import LateralParams, Place, moved
-from telenano.afm.part import AfmSample, Particles
+from telenano.afm.layers import Said
+from telenano.afm.made_samples import layers_on
+from telenano.afm.part import AfmSample
 from telenano.afm.programs.program import FinishedLine, Inputs, Wanted
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.section_config import FrictionConfig
@@ -27,8 +28,10 @@ from telenano.wire.messages import AfmCommand, Array
 
 # A hand that trembles at the edge of a map is told of it once.
 _QUIET_NS = 2_000_000_000
-# The truth about particles is looked at so often, and published then while one moves, else every so many looks.
-_LOOK_PERIOD_NS, _RESTING_LOOKS = 50_000_000, 20
+# the truth of a layer is looked at every 50 ms, and published then while it changes
+_LOOK_PERIOD_NS = 50_000_000
+# while it does not, every twentieth look is published
+_RESTING_LOOKS = 20
 Event = Callable[[str, str, str], None]
 
 
@@ -38,8 +41,8 @@ class AfmMemory(msgspec.Struct, array_like=True):
     The state of the guard; the newest command; the newest one whose hand was armed, which is the one in force, and when
     it was received [ns]; forces on the tip at the last step [N]; where the tip is, and where a person wants it; the
     times of the last report of a program, of the last step, and of the next one [ns]; what is felt, None where it is
-    the force; the number of the last look at the particles; whether the tip was placed at the last step, and whether
-    that is still to be reported after arming.
+    the force; the number of the last look at what lies on the sample, under the name that it has in recordings of
+    before; whether the tip was placed at the last step, and whether that is still to be reported after arming.
     """
 
     guard: safety.SafetyState
@@ -121,12 +124,6 @@ def line_fields(line: FinishedLine, lines: int, friction: FrictionConfig) -> dic
     }
 
 
-def particle_fields(found: Particles) -> dict[str, Any]:
-    """Return afm/particles."""
-    arrays = found._replace(moving=found.moving.astype(np.uint8))._asdict()
-    return {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
-
-
 AfmPart = StepPart[Step, AfmMemory]
 
 
@@ -168,7 +165,7 @@ class Stage(AfmPart):
 
 
 class SimulatedTime(AfmPart):
-    """Lets the time of a simulation pass, and publishes for recordings where its particles really are.
+    """Lets the time of a simulation pass.
 
     Between two steps it goes on by what is known of the motion, in shares that let others have the processor.
     """
@@ -182,17 +179,27 @@ class SimulatedTime(AfmPart):
     def report(self, step: Step, memory: AfmMemory) -> None:
         if self._simulation.settles:
             self._node.defer(self._settle, NEVER_NS)
-        look, before = memory.stepped_ns // _LOOK_PERIOD_NS, memory.particles_look
-        if look == before:
-            return
-        memory.particles_look = look
-        found = self._simulation.particles
-        if found and (found.moving.any() or look // _RESTING_LOOKS != before // _RESTING_LOOKS):
-            self._node.publish("afm/particles", **particle_fields(found))
 
     def _settle(self) -> None:
         if self._simulation.settle():
             self._node.defer(self._settle, NEVER_NS)
+
+
+class Truths(AfmPart):
+    """Publishes for recordings what is so of what lies on the sample (`telenano.afm.layers`)."""
+
+    def __init__(self, says: Mapping[str, Callable[[Any], Said]], simulation: Simulation, node: Node) -> None:
+        self._says, self._simulation, self._node = says, simulation, node
+
+    def report(self, step: Step, memory: AfmMemory) -> None:
+        look, before = memory.stepped_ns // _LOOK_PERIOD_NS, memory.particles_look
+        if look == before:
+            return
+        memory.particles_look = look
+        rests, truths = look // _RESTING_LOOKS != before // _RESTING_LOOKS, self._simulation.truths
+        for said in (says(truths[name]) for name, says in self._says.items()):
+            if said.changes or rests:
+                self._node.publish(said.topic, **said.fields)
 
 
 class OwnImages(AfmPart):
@@ -258,6 +265,8 @@ def parts_of(node: DeviceNode, config: AfmConfig, driver: AfmDriver) -> list[Afm
         parts.append(Stage(driver.stage, config.to_lateral_params()))
     if driver.simulation is not None:
         parts.append(SimulatedTime(driver.simulation, node))
+        says = {layer.name: layer.says for layer, _ in layers_on(config.sample) if layer.says is not None}
+        parts.append(Truths(says, driver.simulation, node))
     if (own_scan := getattr(driver, "own_scan", None)) is not None:
         parts.append(OwnImages(own_scan))
     if driver.report is not None:

@@ -8,6 +8,7 @@ from pydantic import BaseModel
 from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
 from telenano.afm.driver import AfmDriver
 from telenano.afm.lateral import Place
+from telenano.afm.made_samples import layers_on
 from telenano.afm.over_map import read_params
 from telenano.afm.programs.feedback import remaining
 from telenano.afm.programs.program import Instrument
@@ -47,13 +48,13 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
 
 
 def _layers(config: AfmConfig) -> dict[str, Any]:
-    """Return what is around the tip over the surface: the particles, and the channel that measures what is lateral."""
-    particles = None if config.sample is None else config.sample.particles
+    """Return what is around the tip over the surface: what lies there, and the channel of the lateral force."""
+    heights = [layer.height(settings).height_m for layer, settings in layers_on(config.sample)]
 
     def layer(part: Any, surface: Surface | None) -> Any:
-        return config.measured_by_torsion(config.to_particle_layer(part, surface))
+        return config.measured_by_torsion(config.with_layers(part, surface))
 
-    return {"layer": layer, "above_m": 0.0 if particles is None else particles.highest_m}
+    return {"layer": layer, "above_m": max(heights, default=0.0)}
 
 
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:

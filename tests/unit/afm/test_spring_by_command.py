@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from telenano_microscopy.particle_bench import bench
+from telenano_assembly import bench
 from test_afm_programs import SOFT, Imager, command
 
 from services.afm_node.node import AfmNode
@@ -68,16 +68,15 @@ def test_a_real_sample_has_its_own(bench_of: Any) -> None:
 
 def test_particles_lie_where_they_lay_again(bench_of: Any) -> None:
     config = AfmConfig.model_validate(bench({"places": [[1e-6, 0.0], [0.0, 1e-6]]}))
-    driver = simulated_afm(config.to_params(), config.to_surface(), layer=config.to_particle_layer)
+    driver = simulated_afm(config.to_params(), config.to_surface(), layer=config.with_layers)
     afm = Imager(bench_of("afm_node@slave"))
     afm.node = AfmNode(bench_of("afm_node@slave").context, config, driver)
     moved = driver.state.part.moving.copy()
     moved[0, 0] += 3e-7
     driver.state.part = driver.state.part._replace(moving=moved)
-    assert driver.particles is not None
-    assert driver.particles.places_m[0, 0] == pytest.approx(1.3e-6, rel=1e-9, abs=0.0)
+    assert driver.truths["particles"].places_m[0, 0] == pytest.approx(1.3e-6, rel=1e-9, abs=0.0)
     assert afm.set(**{"sample.restore": True}) == "the sample is as it was in the beginning"
-    assert driver.particles.places_m.tolist() == [[1e-6, 0.0], [0.0, 1e-6]]
+    assert driver.truths["particles"].places_m.tolist() == [[1e-6, 0.0], [0.0, 1e-6]]
     # unlike another stiffness it is in the state, from which a re-run goes on
     assert afm.node.capture() is not None
     with pytest.raises(RefusedError, match=r"sample\.restore: has to be true"):

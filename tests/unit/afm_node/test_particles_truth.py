@@ -20,7 +20,7 @@ TRUTH = "afm/particles"
 # docs and generated files of the contract are no readers.
 SAYS_IT = {
     "telenano/wire/topics.py",
-    "telenano/devices/afm/guarded.py",
+    "packages/telenano-assembly/telenano_assembly/layers.py",
     "packages/telenano-assembly/telenano_assembly/recording.py",
     "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
     "packages/telenano-experiments/telenano_experiments/tasks/push_particle.py",

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from telenano.hand.config import DRIVERS, HapticConfig
-from telenano.settings import device_drivers
+from telenano.settings import entries
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
@@ -140,8 +140,8 @@ def test_commands_know_it_by_its_entry(found: dict[str, Any]) -> None:
 
 
 def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing: device_drivers.Loaded[Any] = device_drivers.Loaded({}, {})
-    monkeypatch.setattr(device_drivers, "load", lambda *given: nothing)
+    nothing: entries.Loaded[Any] = entries.Loaded({}, {})
+    monkeypatch.setattr(entries, "load", lambda *given: nothing)
     # what was found before
     monkeypatch.setattr(DRIVERS, "_asked", {})
     for name in ("haply", "dhd", "hd"):

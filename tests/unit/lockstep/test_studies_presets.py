@@ -94,7 +94,7 @@ def test_what_a_lockstep_has_not_is_refused_in_words_that_name_it(law: str, envi
 
 
 def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:
-    assert {path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml")} == {"assembly", "fig10", "fig12", "image", "touch"}
+    assert {path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml")} == {"fig10", "fig12", "image", "touch"}
 
 
 @pytest.mark.usefixtures("loop")

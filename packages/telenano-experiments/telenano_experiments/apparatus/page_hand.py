@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import zmq
+from telenano_assembly import Hand, hand_moves
 
 from telenano.console import RigHand
 from telenano.hand import LateralHandConfig
 from telenano.laws import ControllerConfig
-from telenano.lockstep.across import steering_force_n
-from telenano.lockstep.push_hand import Hand, hand_moves
+from telenano.lockstep import steering_force_n
 from telenano.runtime import OBSERVER, Participant, load_site, open_participant
 from telenano.wire import LINK, HapticState, RigError, TeleopBackward
 from telenano_experiments.nodes import HAND
@@ -41,12 +41,12 @@ class PageHand:
 
     @contextlib.contextmanager
     def pushing(
-        self, steers: Callable[[int, float], Hand], controller: ControllerConfig, stylus: LateralHandConfig | None
+        self, steers: Callable[[float], Hand], controller: ControllerConfig, stylus: LateralHandConfig | None
     ) -> Iterator[None]:
         """Push while the block runs and the operator's programme with it.
 
         Args:
-            steers: Makes the hand, from the window of the link's numbers and the period [s].
+            steers: Makes the hand, from the period [s].
             controller: The settings of the controller, in mode rate.
             stylus: The stylus that is pushed.
 
@@ -59,7 +59,7 @@ class PageHand:
             try:
                 # It listens while it pushes only, because what nobody reads would fill the queues of the nodes.
                 with open_participant(OBSERVER, self._book, publisher=False) as participant:
-                    self._push(over, _HandInputs(participant), steers(1, controller.period_s), controller, stylus)
+                    self._push(over, _HandInputs(participant), steers(controller.period_s), controller, stylus)
             except Exception as error:  # noqa: BLE001
                 faults.append(error)
 

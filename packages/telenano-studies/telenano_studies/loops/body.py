@@ -13,7 +13,7 @@ FASTEST_HZ in contact.
 import math
 from typing import NamedTuple
 
-from telenano.afm import Part, register
+from telenano.afm import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics import compiled
 
@@ -115,4 +115,4 @@ def _start(params: BodyParams, inputs: PlantInputs) -> BodyState:
     return BodyState(inputs.base_m, 0.0, 0.0)
 
 
-register(BodyParams, Part(_start, step, lateral=False))
+register_part(BodyParams, Part(_start, step, lateral=False))

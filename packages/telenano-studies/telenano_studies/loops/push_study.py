@@ -1,9 +1,9 @@
 """How a delayed hand places a particle: trials in lockstep over links, under each law for the normal direction.
 
-A trial is a particle 1 um from its goal, a link, and a hand (`push_hand`) with a reaction time. The hand presses with a
-constant force by the law under study, as in every study, and steers the tip over the sample by rate: the rate goes with
-the forward signals of the law, and place and lateral force with the answers. Where a signal is lost the last rate
-counts on, at most to the deadline of the loop.
+A trial is a particle 1 um from its goal, a link, and a hand (`telenano_assembly.push_hand`) with a reaction time. The
+hand presses with a constant force by the law under study, as in every study, and steers the tip over the sample by
+rate: the rate goes with the forward signals of the law, and place and lateral force with the answers. Where a signal is
+lost the last rate counts on, at most to the deadline of the loop.
 """
 
 import functools
@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
-from telenano_microscopy.particle_bench import bench
+from telenano_assembly import bench, carried_out, new_hand, push_of
 
-from telenano.afm import KINETIC, RADIUS, AfmConfig, initial_afm_state, touch_distance_m
+from telenano.afm import AfmConfig, initial_afm_state
 from telenano.analysis import wilson
 from telenano.hand import HapticConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.lockstep import Rig, Schedule, build_rig, instrument_params, schedule_of, simulate, time_to_place_s
-from telenano.lockstep import push_hand as h
 from telenano.settings import Settings, validate
 from telenano.wire import ConfigError, known_names
 from telenano_studies.loops.cells import sources
@@ -114,39 +113,29 @@ def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
     """Run a trial, of at most longest_s [s] after the touch."""
     rig, random = _rig(trial.law), np.random.Generator(np.random.PCG64(trial.seed))
     plant, period_s = rig.instrument.plant, rig.period_s
-    d = touch_distance_m(plant.tip, plant.fixed[0, RADIUS], 0.0)
+    round_trip_s = 1e-3 * trial.round_trip_ms
+    push = push_of(plant, (0.0, 0.0), trial.speed_m_per_s, trial.reaction_s, round_trip_s, 0.6 * PLACED_M)
     bearing, heading = random.uniform(-math.pi, math.pi, 2).tolist()
-    place = 2.5 * d * np.array([math.cos(bearing), math.sin(bearing)])
+    place = 2.5 * push.d_m * np.array([math.cos(bearing), math.sin(bearing)])
     goal = place + WAY_M * np.array([math.cos(heading), math.sin(heading)])
     instrument = rig.instrument._replace(plant=plant._replace(start=np.array([[*place.tolist(), 1.0]])))
     rig = replace(rig, instrument=instrument, instrument_start=initial_afm_state(instrument))
-    round_trip_s = 1e-3 * trial.round_trip_ms
     settle = math.ceil(time_to_place_s(instrument.safety, round_trip_s) / period_s)
     begins = round((_TOUCHED_S + 2.0 * round_trip_s) / period_s)
     ticks = settle + begins + round(longest_s / period_s)
     schedule = _schedule(round_trip_s, trial.loss, trial.seed if trial.loss else 0, ticks, period_s)
-    push = h.Push(
-        goal_m=(float(goal[0]), float(goal[1])),
-        place_m=(float(place[0]), float(place[1])),
-        d_m=d,
-        friction_n=float(plant.fixed[0, KINETIC]),
-        speed_m_per_s=trial.speed_m_per_s,
-        reaction_s=trial.reaction_s,
-        answers_s=round_trip_s,
-        leaves_m=0.6 * PLACED_M,
-    )
-    hand = h.new_hand(push, random, begins, schedule.window, period_s)
-    state = hand.state
+    push = push._replace(goal_m=(float(goal[0]), float(goal[1])), place_m=(float(place[0]), float(place[1])))
+    hand = new_hand(push, random, begins, period_s)
     simulate(rig, schedule, settle, hand)
-    done = bool(state[h.PHASE] == h.DONE)
+    carried = carried_out(hand)
     return Outcome(
         trial,
-        error_m=float(np.sqrt(np.sum((state[[h.TRUE_X, h.TRUE_Y]] - goal) ** 2))),
-        done=done,
-        time_s=float((state[h.DONE_AT] - begins) * period_s) if done else longest_s,
-        losses=int(state[h.LOSSES]),
-        peak_n=float(state[h.PEAK_ACROSS]),
-        press_n=float(state[h.PEAK_ALONG]),
+        error_m=float(np.sqrt(np.sum((carried.place_m - goal) ** 2))),
+        done=carried.done,
+        time_s=float((carried.done_tick - begins) * period_s) if carried.done else longest_s,
+        losses=carried.losses,
+        peak_n=carried.peak_n,
+        press_n=carried.press_n,
     )
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_assembly.particles.tip_shape import ride_height_m, tip_shape
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.part import PlantInputs, part_step
-from telenano.afm.particles.tip_shape import ride_height_m, tip_shape
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.torsion import TorsionParams, _step
 from telenano.devices.afm.instrument import driver_of

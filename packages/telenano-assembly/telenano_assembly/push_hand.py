@@ -8,13 +8,16 @@ did, and corrects that where it is more than it wants to leave.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.particles.steering import steered
-from telenano.numerics.compiler import compiled
+from telenano.lockstep import HandSteps, register_hand
+from telenano.numerics import compiled
+from telenano_assembly.particles.push import KINETIC, RADIUS
+from telenano_assembly.particles.steering import steered
+from telenano_assembly.particles.tip_shape import touch_distance_m
 
 Array = npt.NDArray[np.float64]
 
@@ -43,15 +46,12 @@ _HELD_TICKS = 20
 class Hand(NamedTuple):
     """The hand and what is on the link: `plan` and `state`, a row of columns each.
 
-    forward: speeds by the number of the sample, (window, 2) [m/s]; backward: place and force by the number of the
-    answer, (window, 4) [m, N]; seen: the newest of these, (4,); perceived: those of the reaction time, (ticks, 4);
-    errors: unit variance, (k, 6), in the order in which they are used.
+    seen: place and force of the newest answer, (4,) [m, N]; perceived: those of the reaction time, (ticks, 4); errors:
+    unit variance, (k, 6), in the order in which they are used.
     """
 
     plan: Array
     state: Array
-    forward: Array
-    backward: Array
     seen: Array
     perceived: Array
     errors: Array
@@ -81,14 +81,13 @@ _IMAGE_M, _PLACE_M, _FORCE_SHARE, _TREMOR, _TURN = 10e-9, 5e-9, 0.1, 0.15, 0.05
 _ERRORS = 2048
 
 
-def new_hand(push: Push, random: np.random.Generator, begins: int, window: int, period_s: float) -> Hand:
+def new_hand(push: Push, random: np.random.Generator, begins: int, period_s: float) -> Hand:
     """Return a hand before its first tick.
 
     Args:
         push: What it is to do.
         random: The source of its errors.
         begins: The tick of the session at which it begins.
-        window: How many numbers of the link are in flight at most.
         period_s: The time between two ticks [s].
     """
     plan, state = np.zeros(PLAN), np.zeros(STATE)
@@ -103,11 +102,61 @@ def new_hand(push: Push, random: np.random.Generator, begins: int, window: int, 
     return Hand(
         plan=plan,
         state=state,
-        forward=np.zeros((window, 2)),
-        backward=np.zeros((window, 4)),
         seen=np.zeros(4),
         perceived=np.zeros((round(push.reaction_s / period_s), 4)),
         errors=random.standard_normal((_ERRORS, 6)),
+    )
+
+
+def push_of(
+    layer: Any,
+    goal_m: tuple[float, float],
+    speed_m_per_s: float,
+    reaction_s: float,
+    answers_s: float,
+    leaves_m: float,
+) -> Push:
+    """Return the push of the first particle of a layer, the parameters of an instrument's part (`particles.layer`).
+
+    The other arguments are those of `Push`.
+    """
+    x_m, y_m = layer.start[0, :2].tolist()
+    return Push(
+        goal_m=goal_m,
+        place_m=(x_m, y_m),
+        d_m=touch_distance_m(layer.tip, float(layer.fixed[0, RADIUS]), 0.0),
+        friction_n=float(layer.fixed[0, KINETIC]),
+        speed_m_per_s=speed_m_per_s,
+        reaction_s=reaction_s,
+        answers_s=answers_s,
+        leaves_m=leaves_m,
+    )
+
+
+class Carried(NamedTuple):
+    """What a hand has done: whether it was content, and at which tick; where the particle really is [m].
+
+    losses: how often it lost the particle; peak_n, press_n: the largest force across the tip and along it [N].
+    """
+
+    done: bool
+    done_tick: float
+    place_m: Array
+    losses: int
+    peak_n: float
+    press_n: float
+
+
+def carried_out(hand: Hand) -> Carried:
+    """Return what a hand has done until now."""
+    state = hand.state
+    return Carried(
+        done=bool(state[PHASE] == DONE),
+        done_tick=state[DONE_AT],
+        place_m=state[[TRUE_X, TRUE_Y]],
+        losses=int(state[LOSSES]),
+        peak_n=float(state[PEAK_ACROSS]),
+        press_n=float(state[PEAK_ALONG]),
     )
 
 
@@ -208,3 +257,33 @@ def _wanted(
         length = math.sqrt(way_x * way_x + way_y * way_y)
         way_x, way_y = way_x / length, way_y / length
     return way_x, way_y, share
+
+
+@compiled
+def _sees(hand: Hand, answer: Array) -> None:
+    hand.seen[:] = answer
+
+
+@compiled
+def _notes(hand: Hand, part: Any, force_n: float, across_n: tuple[float, float]) -> None:
+    """Write down the largest forces on the tip [N], and where the first particle really is [m]."""
+    state, across = hand.state, np.sqrt(across_n[0] * across_n[0] + across_n[1] * across_n[1])
+    state[PEAK_ACROSS], state[PEAK_ALONG] = max(state[PEAK_ACROSS], across), max(state[PEAK_ALONG], force_n)
+    state[TRUE_X], state[TRUE_Y] = part.moving[0, 0], part.moving[0, 1]
+
+
+@compiled
+def _ends(hand: Hand) -> bool:
+    return bool(hand.state[PHASE] == DONE)
+
+
+@compiled
+def _writes(hand: Hand, row: Array) -> None:
+    row[0], row[1] = hand.state[TRUE_X], hand.state[TRUE_Y]
+
+
+_COLUMNS = {
+    "particle_x_m": ("m", "Where the particle really is, x"),
+    "particle_y_m": ("m", "Where the particle really is, y"),
+}
+register_hand(Hand, HandSteps(hand_moves, _sees, _notes, _ends, _writes, _COLUMNS))

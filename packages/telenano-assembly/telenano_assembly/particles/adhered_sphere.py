@@ -10,8 +10,8 @@ that moment over R are less than what sliding needs.
 import math
 from typing import Literal, NamedTuple
 
-from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
-from telenano.numerics.compiler import compiled
+from telenano.afm import reduced_modulus_pa
+from telenano.numerics import compiled
 
 Motion = Literal["slide", "roll", "auto"]
 

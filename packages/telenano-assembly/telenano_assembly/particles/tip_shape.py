@@ -13,7 +13,7 @@ cone. Both follow from two circles, and from a circle and a straight line, that 
 import math
 from typing import NamedTuple
 
-from telenano.numerics.compiler import compiled
+from telenano.numerics import compiled
 
 
 class TipShape(NamedTuple):

@@ -7,7 +7,7 @@ error dies within d / 2.
 
 import math
 
-from telenano.numerics.compiler import compiled
+from telenano.numerics import compiled
 
 _STEEPEST = math.sqrt(3.0)
 

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from telenano.afm.particles import push
-from telenano.afm.particles.adhered_sphere import KINDS, contact_radius_m, hold_of
-from telenano.afm.particles.cluster import give_way
-from telenano.afm.particles.push import push_step
-from telenano.afm.particles.tip_shape import Spring, join_height_m, ride_height_m, tip_shape, touch_distance_m
+from telenano_assembly.particles import push
+from telenano_assembly.particles.adhered_sphere import KINDS, contact_radius_m, hold_of
+from telenano_assembly.particles.cluster import give_way
+from telenano_assembly.particles.push import push_step
+from telenano_assembly.particles.tip_shape import Spring, join_height_m, ride_height_m, tip_shape, touch_distance_m
 
 CONE = math.radians(15.0)
 TIP = tip_shape(10e-9, CONE)

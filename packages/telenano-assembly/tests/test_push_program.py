@@ -4,17 +4,18 @@ import math
 from typing import Any
 
 import pytest
+from telenano_assembly import push_program as push
+from telenano_assembly.particles.push import KINETIC, RADIUS, RESTED, push_step
+from telenano_assembly.particles.settings import ParticlesConfig
+from telenano_assembly.particles.tip_shape import Spring, tip_shape, touch_distance_m
+from telenano_assembly.push_program import Push, PushSettings, PushState
 from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.driver import Oscillation
 from telenano.afm.lateral import LateralParams, Place
-from telenano.afm.particles.push import KINETIC, RADIUS, RESTED, push_step
-from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.particles.tip_shape import Spring, tip_shape, touch_distance_m
-from telenano.afm.programs import push, scan
+from telenano.afm.programs import scan
 from telenano.afm.programs.program import Inputs, Instrument
-from telenano.afm.programs.push import Push, PushSettings, PushState
 from telenano.afm.programs.settings import requested
 from telenano.settings.config import validate
 from telenano.wire.errors import RefusedError

@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.particles.adhered_sphere import area_ratio
-from telenano.afm.particles.cluster import give_way
-from telenano.afm.particles.tip_shape import (
+from telenano.numerics import always_compiled, compiled
+from telenano_assembly.particles.adhered_sphere import area_ratio
+from telenano_assembly.particles.cluster import give_way
+from telenano_assembly.particles.tip_shape import (
     Spring,
     TipShape,
     climb,
@@ -27,7 +28,6 @@ from telenano.afm.particles.tip_shape import (
     ride_height_m,
     touch_distance_m,
 )
-from telenano.numerics.compiler import always_compiled, compiled
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]

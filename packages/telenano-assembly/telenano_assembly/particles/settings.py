@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from telenano.afm.particles.adhered_sphere import KINDS, Kind, Motion, hold_of
-from telenano.settings.config import Settings
+from telenano.settings import Settings
+from telenano_assembly.particles.adhered_sphere import KINDS, Kind, Motion, hold_of
 
 MOST_PARTICLES = 50
 # A retracted tip is this far above the highest particle.

@@ -6,7 +6,7 @@ rest: with F the lateral force on the tip, the particle lies in the direction -F
 tip and a sphere that touch). Modes:
 
 - *straight*: along the line from the believed place to the goal. A particle that was found beside it slips off.
-- *steered*: the tip turns the particle towards the goal (`physics.particles.steering`).
+- *steered*: the tip turns the particle towards the goal (`telenano_assembly.particles.steering`).
 - *sweep*: lines across, each nearer to the goal than the last by a share of d; where the particle begins beside them
   does not matter.
 """
@@ -16,26 +16,30 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.afm.lateral import Place
-from telenano.afm.particles.steering import steered
-from telenano.afm.particles.tip_shape import TipShape, tip_shape, touch_distance_m
-from telenano.afm.programs.feedback import gain_fault, integral_share
-from telenano.afm.programs.program import (
+from telenano.extend.programs import (
     APPROACH,
     ARRIVED,
     RISE,
     WAY_TEXTS,
     Begun,
+    Force,
     Inputs,
     Instrument,
+    Length,
+    Place,
+    Position,
     Program,
+    ProgramSettings,
     Progress,
+    Speed,
     Wanted,
+    gain_fault,
+    integral_share,
     way_to_surface,
 )
-from telenano.afm.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
-from telenano.wire.errors import RefusedError
-from telenano.wire.messages import Scalar
+from telenano.wire import RefusedError, Scalar
+from telenano_assembly.particles.steering import steered
+from telenano_assembly.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 
 # the phases after the way to the surface
 LIFT, PUSH, DONE = ARRIVED, ARRIVED + 1, ARRIVED + 2
@@ -142,6 +146,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
     title, about = "Push", "A particle that the tip pushes."
     can_pause = True
     leaves_tip = True
+    moves_across = True
 
     def begin(self, settings: PushSettings, instrument: Instrument, place: Place) -> Begun[PushPlan, PushState]:
         s, limits = settings, instrument.limits

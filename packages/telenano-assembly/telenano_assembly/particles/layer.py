@@ -6,30 +6,41 @@ the spring is linear; the layer adds it to what is measured. Friction of the tip
 within. A tip that is driven leaves particles where they are: in tapping it passes no lateral force on.
 """
 
+import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.cantilever import Plant
-from telenano.afm.part import (
+from telenano.afm import (
     AfmSample,
-    Motion,
+    Ground,
     Part,
-    Particles,
     PlantInputs,
+    Surface,
+    height_over_middle,
     inputs_over,
     motion_around,
     part_start,
     part_step,
-    register,
+    register_part,
+    truths_of,
 )
-from telenano.afm.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
-from telenano.afm.particles.tip_shape import Spring, TipShape
-from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
-from telenano.numerics.compiler import compiled
+from telenano.numerics import compiled
+from telenano_assembly.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
+from telenano_assembly.particles.settings import ParticlesConfig
+from telenano_assembly.particles.tip_shape import Spring, TipShape, tip_shape
 
 Array = npt.NDArray[np.float64]
+
+
+class Particles(NamedTuple):
+    """Where the particles of a simulation really are: places (n, 2) [m], radii (n,) [m], and which move, (n,)."""
+
+    places_m: Array
+    radii_m: Array
+    moving: npt.NDArray[np.bool_]
 
 
 class ParticleLayerParams(NamedTuple):
@@ -62,13 +73,33 @@ class ParticleLayerState(NamedTuple):
     lift_n: float
 
 
-def particle_layer(
-    within: Any, surface: Surface | None, tip: TipShape, spring: Spring, fixed: Array, start: Array, plant: Plant
-) -> ParticleLayerParams:
-    """Return the parameters of particles around a part over a surface, None for a plane; plant is its cantilever."""
-    seen = PLANE if surface is None or not surface.height_m.any() else surface
-    model, rest_m = packed(tip, spring), plant.rest_distance_m
-    return ParticleLayerParams(within, seen, seen is PLANE, model, tip, spring, fixed, start, rest_m, plant.volts_per_m)
+def particle_layer(settings: ParticlesConfig, within: Any, ground: Ground) -> ParticleLayerParams:
+    """Return the parameters of particles around a part over a surface.
+
+    Raises:
+        ValueError: They find no room, overlap or lie outside of the sample.
+    """
+    fixed, start = settings.rows(ground.tip_radius_m, *ground.sides_m)
+    tip = tip_shape(ground.tip_radius_m, math.radians(settings.cone_deg))
+    spring = Spring(
+        normal_n_per_m=ground.stiffness_n_per_m,
+        lateral_n_per_m=ground.lateral_n_per_m,
+        friction=settings.tip_friction,
+        loaded_area=settings.loaded_area,
+        rest_s=settings.rest_s,
+    )
+    return ParticleLayerParams(
+        within,
+        ground.surface,
+        ground.is_plane,
+        packed(tip, spring),
+        tip,
+        spring,
+        fixed,
+        start,
+        ground.rest_distance_m,
+        ground.volts_per_m,
+    )
 
 
 @compiled
@@ -131,13 +162,14 @@ def _inputs_of(params: ParticleLayerParams, state: ParticleLayerState, inputs: P
     return inputs_over(inputs, state.raised_m, state.lift_n / params.spring.normal_n_per_m)
 
 
-def _motion(params: ParticleLayerParams) -> Motion | None:
+def _motion(params: ParticleLayerParams) -> Any:
     return motion_around(params, "within", _inputs_of)
 
 
-def _particles(params: ParticleLayerParams, state: ParticleLayerState) -> Particles:
-    places = state.moving[:, (X, Y)]
-    return Particles(places, params.fixed[:, RADIUS], state.moving[:, RESTED] < params.spring.rest_s)
+def _truths(params: ParticleLayerParams, state: ParticleLayerState) -> Mapping[str, Any]:
+    moves = state.moving[:, RESTED] < params.spring.rest_s
+    own = Particles(state.moving[:, (X, Y)], params.fixed[:, RADIUS], moves)
+    return {**truths_of(params.within, state.within), "particles": own}
 
 
-register(ParticleLayerParams, Part(_start, _step, motion=_motion, particles=_particles))
+register_part(ParticleLayerParams, Part(_start, _step, motion=_motion, truths=_truths))

@@ -9,8 +9,8 @@ has the same minimum where the weights have settled.
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.particles.tip_shape import distance_m
-from telenano.numerics.compiler import compiled
+from telenano.numerics import compiled
+from telenano_assembly.particles.tip_shape import distance_m
 
 Array = npt.NDArray[np.float64]
 
