@@ -22,9 +22,10 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RECORDS, GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TOPICS, encode
+from telenano.wire import encode
 from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 FILE = Path(__file__).with_suffix(".json")
 SCENARIO = Path(__file__).parents[2] / "telenano" / "settings" / "scenarios" / "fig12.yaml"

@@ -16,7 +16,7 @@ from telenano.cli import exit_codes
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.settings import SCHEMA_DIRECTORY
 from telenano.settings.plugins import KINDS
-from telenano.wire import TOPICS
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 FILE = Path(__file__).with_suffix(".json")
 ROOT = Path(__file__).parents[2]

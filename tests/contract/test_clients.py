@@ -15,8 +15,8 @@ from wire_contract import FOLDER
 from telenano.cli.root import app
 from telenano.runtime.bus.address_book import load_site
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TOPICS
 from telenano.wire.nodes import LINK, name_of, site_of
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 SCHEMAS = {path.stem: json.loads(path.read_text()) for path in sorted((FOLDER / "schemas").glob("*.json"))}
 VECTORS = json.loads((FOLDER / "golden" / "vectors.json").read_text())

@@ -24,8 +24,9 @@ from wire_contract import (
     rewrite,
 )
 
-from telenano.wire import TOPICS, WireError, accept, decode, encode
+from telenano.wire import WireError, accept, decode, encode
 from telenano.wire.messages import Record
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 VECTORS: list[dict[str, Any]] = json.loads((FOLDER / "golden" / "vectors.json").read_text(encoding="utf-8"))
 

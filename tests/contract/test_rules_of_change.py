@@ -22,9 +22,10 @@ from telenano.recording.summary_section import quick_info
 from telenano.recording.verify import verify
 from telenano.runtime.bus.bus import Subscriber
 from telenano.timing.clock import SystemClock
-from telenano.wire import TOPICS, WireError, accept, compose, decode, decode_header, encode, fields_of, read_header
+from telenano.wire import WireError, accept, compose, decode, decode_header, encode, fields_of, read_header
 from telenano.wire.codec import MAX_PLAIN_BYTES
 from telenano.wire.errors import RecordingError
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 LATER = {"tip_temperature_k": 295.1, "later": {"of": [1, "two", b"three"], "nothing": None}}
 IGNORING = [topic for topic in TOPICS if topic != "session/control"]

@@ -10,10 +10,11 @@ import msgspec
 import pytest
 from wire_contract import FOLDER, range_table, schema_of, topic_table
 
-from telenano.wire import TOPICS, Topic, instrument, journal_messages, messages, network_messages
+from telenano.wire import Topic, instrument, journal_messages, messages, network_messages
 from telenano.wire.codec import MAX_MESSAGE_BYTES, MOST_BYTES, Reason
 from telenano.wire.messages import MAX_KEYS, Message, Record
 from telenano.wire.ranges import RANGES
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 # topics that more than one kind of node may send
 SHARED = {"session/control", "session/event", "node/health", "node/journal", "link/key", "link/network"}

@@ -22,9 +22,10 @@ from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.transport import Transport
 from telenano.settings import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
 from telenano.timing.clock import SystemClock
-from telenano.wire import TOPICS, decode, encode
+from telenano.wire import decode, encode
 from telenano.wire.messages import AfmScanline, Array, Record, SessionControl
 from telenano.wire.sequence import Arrival, SequenceTracker
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 ROW_OF = {
     Arrival.NEXT: "next",

@@ -23,7 +23,8 @@ from telenano.wire.codec import MOST_BYTES, decode, encode, fields_of
 from telenano.wire.messages import Array, Message, SessionControl
 from telenano.wire.ranges import RANGES
 from telenano.wire.schema import json_schema
-from telenano.wire.topics import TOPICS, Topic
+from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import Topic
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "proto"

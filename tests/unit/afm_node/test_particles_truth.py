@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgpack
 import pytest
+from telenano_assembly.messages import AfmParticles
 from wire_contract import examples
 
 from services.afm_node import node as afm
@@ -11,7 +12,6 @@ from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
 from telenano.wire import TOPICS, WireError, accept, fields_of
-from telenano.wire.instrument import AfmParticles
 from telenano.wire.schema import json_schema
 
 ROOT = Path(__file__).parents[3]

@@ -37,7 +37,7 @@ def test_only_what_is_recorded_commands_or_triggers_is_subscribed_to() -> None:
     subscribed = {(topic, site): lean.subscribes(topic, site) for topic in TOPICS for site in ("master", "slave")}
     assert {place for place, wanted in subscribed.items() if not wanted} == {
         (topic, site)
-        for topic in ("afm/command", "afm/state", "afm/scanline", "afm/program", "afm/particles")
+        for topic in ("afm/command", "afm/state", "afm/scanline", "afm/program")
         for site in ("master", "slave")
     }
     # what was sent at this site, or out of the link: one of both is recorded

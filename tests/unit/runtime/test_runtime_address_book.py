@@ -97,7 +97,6 @@ def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
         "afm/state",
         "afm/scanline",
         "afm/program",
-        "afm/particles",
         "clock/pong",
         "session/event",
         "node/health",
