@@ -70,7 +70,6 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.safety import SafetyParams as SafetyParams
     from telenano.afm.safety import initial_safety_state as initial_safety_state
-    from telenano.afm.sample.surface import Surface as Surface
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface

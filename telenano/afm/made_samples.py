@@ -132,7 +132,9 @@ class _OwnSample(Settings):
             raise ValueError(f"failed for arrays of x and y in m: {type(error).__name__}: {error}") from error
 
 
-LAYERS = Entries("layers", "layer", checked_layer, frozenset({*_OwnSample.model_fields, *dir(_OwnSample)}))
+# a layer may not use the keys of the section, nor the methods of its class
+TAKEN = frozenset({*_OwnSample.model_fields, *dir(_OwnSample)})
+LAYERS = Entries("layers", "layer", checked_layer, TAKEN)
 
 if TYPE_CHECKING:
 

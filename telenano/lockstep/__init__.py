@@ -28,6 +28,5 @@ if TYPE_CHECKING:
     from telenano.lockstep.simulation import simulate_document as simulate_document
     from telenano.lockstep.simulation import simulate_scenario as simulate_scenario
     from telenano.lockstep.steering import HandSteps as HandSteps
-    from telenano.lockstep.steering import register_hand as register_hand
 else:
     __getattr__, __dir__ = face(__name__)

@@ -6,7 +6,7 @@ how fast the tip is to go:
     class Hand(NamedTuple):
         seen: npt.NDArray[np.float64]  # shape (4,)
 
-    register_hand(Hand, HandSteps(moves, sees))
+    HandSteps(moves, sees).register(Hand)
 
 The steps are pure but for these arrays, marked `compiled`, and chosen by the class of the hand.
 """
@@ -54,15 +54,14 @@ class HandSteps(NamedTuple):
     writes: Callable[..., None] = _writes_nothing
     columns: Mapping[str, tuple[str, str]] = {}
 
+    def register(self, kind: type) -> None:
+        """Let `simulate` run the hands of a class; TypeError, if others have this class already."""
+        if kind in _HANDS:
+            raise TypeError(f"other steps are those of the hand {kind.__module__}.{kind.__name__} already")
+        _HANDS[kind] = self
+
 
 _HANDS: dict[type, HandSteps] = {}
-
-
-def register_hand(kind: type, steps: HandSteps) -> None:
-    """Let `simulate` run the hands of a class; TypeError, if others have this class already."""
-    if kind in _HANDS:
-        raise TypeError(f"other steps are those of the hand {kind.__module__}.{kind.__name__} already")
-    _HANDS[kind] = steps
 
 
 def columns_of(hand: Any) -> Mapping[str, tuple[str, str]]:

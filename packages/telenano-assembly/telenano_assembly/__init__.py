@@ -5,9 +5,7 @@ What is named here is public for other packages:
     from telenano_assembly import Push, bench, carried_out, new_hand
 """
 
-from typing import TYPE_CHECKING
-
-from telenano.faces import face
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from telenano_assembly.particle_bench import bench as bench
@@ -30,4 +28,32 @@ if TYPE_CHECKING:
     from telenano_assembly.push_hand import new_hand as new_hand
     from telenano_assembly.push_hand import push_of as push_of
 else:
-    __getattr__, __dir__ = face(__name__)
+    _MODULES = {
+        "bench": "particle_bench",
+        "KINDS": "particles.adhered_sphere",
+        "hold_of": "particles.adhered_sphere",
+        "X": "particles.push",
+        "Y": "particles.push",
+        "packed": "particles.push",
+        "push_step": "particles.push",
+        "ParticlesConfig": "particles.settings",
+        "steered": "particles.steering",
+        "Spring": "particles.tip_shape",
+        "TipShape": "particles.tip_shape",
+        "tip_shape": "particles.tip_shape",
+        "touch_distance_m": "particles.tip_shape",
+        "Hand": "push_hand",
+        "Push": "push_hand",
+        "carried_out": "push_hand",
+        "hand_moves": "push_hand",
+        "new_hand": "push_hand",
+        "push_of": "push_hand",
+    }
+
+    def __getattr__(name: str) -> Any:
+        # the steps of a push need the compiler, which the layer and the program do without
+        from importlib import import_module
+
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.lockstep import HandSteps, register_hand
+from telenano.lockstep import HandSteps
 from telenano.numerics import compiled
 from telenano_assembly.particles.push import KINETIC, RADIUS
 from telenano_assembly.particles.steering import steered
@@ -286,4 +286,4 @@ _COLUMNS = {
     "particle_x_m": ("m", "Where the particle really is, x"),
     "particle_y_m": ("m", "Where the particle really is, y"),
 }
-register_hand(Hand, HandSteps(hand_moves, _sees, _notes, _ends, _writes, _COLUMNS))
+HandSteps(hand_moves, _sees, _notes, _ends, _writes, _COLUMNS).register(Hand)

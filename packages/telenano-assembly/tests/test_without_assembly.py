@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -65,32 +66,43 @@ found = {
     "slave": refusal(lambda: plan(assembly, "slave")),
     "master": plan(assembly, "master").scenario.afm_node["sample"]["particles"]["count"],
     "command": "".join(run("assemble")[1:]),
+}
+found |= {
     "info": run("bag", "info", recording),
     "verify": run("bag", "verify", recording),
     "report": run("report", recording, "--out", out + "/report"),
     "export": run("bag", "export", recording, "--to", "csv", "--out", out + "/tables"),
     "rerun": run("bag", "rerun", recording, "--node", "afm_node@slave"),
-}
+} if recording else {}
 print(json.dumps(found))
 """
 
 
+def said_without(folder: Path, recording: str) -> dict[str, Any]:
+    """Return what is said where no package is installed, of a recording as well where one is given."""
+    environment = {**os.environ, "TELENANO_WITHOUT_PACKAGES": "1", "COLUMNS": "500"}
+    command = [sys.executable, "-c", PROGRAM, recording, str(folder), str(find_scenario("assembly"))]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    document: dict[str, Any] = json.loads(done.stdout)
+    return document
+
+
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Return what is said where no package is installed, of a recording that was made with this one."""
+    return said_without(tmp_path_factory.mktemp("refused"), "")
+
+
+@pytest.fixture(scope="module")
+def read(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what is said of a recording that was made with this package."""
     folder = tmp_path_factory.mktemp("particles")
     rig = VirtualRig(folder, 3, scenario=SCENARIO)
     rig.run_until(ARMED_S)
     rig.command("set", "afm_node", **PUSH)
     rig.command("start", "haptic_node")
     rig.run_until(0.9)
-    recording = rig.finish()
-    environment = {**os.environ, "TELENANO_WITHOUT_PACKAGES": "1", "COLUMNS": "500"}
-    command = [sys.executable, "-c", PROGRAM, str(recording), str(folder), str(find_scenario("assembly"))]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stderr
-    document: dict[str, Any] = json.loads(done.stdout)
-    return document
+    return said_without(folder, str(rig.finish()))
 
 
 @pytest.mark.parametrize(
@@ -116,15 +128,17 @@ def test_a_key_that_no_package_has_is_unknown_and_a_master_needs_no_package_of_t
     assert found["master"] == 8
 
 
+@pytest.mark.check("compiles the steps of particles for a recording with them")
 @pytest.mark.parametrize("command", ["info", "verify", "report", "export"])
-def test_a_recording_with_particles_is_read(found: dict[str, Any], command: str) -> None:
-    code, out, error = found[command]
+def test_a_recording_with_particles_is_read(read: dict[str, Any], command: str) -> None:
+    code, out, error = read[command]
     assert code == 0, error
     assert command in ("report", "export") or "afm/particles" in out or command == "verify"
 
 
-def test_a_re_run_of_the_instrument_names_the_package(found: dict[str, Any]) -> None:
-    code, _, error = found["rerun"]
+@pytest.mark.check("compiles the steps of particles for a recording with them")
+def test_a_re_run_of_the_instrument_names_the_package(read: dict[str, Any]) -> None:
+    code, _, error = read["rerun"]
     assert code == 2
     told = f"the layer particles of {PACKAGE} 0.1.0, which is not installed here: {how_to_add_package(PACKAGE)}"
     assert told in error

@@ -6,6 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from telenano.afm import config as afm
+from telenano.afm import made_samples as samples
 from telenano.afm.sample_models import checked_sample
 from telenano.cli.new_package import new_package
 from telenano.hand import config as haptic
@@ -16,13 +17,16 @@ from telenano.settings.plugins import Plugin
 from telenano.wire.errors import ConfigError
 
 MODELS = (
+    (samples.SampleConfig, samples.TAKEN, set(samples.LAYERS.names)),
     (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | set(afm.DRIVERS.names)),
     (haptic.HapticConfig, haptic.TAKEN, set(haptic.DRIVERS.names)),
     (controller.ControllerConfig, controller.TAKEN, controller.PACKAGE_LAWS.found.keys()),
 )
 
 
-@pytest.mark.parametrize(("model", "taken", "packages"), MODELS, ids=["afm_node", "haptic_node", "controller"])
+@pytest.mark.parametrize(
+    ("model", "taken", "packages"), MODELS, ids=["sample", "afm_node", "haptic_node", "controller"]
+)
 def test_every_key_and_method_of_a_section_is_taken(
     model: type[BaseModel], taken: frozenset[str], packages: set[str]
 ) -> None:

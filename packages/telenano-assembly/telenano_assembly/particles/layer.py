@@ -18,7 +18,6 @@ from telenano.afm import (
     Ground,
     Part,
     PlantInputs,
-    Surface,
     height_over_middle,
     inputs_over,
     motion_around,
@@ -51,7 +50,7 @@ class ParticleLayerParams(NamedTuple):
     """
 
     within: Any
-    surface: Surface
+    surface: Any
     is_plane: bool
     model: Array
     tip: TipShape
