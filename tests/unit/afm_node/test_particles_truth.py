@@ -16,10 +16,11 @@ from telenano.wire.schema import json_schema
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"
-# These are the table of topics, what writes it into recordings, and what judges a trial of an experiment afterwards;
+# These are what declares the topic, what writes it into recordings, and what judges a trial of an experiment afterwards;
 # docs and generated files of the contract are no readers.
 SAYS_IT = {
-    "telenano/wire/topics.py",
+    "telenano/settings/known_packages.py",
+    "packages/telenano-assembly/telenano_assembly/messages.py",
     "packages/telenano-assembly/telenano_assembly/layers.py",
     "packages/telenano-assembly/telenano_assembly/recording.py",
     "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
