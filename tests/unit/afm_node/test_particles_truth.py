@@ -16,8 +16,8 @@ from telenano.wire.schema import json_schema
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"
-# These are what declares the topic, what writes it into recordings, and what judges a trial of an experiment afterwards;
-# docs and generated files of the contract are no readers.
+# These are what declares the topic, what writes it into recordings, and what judges a trial of an experiment
+# afterwards; docs and generated files of the contract are no readers.
 SAYS_IT = {
     "telenano/settings/known_packages.py",
     "packages/telenano-assembly/telenano_assembly/messages.py",
