@@ -15,8 +15,8 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.settings.plugins import in_scenarios, installed
 from telenano.signals import children
-from telenano.wire import TOPICS
 from telenano.wire.errors import RecordingError
+from telenano.wire.topics import OWN_TOPICS
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
@@ -27,7 +27,7 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
     found |= {f"package {name}": _package_version(name) for name in _PACKAGES}
     found["commit"] = _commit()
-    found |= {f"schema {name}": str(row.model.version) for name, row in TOPICS.items()}
+    found |= {f"schema {name}": str(row.model.version) for name, row in OWN_TOPICS.items()}
     return found
 
 

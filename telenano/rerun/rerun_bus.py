@@ -9,8 +9,9 @@ from telenano.analysis.forwarded import Forwarded, compare_forwarded
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.tolerance import Tolerances, first_difference
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
+from telenano.runtime.bus.publisher import version_of
 from telenano.timing.clock import TurnClock
-from telenano.wire import TOPICS, Message, compose, fields_of
+from telenano.wire import Message, compose, fields_of
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import site_of
 from telenano.wire.received import Received
@@ -57,7 +58,7 @@ class RerunBus:
         self.numbers[name] = seq + 1
         recorded = None if topic in NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": TOPICS[topic].model.version}
+        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": version_of(topic)}
         message, payload = compose(topic, {**header, **fields})
         if recorded is not None:
             self._compare(message, payload, recorded)

@@ -68,6 +68,7 @@ KNOWN_PACKAGES = {
     "task push_particle": "telenano-experiments",
     "task touch_and_hold": "telenano-experiments",
     "task track": "telenano-experiments",
+    "topic afm/particles": "telenano-assembly",
     "topic experiment/answer": "telenano-experiments",
     "topic experiment/cue": "telenano-experiments",
     "topic experiment/trial": "telenano-experiments",

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
     from telenano.wire.messages import InputHealth as InputHealth
+    from telenano.wire.messages import Lengths as Lengths
     from telenano.wire.messages import LinkDelay as LinkDelay
     from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import LinkStatus as LinkStatus

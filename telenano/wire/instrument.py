@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from telenano.wire.messages import Array, Count, Facts, Lengths, Message, about
+from telenano.wire.messages import Count, Facts, Message, about
 from telenano.wire.ranges import Percent
 
 # A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
@@ -32,26 +32,3 @@ class AfmProgram(Message):
     values: Annotated[
         Facts | None, about("What it has measured so far, by name with the unit; of a push where the particle is")
     ] = None
-
-
-class AfmParticles(Message):
-    """Where the particles of a simulated instrument really are: no instrument knows it, and who plans must not read it.
-
-    For who judges a session afterwards; 20 times a second while one moves, else once a second.
-    """
-
-    simulated: Annotated[
-        bool,
-        about(
-            "Always true: this is the truth of a simulation, and no measurement",
-            extra_json_schema={"const": True, "examples": [True]},
-        ),
-    ]
-    places_m: Annotated[Lengths, about("Centres on the sample, 0, 0 its middle, shape (n, 2) [m]")]
-    radii_m: Annotated[Lengths, about("Radii, shape (n,) [m]")]
-    moving: Annotated[Array, about("Which of them have moved within their time of rest, shape (n,), 0 or 1")]
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for what is said to be no simulation."""
-        if self.simulated is not True:
-            raise ValueError("simulated must be true: no instrument knows where particles are")

@@ -8,14 +8,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from types import MappingProxyType
 from typing import Any, Literal
 
 import msgspec
 
 from telenano.wire import messages as m
 from telenano.wire import network_messages as network
-from telenano.wire.instrument import AfmParticles, AfmProgram
+from telenano.wire.instrument import AfmProgram
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import NODES, name_of, site_of
 from telenano.wire.schema import json_schema
@@ -57,8 +56,6 @@ _ROWS = (
     Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
     # It is sent while the instrument runs a program; its readers act on a lack of it after half a second.
     Topic("afm/program", AfmProgram, ("afm_node",), "lossless", None, None, None),
-    # The truth of a simulation, for recordings: no node reads it, and no link carries it.
-    Topic("afm/particles", AfmParticles, ("afm_node",), "lossless", None, None, None),
     Topic("law/status", m.LawStatus, ("controller",), "latest", 100.0, 0.2, "backward"),
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
     Topic("link/delay", m.LinkDelay, ("delay_node",), "lossless", None, None, None),
@@ -82,10 +79,10 @@ _ROWS = (
     ),
 )
 
+# The rows of the core, which are the contract of the wire.
+OWN_TOPICS: Mapping[str, Topic] = {row.name: row for row in _ROWS}
 # The rows that this process knows: those of the core, and of packages those that were named to it.
-TOPICS: dict[str, Topic] = {row.name: row for row in _ROWS}
-# The rows of the core alone, whatever was named to this process: what the contract of the wire consists of.
-OWN_TOPICS: Mapping[str, Topic] = MappingProxyType({row.name: row for row in _ROWS})
+TOPICS: dict[str, Topic] = dict(OWN_TOPICS)
 NAME = re.compile(r"[a-z]+/[a-z]+")
 # A recorder keeps at most this many topics that it does not know.
 MOST_UNKNOWN = 64

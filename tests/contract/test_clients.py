@@ -75,7 +75,8 @@ def test_the_table_of_topics_says_what_the_address_book_subscribes_to() -> None:
         towards = "forward" if site_of(node) == "slave" else "backward"
         forwarded = {topic for topic, (_, way) in table.items() if name_of(node) == LINK and way in (towards, "both")}
         everywhere = {topic for topic, (senders, _) in table.items() if senders == ["every node"]}
-        assert set(book.published_by(node)) & set(TOPICS) == own | forwarded | everywhere
+        # packages add topics that other tests of this process may have named
+        assert set(book.published_by(node)) & set(table) == own | forwarded | everywhere
 
 
 def test_a_pair_of_keys_from_libzmq_alone_is_allowed(tmp_path: Path) -> None:

@@ -134,7 +134,9 @@ def found(*, loops: bool) -> frozenset[str]:
                 # `changed` is the name of another function as well
                 whole = (
                     text
-                    if "whole_files" in text or path.stem == "whole_files"
+                    if "whole_files" in text
+                    or path.stem == "whole_files"
+                    or re.search(r"from telenano\.files import .*\bchanged\b", text)
                     else re.sub(r"\bchanged\(", "other(", text)
                 )
                 rows |= {f"{inner}: {name}" for name in places(ast.parse(whole), loops=loops)}

@@ -170,7 +170,7 @@ def test_the_file_is_written_anew_only_where_nothing_is_broken(
 ) -> None:
     file = tmp_path / "frozen.json"
     older = copy.deepcopy(FROZEN)
-    del older["wire"]["topics"]["afm/particles"]
+    del older["wire"]["topics"]["afm/program"]
     file.write_text(json.dumps(older))
     assert main(file) == 0
     assert file.read_text(encoding="utf-8") == FILE.read_text(encoding="utf-8")

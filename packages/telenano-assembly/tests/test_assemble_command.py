@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 from telenano_assembly.find import sphere_m
+from telenano_assembly.messages import AfmParticles
 from telenano_assembly.particles.tip_shape import tip_shape
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.recording.reader import Recording
 from telenano.recording.verify import verify
-from telenano.wire.instrument import AfmParticles
 
 ONE = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=2.5e-6")
 

@@ -55,7 +55,7 @@ class _NumberingPublisher(ABC):
             WireError: The fields do not make a valid message, or one that is too large.
         """
         seq = self._sequence.get(topic, 0)
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": _version_of(topic)}
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version_of(topic)}
         message, payload = compose(topic, {**header, **fields}, self.on_limited)
         self.send(topic, payload)
         self._sequence[topic] = seq + 1
@@ -139,7 +139,8 @@ class ZmqPublisher(_NumberingPublisher):
         self._lock.release()
 
 
-def _version_of(topic: str) -> int:
+def version_of(topic: str) -> int:
+    """Return the version of the messages of a topic; KeyError if it is unknown."""
     row = row_of(topic)
     if row is None:
         raise KeyError(topic)

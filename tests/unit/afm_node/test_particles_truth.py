@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgpack
 import pytest
+from telenano_assembly.messages import AfmParticles
 from wire_contract import examples
 
 from services.afm_node import node as afm
@@ -12,15 +13,17 @@ from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
 from telenano.wire import WireError, accept, fields_of
 from telenano.wire.instrument import AfmParticles
+from telenano.wire import TOPICS, WireError, accept, fields_of
 from telenano.wire.schema import json_schema
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"
-# These are the table of topics, what writes it into recordings, and what judges a trial of an experiment afterwards;
-# docs and generated files of the contract are no readers.
+# These are what declares the topic, what writes it into recordings, and what judges a trial of an experiment
+# afterwards; docs and generated files of the contract are no readers.
 SAYS_IT = {
-    "telenano/wire/topics.py",
+    "telenano/settings/known_packages.py",
+    "packages/telenano-assembly/telenano_assembly/messages.py",
     "packages/telenano-assembly/telenano_assembly/layers.py",
     "packages/telenano-assembly/telenano_assembly/recording.py",
     "packages/telenano-experiments/telenano_experiments/recorded_trial.py",

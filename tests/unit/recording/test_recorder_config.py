@@ -6,6 +6,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import OWN_TOPICS
 
 
 def test_a_yaml_section_becomes_a_configuration() -> None:
@@ -34,10 +35,10 @@ def test_what_is_wrong_is_named(key: str, value: Any) -> None:
 
 def test_only_what_is_recorded_commands_or_triggers_is_subscribed_to() -> None:
     lean = RecorderConfig(exclude=("afm/*", "teleop/forward@slave", "session/*"))
-    subscribed = {(topic, site): lean.subscribes(topic, site) for topic in TOPICS for site in ("master", "slave")}
+    subscribed = {(topic, site): lean.subscribes(topic, site) for topic in OWN_TOPICS for site in ("master", "slave")}
     assert {place for place, wanted in subscribed.items() if not wanted} == {
         (topic, site)
-        for topic in ("afm/command", "afm/state", "afm/scanline", "afm/program", "afm/particles")
+        for topic in ("afm/command", "afm/state", "afm/scanline", "afm/program")
         for site in ("master", "slave")
     }
     # what was sent at this site, or out of the link: one of both is recorded
