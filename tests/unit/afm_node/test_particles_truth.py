@@ -11,11 +11,8 @@ from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
-from telenano.wire import WireError, accept, fields_of
-from telenano.wire.instrument import AfmParticles
 from telenano.wire import TOPICS, WireError, accept, fields_of
 from telenano.wire.schema import json_schema
-from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"

@@ -5,7 +5,6 @@ import pytest
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
-from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import OWN_TOPICS
 
 

@@ -11,8 +11,8 @@ from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.settings.config import read_yaml, validate
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.nodes import site_of
-from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import OWN_TOPICS
+from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 TWO_SITES = Path(__file__).resolve().parents[3] / "telenano" / "settings" / "sites" / "two_sites.yaml"
 NODES = (
