@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.sample.force_map import Span, span_of
 from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
 from telenano.afm.sample.surface_files import SHAPES, read_surface
+from telenano.afm.sample_maps import Span, span_of
 from telenano.settings.config import Settings, refused_code
 from telenano.wire.errors import ConfigError
 

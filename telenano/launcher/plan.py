@@ -10,7 +10,6 @@ from pydantic import Field
 
 from telenano.afm.config import DRIVERS as INSTRUMENTS
 from telenano.afm.config import AfmConfig
-from telenano.afm.sample.force_map import read_map
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
@@ -394,7 +393,7 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
         raise ConfigError(f"{loaded.origin}: afm_node.sample.name: {sample.name} is neither a file nor a known shape")
     if sample is not None and sample.map is not None and sample.map_span is None:
         try:
-            read_map(Path(sample.map))
+            loaded.section("afm_node", AfmConfig).to_over_map()
         except ConfigError as error:
             raise ConfigError(f"{loaded.origin}: afm_node.sample.map: {error}") from error
 

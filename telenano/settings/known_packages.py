@@ -49,6 +49,7 @@ KNOWN_PACKAGES = {
     "law two_layer": "telenano-laws",
     "link fit": "telenano-networks",
     "link probe": "telenano-networks",
+    "map npz": "telenano-afm-files",
     "particles": "telenano-assembly",
     "push": "telenano-assembly",
     "reader other": "telenano-afm-files",

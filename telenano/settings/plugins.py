@@ -24,7 +24,7 @@ from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar
 
 # What scenarios and experiments name, and so what a run depends on.
-SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "programs", "tasks", "scenarios")
+SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "maps", "programs", "tasks", "scenarios")
 KINDS = (*SCENARIO_KINDS, "commands", "checks", "exports", "images", "readers", "steps")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 

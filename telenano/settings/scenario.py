@@ -93,6 +93,7 @@ _NAMED = (
     ("devices", ("afm_node", "driver")),
     ("operators", ("haptic_node", "operator", "kind")),
     ("samples", ("afm_node", "environment")),
+    ("maps", ("afm_node", "sample", "map")),
 )
 
 
@@ -104,7 +105,8 @@ def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         for key in path:
             value = value.get(key) if isinstance(value, Mapping) else None
         if isinstance(value, str):
-            found.append((kind, value))
+            # A map is named by its file, and the package by the end of its name.
+            found.append((kind, Path(value).suffix.lower().removeprefix(".") if kind == "maps" else value))
     return found
 
 

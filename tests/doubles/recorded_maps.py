@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from telenano_afm_files import recorded_map
+from telenano_afm_files.recorded_map import MapState
 
 from services.afm_node.node import AfmNode
-from telenano.afm import recorded_map
 from telenano.afm.config import AfmConfig
 from telenano.afm.part import PlantInputs
-from telenano.afm.recorded_map import MapState
 from telenano.devices.afm.instrument import driver_of
 
 Array = npt.NDArray[np.float64]

@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.part import AfmSample, Part, PlantInputs, register
-from telenano.numerics.compiled import compiled
+from telenano.extend.samples import AfmSample, PlantInputs, compiled
 
 Array = npt.NDArray[np.float64]
 
@@ -164,10 +163,7 @@ def step(params: MapParams, state: MapState, inputs: PlantInputs, dt: float) -> 
     )
 
 
-def _start(params: MapParams, inputs: PlantInputs) -> MapState:
+def start(params: MapParams, inputs: PlantInputs) -> MapState:
     """Return the state of a tip that came from above the map."""
     above = MapState(math.inf, 0.0, False, 0.0)
     return step(params, above._replace(z_m=params.rest_distance_m - inputs.base_m), inputs, 0.0)[0]
-
-
-register(MapParams, Part(_start, step))
