@@ -5,6 +5,7 @@ Every default is a value of Table 2 or, where the paper gives none, one that its
 
 import math
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
@@ -21,6 +22,9 @@ from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
 from telenano.afm.sample.force_map import Span
 from telenano.afm.sample.surface import PLANE, Surface, dilated
+from telenano.afm.safety import SafetyParams
+from telenano.afm.sample.surface import Surface, dilated
+from telenano.afm.sample_maps import OverMap, Span, over_map
 from telenano.afm.sample_models import checked_sample
 from telenano.afm.section_config import (
     MOST_CONTRADICTION,
@@ -262,6 +266,22 @@ class _OwnSections(Settings):
                 f" {retracted:g} m leave the tip no way"
             )
         return limits._replace(base_min_m=low, base_max_m=high, retract_position_m=retracted)
+
+    def to_over_map(self) -> OverMap:
+        """Return what the instrument steps over where a recorded map lies under its tip.
+
+        Raises:
+            ConfigError: The map cannot be used, or its package is missing.
+        """
+        assert self.sample is not None and self.sample.map is not None
+        c, limits, (x_m, y_m) = self.cantilever, self.to_guard(), self.places_m
+        gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
+        found = over_map(Path(self.sample.map), self.rest_distance_m, c.stiffness_n_per_m, gain)
+        text = (
+            f"recorded map {found.about}; the tip stays within x ± {x_m:.3g} m, y ± {y_m:.3g} m and with its base from"
+            f" {limits.base_min_m:.3g} to {limits.base_max_m:.3g} m"
+        )
+        return found._replace(about=text)
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)

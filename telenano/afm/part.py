@@ -67,7 +67,7 @@ _PARTS: dict[type, Part] = {}
 
 def register_part(kind: type, part: Part) -> None:
     """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already."""
-    if kind in _PARTS:
+    if _PARTS.get(kind, part) != part:
         raise TypeError(f"another part has the parameters {kind.__module__}.{kind.__name__} already")
     _PARTS[kind] = part
 

@@ -1,12 +1,15 @@
-"""Recorded maps that a rig feels: what a map is, whether it can be felt, and its file."""
+"""Recorded maps of one's own format under the tip: where a map is, the step over it, and the units of its values.
 
-from telenano.afm.sample.force_map import MEMBERS as MEMBERS
-from telenano.afm.sample.force_map import SI_UNITS as SI_UNITS
-from telenano.afm.sample.force_map import UNITS as UNITS
-from telenano.afm.sample.force_map import Array as Array
-from telenano.afm.sample.force_map import ForceMap as ForceMap
-from telenano.afm.sample.force_map import MapError as MapError
-from telenano.afm.sample.force_map import checked_map as checked_map
-from telenano.afm.sample.force_map import gates as gates
-from telenano.afm.sample.force_map import read_members as read_members
-from telenano.afm.sample.force_map import write_map as write_map
+NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)     # entry `npz` of `telenano.maps`
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.afm.felt import SI_UNITS as SI_UNITS
+from telenano.afm.felt import UNITS as UNITS
+from telenano.afm.sample_maps import MapFormat as MapFormat
+from telenano.afm.sample_maps import OverMap as OverMap
+from telenano.afm.sample_maps import Span as Span
+
+Array = npt.NDArray[np.float64]

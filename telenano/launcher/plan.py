@@ -404,7 +404,7 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
         raise ConfigError(f"{loaded.origin}: afm_node.sample.name: {sample.name} is neither a file nor a known shape")
     if sample is not None and sample.map is not None and sample.map_span is None:
         try:
-            read_map(Path(sample.map))
+            loaded.section("afm_node", AfmConfig).to_over_map()
         except ConfigError as error:
             raise ConfigError(f"{loaded.origin}: afm_node.sample.map: {error}") from error
 

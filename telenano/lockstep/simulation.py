@@ -18,7 +18,6 @@ import numpy as np
 
 from telenano.afm.config import SAMPLES, AfmConfig
 from telenano.afm.disturbed import noisy_params
-from telenano.afm.over_map import read_params
 from telenano.afm.over_surface import over_surface
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.afm.step import AfmParams
@@ -391,7 +390,7 @@ def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmP
     elif config.environment == "spring":
         params = config.to_spring_params()
     elif config.sample is not None and config.sample.map is not None:
-        params = config.to_params()._replace(plant=read_params(config)[0])
+        params = config.to_params()._replace(plant=config.to_over_map().params)
     else:
         params = config.to_params()
         if config.sample is None and disturbed:

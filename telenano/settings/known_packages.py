@@ -51,6 +51,7 @@ KNOWN_PACKAGES = {
     "layer particles": "telenano-assembly",
     "link fit": "telenano-networks",
     "link probe": "telenano-networks",
+    "map npz": "telenano-afm-files",
     "particles": "telenano-assembly",
     "program push": "telenano-assembly",
     "push": "telenano-assembly",

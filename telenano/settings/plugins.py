@@ -24,7 +24,7 @@ from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar
 
 # What scenarios and experiments name, and so what a run depends on.
-SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "layers", "programs", "tasks", "scenarios")
+SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "layers", "maps", "programs", "tasks", "scenarios")
 KINDS = (
     *SCENARIO_KINDS,
     *("commands", "checks", "exports", "images", "panels", "readers", "steps", "topics", "transports"),

@@ -94,14 +94,20 @@ _NAMED = (
     ("operators", ("haptic_node", "operator", "kind")),
     ("samples", ("afm_node", "environment")),
     ("programs", ("afm_node", "begin", "program")),
+    ("maps", ("afm_node", "sample", "map")),
 )
 _LAYERS = ("afm_node", "sample")
 
 
 def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return kind and name of each law, device, operator, sample, layer and program that a scenario names."""
+    """Return kind and name of each law, device, operator, sample, layer, map and program that a scenario names."""
     named = ((kind, _at(document, path)) for kind, path in _NAMED)
-    found = [(kind, value) for kind, value in named if isinstance(value, str)]
+    # A map is named by its file, and the package by the end of its name.
+    found = [
+        (kind, Path(value).suffix.lower().removeprefix(".") if kind == "maps" else value)
+        for kind, value in named
+        if isinstance(value, str)
+    ]
     sample = _at(document, _LAYERS)
     sections = sample.items() if isinstance(sample, Mapping) else ()
     return found + [("layers", name) for name, section in sections if isinstance(section, Mapping)]

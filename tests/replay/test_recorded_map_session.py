@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_afm_files.force_map import write_map
 from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 from virtual_rig import record_session
 
-from telenano.afm.sample.force_map import write_map
 from telenano.cli.root import app
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun

@@ -10,6 +10,16 @@ from telenano.cli import JsonOption, print_document, progress, report_errors
 from telenano.extend.maps import MEMBERS, SI_UNITS, gates, write_map
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError
+from telenano.extend.commands import (
+    ConfigError,
+    JsonOption,
+    flag_overrides,
+    print_document,
+    progress,
+    report_errors,
+)
+from telenano.extend.maps import SI_UNITS
+from telenano_afm_files.force_map import MEMBERS, gates, write_map
 from telenano_afm_files.map_files import Imported, Wanted
 from telenano_afm_files.map_files import import_map as read_map_of
 from telenano_afm_files.sader_jarvis import ASKED

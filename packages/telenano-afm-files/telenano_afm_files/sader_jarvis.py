@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.maps import Array, ForceMap, MapError
+from telenano.extend.maps import Array
+from telenano_afm_files.force_map import ForceMap, MapError
 
 # What is asked for besides the stiffness of the sensor.
 ASKED = ("resonance_hz", "amplitude_m")

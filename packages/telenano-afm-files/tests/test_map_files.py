@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from instrument_files import write_3ds, write_curves
 from recorded_maps import adhesive, forces, frequency_shift_hz, members
+from telenano_afm_files.force_map import map_params
 from telenano_afm_files.map_files import Wanted, import_map
 from telenano_afm_files.map_libraries import blocks_of, refuse_large_archive
 
-from telenano.afm.sample.force_map import map_params
 from telenano.wire.errors import ConfigError
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"

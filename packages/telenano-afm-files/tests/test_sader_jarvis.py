@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_afm_files.force_map import MapError, checked_map, read_map
 from telenano_afm_files.sader_jarvis import as_force
 from typer.testing import CliRunner
 
-from telenano.afm.sample.force_map import MapError, checked_map, read_map
 from telenano.cli.root import app
 
 STIFFNESS_N_PER_M, RESONANCE_HZ = 1800.0, 25e3

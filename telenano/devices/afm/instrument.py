@@ -8,6 +8,8 @@ from pydantic import BaseModel
 from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
 from telenano.afm.made_samples import layers_on
 from telenano.afm.over_map import read_params
+from telenano.afm.driver import AfmDriver
+from telenano.afm.lateral import Place
 from telenano.afm.programs.feedback import remaining
 from telenano.afm.programs.reach import Reach
 from telenano.afm.programs.runner import ProgramRunner
@@ -82,12 +84,11 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
 
 def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
     """Return the instrument over its recorded map; ConfigError, if the map cannot be used."""
-    plant, found, text = read_params(config)
-    params = config.to_params()
+    over, params = config.to_over_map(), config.to_params()
     # The disturbances are those of a cantilever that has the stiffness of the map.
-    cantilever = params.plant._replace(stiffness_n_per_m=plant.stiffness_n_per_m)
-    channel = "" if plant.is_force else found.quantity
-    return SimulatedInstrument(params._replace(plant=plant), None, cantilever, config.disturbances, text, channel)
+    cantilever = params.plant._replace(stiffness_n_per_m=over.stiffness_n_per_m)
+    plant = params._replace(plant=over.params)
+    return SimulatedInstrument(plant, None, cantilever, config.disturbances, over.about, over.channel)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float = LOOP_PERIOD_S) -> AfmDriver:

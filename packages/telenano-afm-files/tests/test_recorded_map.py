@@ -7,12 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 from recorded_maps import Rig, adhesive, config_of, force_n, forces, hysteretic, members, near, write_npz
+from telenano_afm_files import recorded_map
+from telenano_afm_files.force_map import checked_map, gates, map_params, read_map, write_map
+from telenano_afm_files.recorded_map import MapState, value_at
 
 from telenano.afm import recorded_map
 from telenano.afm.recorded_map import MapState, value_at
 from telenano.afm.sample.force_map import checked_map, gates, map_params, read_map, write_map
 from telenano.extend.samples import PlantInputs
 from telenano.numerics.compiler import compiled_form
+from telenano.afm.part import PlantInputs
+from telenano.numerics.compiled import compiled_form
 from telenano.wire.errors import ConfigError, RefusedError
 
 
@@ -239,7 +244,7 @@ def test_a_truncated_map_is_refused(tmp_path: Path) -> None:
 
 def test_a_map_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_npz(tmp_path / "map.npz", members())
-    monkeypatch.setattr("telenano.afm.sample.force_map.MOST_VALUES", 800)
+    monkeypatch.setattr("telenano_afm_files.force_map.MOST_VALUES", 800)
     with pytest.raises(ConfigError, match=r"map\.npz: value: has \d+ bytes, at most 6400 are read"):
         read_map(path)
 

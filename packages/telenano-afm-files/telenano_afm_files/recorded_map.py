@@ -22,6 +22,7 @@ import numpy.typing as npt
 from telenano.afm.part import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
+from telenano.extend.samples import AfmSample, PlantInputs, compiled
 
 Array = npt.NDArray[np.float64]
 
@@ -165,10 +166,7 @@ def step(params: MapParams, state: MapState, inputs: PlantInputs, dt: float) -> 
     )
 
 
-def _start(params: MapParams, inputs: PlantInputs) -> MapState:
+def start(params: MapParams, inputs: PlantInputs) -> MapState:
     """Return the state of a tip that came from above the map."""
     above = MapState(math.inf, 0.0, False, 0.0)
     return step(params, above._replace(z_m=params.rest_distance_m - inputs.base_m), inputs, 0.0)[0]
-
-
-register_part(MapParams, Part(_start, step))

@@ -27,28 +27,19 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from telenano.afm.recorded_map import MapParams
-from telenano.afm.sample.surface_files import METRES
-from telenano.files.regular_files import open_regular
-from telenano.files.whole_files import whole_file
-from telenano.wire.errors import ConfigError
+from telenano.extend.commands import ConfigError
+from telenano.extend.exports import whole_file
+from telenano.extend.maps import SI_UNITS, UNITS, Array, MapFormat, OverMap, Span
+from telenano.extend.readers import open_regular
+from telenano_afm_files.recorded_map import MapParams, start, step
 
-Array = npt.NDArray[np.float64]
-
+# the units of a length on the axes, and how many metres each is
+METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 MEMBERS = ("unit", "length_unit", "sign", "axis", "stiffness_n_per_m", "sensitivity_m_per_v", "source")
 _KNOWN = frozenset({*MEMBERS, "x", "y", "z"})
 MOST_VALUES = 1 << 27
 _MOST_FACT_BYTES, _PIECE_BYTES = 1 << 20, 1 << 24
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15}
-_QUANTITIES = {"N": "force", "Hz": "frequency_shift", "A": "current", "m": "amplitude", "rad": "phase"}
-# what a unit stands for: its quantity, and how many of the SI unit it is
-UNITS: dict[str, tuple[str, float]] = {
-    **{prefix + unit: (name, scale) for unit, name in _QUANTITIES.items() for prefix, scale in _PREFIXES.items()},
-    **{prefix + "V": ("voltage", scale) for prefix, scale in _PREFIXES.items()},
-    "deg": ("phase", math.pi / 180.0),
-}
-SI_UNITS = {name: unit for unit, name in _QUANTITIES.items()}
 # Of its greatest difference, two branches that differ by less are one; of its greatest force, this is contact.
 _CLOSED, _CONTACT = 0.05, 0.05
 _EVEN = 1e-6
@@ -68,17 +59,6 @@ class ForceMap(NamedTuple):
     quantity: str
     stiffness_n_per_m: float
     source: str
-
-
-class Span(NamedTuple):
-    """What a map says without its values: z from and to, half width, half depth [m], k [N/m] and quantity."""
-
-    low_m: float
-    high_m: float
-    half_x_m: float
-    half_y_m: float
-    stiffness_n_per_m: float
-    quantity: str
 
 
 class MapError(ValueError):
@@ -332,3 +312,18 @@ def _span(path: str, changed_ns: int, size: int) -> Span | None:
         quantity = UNITS[found["unit"]][0].replace("voltage", "force")
         stiffness = float(found["stiffness_n_per_m"]) if quantity == "force" else 0.0
     return Span(float(z[0]), float(z[-1]), 0.5 * float(x[-1] - x[0]), 0.5 * float(y[-1] - y[0]), stiffness, quantity)
+
+
+def read_over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> OverMap:
+    """Return what an instrument steps over; ConfigError names the file, and what is wrong with it."""
+    found, digest = read_map(path)
+    params = map_params(found, rest_distance_m, stiffness_n_per_m, volts_per_m)
+    points, branches = " x ".join(map(str, found.values.shape[1:])), ("one branch", "approach and retract")
+    about = (
+        f"{path.name} ({digest}): {found.quantity} [{SI_UNITS[found.quantity]}], {points} points,"
+        f" {branches[len(found.values) - 1]}"
+    )
+    return OverMap(params, params.stiffness_n_per_m, "" if params.is_force else found.quantity, about)
+
+
+NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)

@@ -1,0 +1,103 @@
+"""A recorded map of a package: one of another format is felt on its place, and an absent package is named."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+PACKAGE = """
+from typing import NamedTuple
+
+from telenano.extend.maps import MapFormat, OverMap, Span
+from telenano.extend.samples import AfmSample, compiled
+
+class Wall(NamedTuple):
+    stiffness_n_per_m: float
+    rest_distance_m: float
+
+@compiled
+def start(params, inputs):
+    return 0.0
+
+@compiled
+def step(params, state, inputs, dt):
+    force = params.stiffness_n_per_m * max(inputs.base_m + inputs.height_m - params.rest_distance_m, 0.0)
+    return state, AfmSample(inputs.base_m, 0.0, force, 0.0, 0.0, False, force > 0.0, False, 0.0, 0.0)
+
+def span(path):
+    return Span(-5e-9, 40e-9, 1e-7, 2e-7, 3.0, "force") if path.is_file() else None
+
+def read(path, rest_distance_m, stiffness_n_per_m, volts_per_m):
+    return OverMap(Wall(float(path.read_text()), rest_distance_m), 3.0, "", f"{path.name}: a wall")
+
+WALL = MapFormat(Wall, start, step, span, read)
+"""
+PROGRAM = """
+import json, sys
+from pathlib import Path
+import telenano
+from telenano.afm.config import AfmConfig
+from telenano.devices.afm.instrument import driver_of
+from telenano.settings.config import validate
+from telenano.settings.scenario import named_in
+from telenano.wire.errors import ConfigError
+
+path = sys.argv[1]
+document = {"sample": {"map": path}}
+afm = validate(AfmConfig, document, "mine.yaml", "afm_node")
+said = {"named": named_in({"afm_node": document}), "places": afm.places_m, "limits": list(afm.to_guard()[:2])}
+try:
+    driver = driver_of(afm)
+    driver.open()
+    said["about"], said["force"] = driver.about, driver.exchange(11e-9).force_n
+    said["verdict"] = telenano.simulate("fig12", settings={"afm_node.sample.map": path}, duration_s=0.1).verdict
+except ConfigError as error:
+    said["refused"] = str(error)
+print(json.dumps(said))
+"""
+
+
+def felt(path: Path, *, installed: bool) -> dict[str, object]:
+    """Return what a process says of a map, with the packages that are installed and one of its own, or without any."""
+    site = path.parent
+    info = site / "of_walls-1.0.dist-info"
+    info.mkdir(exist_ok=True)
+    (site / "of_walls.py").write_text(PACKAGE)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: of-walls\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[telenano.maps]\nwall = of_walls:WALL\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
+    if not installed:
+        environment["TELENANO_WITHOUT_PACKAGES"] = "1"
+    command = [sys.executable, "-c", PROGRAM, str(path)]
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
+    assert run.returncode == 0, run.stderr
+    found: dict[str, object] = json.loads(run.stdout)
+    return found
+
+
+def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "one.wall"
+    path.write_text("2.0")
+    found = felt(path, installed=True)
+    assert "refused" not in found
+    assert found["named"] == [["maps", "wall"]]
+    assert found["places"] == [1e-7, 2e-7]
+    assert found["force"] == pytest.approx(2.0 * 1e-9, rel=1e-9)
+    assert str(found["about"]).startswith("recorded map one.wall: a wall; the tip stays within x ± 1e-07 m")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("one.npz", "the map npz is in the package telenano-afm-files: "),
+        ("one.wall", "is of no format that is felt here; known are none"),
+    ],
+)
+def test_without_its_package_a_map_is_refused_by_name(name: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text("2.0")
+    assert words in str(felt(path, installed=False)["refused"])
