@@ -20,11 +20,8 @@ from telenano.afm.layers import Ground, Height
 from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
-from telenano.afm.sample.force_map import Span
 from telenano.afm.sample.surface import PLANE, Surface, dilated
-from telenano.afm.safety import SafetyParams
-from telenano.afm.sample.surface import Surface, dilated
-from telenano.afm.sample_maps import OverMap, Span, over_map
+from telenano.afm.sample_maps import over_map
 from telenano.afm.sample_models import checked_sample
 from telenano.afm.section_config import (
     MOST_CONTRADICTION,
@@ -40,6 +37,7 @@ from telenano.afm.spring import spring_params
 from telenano.afm.step import AfmParams
 from telenano.afm.torsion import TorsionConfig
 from telenano.extend.instruments import SafetyParams
+from telenano.extend.maps import OverMap, Span
 from telenano.extend.stage import LateralParams
 from telenano.settings.config import Settings, filled, package_fields, section_of
 from telenano.settings.device_drivers import Drivers

@@ -15,20 +15,10 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from telenano.afm.sample.force_map import SI_UNITS, UNITS
+from telenano.extend.maps import SI_UNITS, UNITS
 from telenano.extend.stage import Place
-from telenano.afm.lateral import Place
 from telenano.settings.config import Settings
 
-_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15}
-_QUANTITIES = {"N": "force", "Hz": "frequency_shift", "A": "current", "m": "amplitude", "rad": "phase"}
-# what a unit stands for: its quantity, and how many of the SI unit it is
-UNITS: dict[str, tuple[str, float]] = {
-    **{prefix + unit: (name, scale) for unit, name in _QUANTITIES.items() for prefix, scale in _PREFIXES.items()},
-    **{prefix + "V": ("voltage", scale) for prefix, scale in _PREFIXES.items()},
-    "deg": ("phase", math.pi / 180.0),
-}
-SI_UNITS = {name: unit for unit, name in _QUANTITIES.items()}
 ChannelName = Literal["frequency_shift", "current", "amplitude", "phase"]
 # These names say what has changed or ended the force of the table.
 SATURATED, BOUNDS, RATE, LEFT = "saturated", "bounds", "rate", "left"

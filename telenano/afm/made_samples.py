@@ -9,17 +9,13 @@ import numpy as np
 from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.afm.layers import Layer, checked_layer
-from telenano.afm.sample.force_map import Span, span_of
 from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
 from telenano.afm.sample.surface_files import SHAPES, read_surface
+from telenano.afm.sample_maps import span_of
+from telenano.extend.maps import Span
 from telenano.settings.config import Settings, keys_of, refused_code, section_of
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is
-from telenano.afm.particles.settings import ParticlesConfig
-from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
-from telenano.afm.sample.surface_files import SHAPES, read_surface
-from telenano.afm.sample_maps import Span, span_of
-from telenano.settings.config import Settings, refused_code
 from telenano.wire.errors import ConfigError
 
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {

@@ -4,67 +4,21 @@ The entry `npz` is for files `*.npz`. A map is felt in place of a model of the f
 says where the map is without reading its values, so that the guard keeps the base on it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from telenano.afm.part import Part, register
+from telenano.afm.part import Part, register_part
+from telenano.extend.maps import MapFormat, OverMap, Span
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError
 
 
-class Span(NamedTuple):
-    """What a map says without its values: z from and to, half width, half depth [m], k [N/m] and quantity."""
-
-    low_m: float
-    high_m: float
-    half_x_m: float
-    half_y_m: float
-    stiffness_n_per_m: float
-    quantity: str
-
-
-class OverMap(NamedTuple):
-    """What an instrument steps over where a map lies under its tip.
-
-    params: of the step; stiffness_n_per_m: of the cantilever that the map is felt through [N/m]; channel: what the map
-    has in place of a force, empty for a force; about: the map in words.
-    """
-
-    params: Any
-    stiffness_n_per_m: float
-    channel: str
-    about: str
-
-
-@dataclass(frozen=True)
-class MapFormat:
-    """How a package feels the maps of a format.
-
-    params: the class of the step's parameters, a NamedTuple; `start(params, inputs) -> state` of a tip that came from
-    above, and `step(params, state, inputs, dt) -> (state, AfmSample)`, compiled, with inputs.base_m, x_m, y_m and
-    height_m [m]. `span(path)` says where a map is without its values, None where the file cannot be read here.
-    `read(path, rest_distance_m, stiffness_n_per_m, volts_per_m)` reads it, with the height of a base at 0 [m], the
-    cantilever for a map that says none [N/m], and the gain of the read-out [V/m].
-
-    Raises:
-        ConfigError: `read` cannot use the file; the message names it.
-    """
-
-    params: type
-    start: Callable[..., Any]
-    step: Callable[..., Any]
-    span: Callable[[Path], Span | None]
-    read: Callable[[Path, float, float, float], OverMap]
-
-
 def _checked(name: str, value: Any) -> MapFormat:
     if not isinstance(value, MapFormat):
         raise TypeError(f"is a {type(value).__name__}, must be a MapFormat")
-    register(value.params, Part(value.start, value.step))
+    register_part(value.params, Part(value.start, value.step))
     return value
 
 

@@ -12,7 +12,6 @@ from telenano.afm.config import DRIVERS as INSTRUMENTS
 from telenano.afm.config import AfmConfig
 from telenano.afm.made_samples import SampleConfig
 from telenano.afm.programs.table import PROGRAMS
-from telenano.afm.sample.force_map import read_map
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig

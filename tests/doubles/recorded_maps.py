@@ -11,8 +11,6 @@ from telenano_afm_files.recorded_map import MapState
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
-from telenano.afm.recorded_map import MapState
-from telenano.afm.part import PlantInputs
 from telenano.devices.afm.instrument import driver_of
 from telenano.extend.samples import PlantInputs
 

@@ -27,10 +27,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from telenano.extend.commands import ConfigError
-from telenano.extend.exports import whole_file
 from telenano.extend.maps import SI_UNITS, UNITS, Array, MapFormat, OverMap, Span
-from telenano.extend.readers import open_regular
+from telenano.files import open_regular, whole_file
+from telenano.wire import ConfigError
 from telenano_afm_files.recorded_map import MapParams, start, step
 
 # the units of a length on the axes, and how many metres each is

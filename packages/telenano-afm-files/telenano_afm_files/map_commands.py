@@ -7,18 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from telenano.cli import JsonOption, print_document, progress, report_errors
-from telenano.extend.maps import MEMBERS, SI_UNITS, gates, write_map
+from telenano.extend.maps import SI_UNITS
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError
-from telenano.extend.commands import (
-    ConfigError,
-    JsonOption,
-    flag_overrides,
-    print_document,
-    progress,
-    report_errors,
-)
-from telenano.extend.maps import SI_UNITS
 from telenano_afm_files.force_map import MEMBERS, gates, write_map
 from telenano_afm_files.map_files import Imported, Wanted
 from telenano_afm_files.map_files import import_map as read_map_of

@@ -21,12 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.maps import SI_UNITS, UNITS, Array, ForceMap, MapError, checked_map, read_members
+from telenano.extend.maps import SI_UNITS, UNITS, Array
 from telenano.files import open_regular, read_in_child
 from telenano.wire import ConfigError
-from telenano.extend.commands import ConfigError
-from telenano.extend.maps import SI_UNITS, UNITS, Array
-from telenano.extend.readers import open_regular, read_in_child
 from telenano_afm_files.bruker import is_nanoscope
 from telenano_afm_files.force_map import ForceMap, MapError, checked_map, read_members
 from telenano_afm_files.nanonis import backward_of, is_spectroscopy, sweep_of, unit_of

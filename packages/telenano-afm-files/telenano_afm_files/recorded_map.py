@@ -19,10 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.part import Part, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
-from telenano.numerics.compiler import compiled
-from telenano.extend.samples import AfmSample, PlantInputs, compiled
+from telenano.numerics import compiled
 
 Array = npt.NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from telenano.extend.testing import NodeBench
+from telenano.testing import NodeBench
 
 
 @pytest.fixture

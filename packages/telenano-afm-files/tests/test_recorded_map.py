@@ -11,13 +11,8 @@ from telenano_afm_files import recorded_map
 from telenano_afm_files.force_map import checked_map, gates, map_params, read_map, write_map
 from telenano_afm_files.recorded_map import MapState, value_at
 
-from telenano.afm import recorded_map
-from telenano.afm.recorded_map import MapState, value_at
-from telenano.afm.sample.force_map import checked_map, gates, map_params, read_map, write_map
 from telenano.extend.samples import PlantInputs
 from telenano.numerics.compiler import compiled_form
-from telenano.afm.part import PlantInputs
-from telenano.numerics.compiled import compiled_form
 from telenano.wire.errors import ConfigError, RefusedError
 
 

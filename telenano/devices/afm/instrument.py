@@ -7,9 +7,6 @@ from pydantic import BaseModel
 
 from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
 from telenano.afm.made_samples import layers_on
-from telenano.afm.over_map import read_params
-from telenano.afm.driver import AfmDriver
-from telenano.afm.lateral import Place
 from telenano.afm.programs.feedback import remaining
 from telenano.afm.programs.reach import Reach
 from telenano.afm.programs.runner import ProgramRunner

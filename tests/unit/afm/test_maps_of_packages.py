@@ -13,7 +13,8 @@ PACKAGE = """
 from typing import NamedTuple
 
 from telenano.extend.maps import MapFormat, OverMap, Span
-from telenano.extend.samples import AfmSample, compiled
+from telenano.extend.samples import AfmSample
+from telenano.numerics import compiled
 
 class Wall(NamedTuple):
     stiffness_n_per_m: float
