@@ -124,7 +124,7 @@ class Person:
         page.set_default_timeout(PATIENCE_S * 1e3)
 
     def stage(self, name: str) -> None:
-        until(lambda: self.page.evaluate("document.body.dataset.stage") == name, f"the stage {name}: {self.faults}")
+        until(lambda: self.page.evaluate("document.body?.dataset.stage") == name, f"the stage {name}: {self.faults}")
 
     def begun(self, words: str) -> bool:
         """Return whether a trial runs that the page calls so, and has not been answered."""
@@ -338,7 +338,7 @@ def session(person: Person) -> int:
     page, trials = person.page, 0
     end = time.monotonic() + 8.0 * PATIENCE_S
     before = ""
-    while (stage := page.evaluate("document.body.dataset.stage")) != "end":
+    while (stage := page.evaluate("document.body?.dataset.stage")) != "end":
         assert time.monotonic() < end, f"the session does not end: {stage}, {person.faults}"
         if stage == "trial" and before != "trial":
             trials += 1
@@ -353,17 +353,15 @@ def session(person: Person) -> int:
 
 
 def answer(page: Any) -> None:
-    """Answer what is on the sheet, if anything is."""
-    if page.locator("#go-on:not(:disabled)").count():
-        page.locator("#go-on").dispatch_event("click")
-    if page.get_by_label("yes").count():
-        page.get_by_label("yes").check()
+    """Answer what is on the sheet, if anything is; it may change between a look and another call."""
+    page.evaluate("document.querySelector('#go-on:not(:disabled)')?.click()")
+    yes = "[...document.querySelectorAll('.option')].find((one) => one.textContent.trim() === 'yes')"
+    page.evaluate(f"{yes}?.querySelector('input').click()")
     for name in page.evaluate("[...document.querySelectorAll('input.untouched')].map((scale) => scale.id)"):
-        page.locator(f"#{name}").focus()
+        page.evaluate("(name) => document.getElementById(name)?.focus()", name)
         for _ in range(5):
             page.keyboard.press("ArrowRight")
-    if page.locator("#submit:not(:disabled)").count():
-        page.locator("#submit").dispatch_event("click")
+    page.evaluate("document.querySelector('#submit:not(:disabled)')?.click()")
 
 
 ONE = "afm_node.sample.particles.count=1"

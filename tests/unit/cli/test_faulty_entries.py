@@ -79,6 +79,7 @@ ASKED = {
     "steps": ["doctor"],
     "topics": ["topic info wind/{0}"],
     "panels": ["doctor"],
+    "layers": ["doctor"],
 }
 PROGRAM = """
 import contextlib, io, json, sys
@@ -167,7 +168,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     ("line", "fault"),
     [
         (line, fault)
-        for kind, lines in ASKED.items() if kind not in ("checks", "panels", "steps")
+        for kind, lines in ASKED.items() if kind not in ("checks", "layers", "panels", "steps")
         for line in lines for fault in faults_of(kind)
     ],
 )  # fmt: skip
