@@ -178,7 +178,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, BaseModel):
-        return value.__dict__
+        # by the keys that a scenario has, which is what the model takes
+        fields = type(value).model_fields
+        return {field.alias or name: getattr(value, name) for name, field in fields.items()}
     raise TypeError(f"a {type(value).__name__} cannot be kept in a journal")
 
 

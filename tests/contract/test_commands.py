@@ -30,7 +30,7 @@ from telenano.testing import VirtualClock
 from telenano.wire import Message, decode
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import AfmState, SessionControl, SessionEvent
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 COMMANDS = get_args(SessionControl.__annotations__["command"].__origin__)
 _SPEC = command_table.SPEC.read_text(encoding="utf-8")

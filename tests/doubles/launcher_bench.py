@@ -16,7 +16,7 @@ from telenano.testing import VirtualClock
 from telenano.wire.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

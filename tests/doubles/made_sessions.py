@@ -17,7 +17,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.wire import encode
 from telenano.wire.ends import end_data
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 SCENARIO = Path(__file__).resolve().parents[2] / "telenano/settings/scenarios/fig12.yaml"
 HAND, TIP, LINK, CONTROLLER = "haptic_node@master", "afm_node@slave", "delay_node@master", "controller@master"

@@ -19,7 +19,7 @@ from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.testing import VirtualClock
 from telenano.wire import Message, encode
 from telenano.wire.received import Received
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

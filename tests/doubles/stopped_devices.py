@@ -27,7 +27,7 @@ from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import is_meant, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)

@@ -42,7 +42,7 @@ from telenano.rerun.rerun_bus import RerunBus
 from telenano.wire import Message
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmState
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 # shows all that the instrument does
 SHORT_S = 1.3

@@ -35,7 +35,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
-from telenano.settings import SITE_DIRECTORY
+from telenano.settings import SITE_DIRECTORY, package_topics
 from telenano.settings.config import flag_overrides, merge
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.testing import VirtualClock
@@ -45,7 +45,7 @@ from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS, Topic
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"
@@ -73,6 +73,12 @@ afm_node:
 _BATCH = 256
 
 Range = tuple[int, int]
+
+
+def _row(topic: str) -> Topic:
+    row = package_topics.row_of(topic)
+    assert row is not None, topic
+    return row
 
 
 @dataclass(frozen=True)
@@ -124,7 +130,7 @@ class VirtualReader(Subscriber):
         topic, payload = frames[0].decode(), frames[1]
         message = self._rig.messages[payload]
         arrival = self.tracker(topic, message.src).accept(message.seq, message.t_ns)
-        if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"):
+        if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and _row(topic).delivery == "latest"):
             return None
         return Received(topic, message, payload, received_ns, arrival)
 
@@ -143,7 +149,7 @@ class VirtualBus:
     def publish(self, topic: str, **fields: Any) -> Message:
         seq = self._numbers.get(topic, 0)
         self._numbers[topic] = seq + 1
-        model = TOPICS[topic].model
+        model = _row(topic).model
         # sent some time after the turn began, which no re-run knows
         t_ns = self._rig.clock.now_ns() + self._rig.draw(self._rig.timing.sending, "sending", self.key, topic)
         if topic == "node/health":
@@ -328,7 +334,7 @@ class VirtualRig:
         self._record(message.src, topic, payload, message.t_ns)
         for key in self._readers(topic, message, site):
             self._deliver(message.src, key, topic, payload, message.t_ns - EPOCH_OFFSET_NS)
-        crosses = TOPICS[topic].bridged in ("both", "forward" if site == "master" else "backward")
+        crosses = _row(topic).bridged in ("both", "forward" if site == "master" else "backward")
         if self.timing.link is not None and crosses:
             far = LINK_ENDPOINT if site == "master" else LINK_NODE
             arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.draw(self.timing.link, "link", message.src, topic)

@@ -14,7 +14,7 @@ from slow_proxy import SlowProxy
 from wire_contract import examples
 
 from services.viz_node.hub import HAND_FADE_S, HAND_FRESH_S
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
 

@@ -33,7 +33,7 @@ from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
 from telenano.serving import Access
 from telenano.wire import Array, Message, fields_of
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 TOKEN = "participant-token-01"
 ACCESS = Access(

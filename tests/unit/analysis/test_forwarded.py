@@ -8,7 +8,7 @@ from wire_contract import examples
 
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
 from telenano.wire import encode
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 TOPIC = "teleop/forward"
 BASE = examples(TOPICS[TOPIC])["ordinary"]

@@ -32,7 +32,7 @@ from telenano.wire import decode, encode, fields_of
 from telenano.wire.errors import EndpointError, RigError
 from telenano.wire.messages import SessionControl
 from telenano.wire.nodes import DEVICES
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 HAND, TIP, LINK, RECORDER = "haptic_node@master", "afm_node@slave", "delay_node@master", "recorder@master"
 

@@ -9,7 +9,7 @@ from wire_contract import examples
 
 from telenano.launcher.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
 from telenano.wire.network_messages import LinkNetwork
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

@@ -11,7 +11,7 @@ from telenano.recording.site_merge import merge_sites, slave_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 MS, BEGAN, AHEAD = 1_000_000, 10**18, 2_000_000_000
 

@@ -15,7 +15,7 @@ from telenano.recording.site_clock import read_site_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.wire import encode
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 BEGAN_NS, NS = 1_750_000_000_000_000_000, 1_000_000_000
 HOUR_S = 3600.0

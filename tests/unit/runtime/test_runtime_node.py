@@ -32,7 +32,7 @@ from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

@@ -11,7 +11,7 @@ import pytest
 from telenano.runtime.loop.node import Node
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Scalar
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 Parameters = dict[str, Scalar]
 THERMAL = {"disturbances.thermal.enabled": True}

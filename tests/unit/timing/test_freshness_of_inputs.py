@@ -13,8 +13,7 @@ from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
 from telenano.wire import encode, fields_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
-from telenano.wire.topics import LOOP_DEADLINE_S
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import LOOP_DEADLINE_S, TOPICS
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9

@@ -15,7 +15,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Array
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 MS = 1_000_000
 

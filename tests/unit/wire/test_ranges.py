@@ -13,7 +13,7 @@ from wire_contract import examples
 from telenano.wire import WireError, accept, compose, encode
 from telenano.wire.messages import InputHealth, LawStatus
 from telenano.wire.sequence import MOST_COUNTED
-from telenano.wire.topics import OWN_TOPICS as TOPICS
+from telenano.wire.topics import TOPICS
 
 
 def _fields(topic: str) -> dict[str, Any]:
