@@ -40,7 +40,7 @@ class SiteNode(RigNode):
             context: The context of the node.
             supervisor: Has the nodes of this launcher.
             folder: The folder that the recorder of this site records to.
-            sender: Makes what sends the recording (`telenano.extend.transports.SendsPieces`); None where no package
+            sender: Makes what sends the recording (`telenano.runtime.SendsPieces`); None where no package
                 has one.
         """
         liveness = LivenessMonitor(context.clock, (f"{LINK}@slave",), "master")

@@ -25,11 +25,11 @@ class LinkTransport(NamedTuple):
 
     Attributes:
         settings: The model of the section `link` of a site file: `transport`, and the keys of this transport.
-        ends: Opens an end, in the two processes that the link ends in (`telenano.extend.transports.OpenEnds`).
+        ends: Opens an end, in the two processes that the link ends in (`telenano.runtime.OpenEnds`).
         beside: A module that is run with `--site SITE --site-file FILE` beside the nodes of each site where the site
             file has a relay; empty where the transport knows none.
-        sender: Sends the recording of the slave's site (`telenano.extend.transports.SendsPieces`); empty for none.
-        fetch: Fetches it at the master's (`telenano.extend.transports.FetchRecording`); empty for none.
+        sender: Sends the recording of the slave's site (`telenano.runtime.SendsPieces`); empty for none.
+        fetch: Fetches it at the master's (`telenano.runtime.FetchRecording`); empty for none.
     """
 
     settings: type[Settings]
