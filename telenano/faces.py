@@ -45,7 +45,10 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
 
     def names() -> list[str]:
         module_of("")
-        return sorted({*vars(package), *modules})
+        own = [
+            name for name, value in vars(package).items() if getattr(value, "__module__", "") == room or name.isupper()
+        ]
+        return sorted({*own, *modules} - {"TYPE_CHECKING"})
 
     return get, names
 

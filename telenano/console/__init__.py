@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from telenano.console.lease_register import holding as holding
     from telenano.console.live_program import LiveCurve as LiveCurve
     from telenano.console.live_program import run_program as run_program
+    from telenano.console.live_recording import LiveRecording as LiveRecording
     from telenano.console.page_hand import RigHand as RigHand
 else:
     __getattr__, __dir__ = face(__name__)

@@ -114,7 +114,11 @@ class MasterReference(NamedTuple):
 
 
 class SlaveReference(NamedTuple):
-    """What the AFM is to do: base reference x_sr [m]; where `active` is false it stays where it is."""
+    """What the AFM is to do: base reference x_sr [m]; where `active` is false it stays where it is.
+
+    Until the tip follows (`TipMeasurement.following`), a half gives the hand's own reference as an active one: by it
+    the rig places the tip, also before the hand is coupled.
+    """
 
     position_m: float
     active: bool

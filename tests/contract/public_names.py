@@ -1,7 +1,8 @@
 """The names that a package may use: the faces of rooms, and what `telenano.extend` has.
 
-`python tests/contract/public_names.py` counts them by room; with the name of a package it lists what that package
-uses. A name that no package, no template and no example uses is not public for anybody, and goes.
+`python tests/contract/public_names.py` counts them by room; with a room, such as `telenano.recording`, it lists its
+names, and with a package of the project what that package uses. A name that no package, no template and no example
+uses is not public for anybody, and goes.
 """
 
 import ast
@@ -116,7 +117,9 @@ def used_by_strangers() -> frozenset[tuple[str, str]]:
     """Return module and name of all that the templates of `telenano new` and the examples of the documents use."""
     texts = [path.read_text("utf-8") for path in sorted((ROOT / "telenano" / "templates").glob("*.py.txt"))]
     for path in (*sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "packages").glob("*/README.md"))):
-        texts += re.findall(r"```python\n(.*?)```", path.read_text("utf-8"), re.DOTALL)
+        text = path.read_text("utf-8")
+        texts += re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+        texts += re.findall(r"`(from telenano[\w.]* import [^`\n]*)`", text)
     statements = [
         part
         for text in texts
@@ -143,8 +146,9 @@ def at_most() -> int:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        for module, name in sorted(used_by(sys.argv[1])):
-            sys.stdout.write(f"{module}.{name}\n")
+        asked = sys.argv[1]
+        listed = {(asked, name) for name in offered()[asked]} if asked in offered() else used_by(asked)
+        sys.stdout.writelines(f"{module}.{name}\n" for module, name in sorted(listed))
     else:
         for module in sorted(offered()):
             sys.stdout.write(f"{sum(row[0] == module for row in counted()):5d} {module}\n")
