@@ -45,10 +45,10 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
 
     def names() -> list[str]:
         module_of("")
-        own = [
-            name for name, value in vars(package).items() if getattr(value, "__module__", "") == room or name.isupper()
-        ]
-        return sorted({*own, *modules} - {"TYPE_CHECKING"})
+        own = {
+            name for name, value in vars(package).items() if name.isupper() or getattr(value, "__module__", "") == room
+        }
+        return sorted(name for name in {*own, *modules} - {"TYPE_CHECKING"} if not name.startswith("_"))
 
     return get, names
 

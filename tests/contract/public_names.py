@@ -119,7 +119,7 @@ def used_by_strangers() -> frozenset[tuple[str, str]]:
     for path in (*sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "packages").glob("*/README.md"))):
         text = path.read_text("utf-8")
         texts += re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-        texts += re.findall(r"`(from telenano[\w.]* import [^`\n]*)`", text)
+        texts += re.findall(r"`(from telenano[\w.]* import [\w, ]+)`", text)
     statements = [
         part
         for text in texts
