@@ -27,7 +27,7 @@ SAID = {
     "failing": "no licence",
     "number": "hollow.failing:NUMBER must be a function or a group of typer that can be imported",
     "typo": "no such command 'typo'; table_absent of the package hollow 1.2 cannot be used: ModuleNotFoundError",
-    "unfinished": "the package hollow returned NoneType, and must return a CopyResult; choose one of parquet, csv",
+    "unfinished": "the package hollow returned NoneType, and must return a CopyResult; choose another format",
 }
 # what the entry `failing` of a kind leads to
 CALLED = {
@@ -80,6 +80,8 @@ ASKED = {
     "topics": ["topic info wind/{0}"],
     "panels": ["doctor"],
     "layers": ["doctor"],
+    "maps": ["doctor"],
+    "transports": ["doctor"],
 }
 PROGRAM = """
 import contextlib, io, json, sys
@@ -168,7 +170,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     ("line", "fault"),
     [
         (line, fault)
-        for kind, lines in ASKED.items() if kind not in ("checks", "layers", "panels", "steps")
+        for kind, lines in ASKED.items() if kind not in ("checks", "layers", "maps", "panels", "steps", "transports")
         for line in lines for fault in faults_of(kind)
     ],
 )  # fmt: skip

@@ -246,7 +246,7 @@ def by_watched_reader(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 
 def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     # This program is started as a console script is: its own path is safe, and no flag of it says so to its workers.
-    safe = "pass" if children.safe_path is SAFE else "sweep.children.safe_path = contextlib.nullcontext"
+    safe = "pass" if children.safe_path is SAFE else "sweep.safe_path = contextlib.nullcontext"
     code = (
         "import contextlib, os\n"
         "from telenano_studies.loops import sweep\n"
