@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from telenano.afm.part import register_part as register_part
     from telenano.afm.part import truths_of as truths_of
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
-    from telenano.afm.programs.feedback import gain_fault as gain_fault
-    from telenano.afm.programs.feedback import integral_share as integral_share
     from telenano.afm.programs.runner import Report as Report
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
     from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest

@@ -6,7 +6,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/afm/test_safety_codes.py",
         "tests/unit/afm/test_afm_safety.py",
     ),
-    "telenano/afm/programs/feedback.py": (
+    "telenano/extend/feedback.py": (
         "tests/unit/afm/test_integral_share.py",
         "tests/unit/afm/test_feedback.py",
     ),
@@ -64,7 +64,7 @@ MODULES: dict[str, tuple[str, ...]] = {
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
 EQUIVALENT: dict[str, dict[str, str]] = {
-    "telenano/afm/programs/feedback.py": {
+    "telenano/extend/feedback.py": {
         "carried_out: if proportional_m > 0.0: [proportional_m > 0.0 => proportional_m >= 0.0]": "of no proportional"
         " part nothing is taken on either way",
     },

@@ -28,7 +28,7 @@ def test_every_mutant_of_a_module_is_python_and_has_a_name_of_its_own(module: st
 
 
 def test_a_sample_is_the_same_for_the_same_seed_and_another_for_another() -> None:
-    module = "telenano/afm/programs/feedback.py"
+    module = "telenano/extend/feedback.py"
     source = (ROOT / module).read_text()
     chosen = sampled(module, source, SAMPLE, SEED)
     assert chosen == sampled(module, source, SAMPLE, SEED)

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.afm import gain_fault, integral_share
+from telenano.extend.feedback import gain_fault, integral_share
 from telenano.extend.programs import (
     APPROACH,
     ARRIVED,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.afm.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
+from telenano.extend.feedback import carried_out, feedback_step, gain_fault, integral_share
 from telenano.extend.programs import (
     APPROACH,
     ARRIVED,

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.afm.programs.feedback import gain_fault, integral_share
+from telenano.extend.feedback import gain_fault, integral_share
 from telenano.extend.programs import (
     APPROACH,
     ARRIVED,

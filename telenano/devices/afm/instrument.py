@@ -7,13 +7,13 @@ from pydantic import BaseModel
 
 from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
 from telenano.afm.made_samples import layers_on
-from telenano.afm.programs.feedback import remaining
 from telenano.afm.programs.reach import Reach
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.programs.settings import LateralTarget
 from telenano.afm.sample.surface import Surface
 from telenano.afm.section_config import ModbusConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.extend.feedback import remaining
 from telenano.extend.instruments import AfmDriver, SafetyParams
 from telenano.extend.programs import Instrument
 from telenano.extend.stage import Place

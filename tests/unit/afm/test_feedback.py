@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telenano.afm.programs.feedback import carried_out, feedback_step, gain_fault, most_integral_share, remaining
+from telenano.extend.feedback import carried_out, feedback_step, gain_fault, most_integral_share, remaining
 
 NAMES = ("--gain", "--proportional")
 # no lag at all, that of Table 2 in a millisecond, a high Q, and that of a period of the drive

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from telenano.afm.programs.feedback import integral_share, most_integral_share, remaining
+from telenano.extend.feedback import integral_share, most_integral_share, remaining
 
 LAG = remaining(1e-3, 150e3, 1000.0)
 
