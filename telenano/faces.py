@@ -27,7 +27,7 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     modules: dict[str, str] = {}
 
     def module_of(name: str) -> str | None:
-        # what reads the text is imported with the first name, for processes that use no face
+        # The parser is imported with the first name, because a process that uses no face does not need it.
         if not modules:
             from pathlib import Path
 

@@ -101,7 +101,7 @@ class _Check:
         # by channel and source, those after which no message came
         self._open_gaps: dict[tuple[str, str], tuple[int, int, int]] = {}
         self._reported: dict[tuple[str, str], int] = {}
-        # by topic, the messages whose model is not known
+        # The messages of each topic whose model is not known are counted.
         self._unknown: Counter[str] = Counter()
 
     def run(self) -> list[Finding]:

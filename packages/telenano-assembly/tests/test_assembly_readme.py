@@ -15,7 +15,7 @@ def test_every_key_of_the_layer_and_of_the_program_is_listed() -> None:
     keys = [key.name.rpartition(".") for key in all_keys()]
     ours = {(above, leaf) for above, _, leaf in keys if above.endswith((".sample.particles", ".begin.push"))}
     assert len(ours) == 31
-    # of two keys with the same words the second is named by its last part
+    # The page may name the second of two keys with the same words by its last part.
     assert {f"{above}.{leaf}" for above, leaf in ours if f"{above}.{leaf}" not in named and leaf not in named} == set()
 
 

@@ -178,7 +178,7 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
     path = hand_recording(tmp_path, 1000)
     export_recording(path, tmp_path / "once", "parquet")
     once = parquet.ParquetFile(tmp_path / "once" / "haptic_state.parquet")
-    # what a file says of a row group is in memory until it is closed
+    # The writer holds the metadata of every row group in memory until the file is closed.
     assert once.metadata.num_row_groups == 1
     monkeypatch.setattr("telenano_tables.table_batches._MOST_ROWS", 10)
     monkeypatch.setattr("telenano_tables.parquet_tables._MOST_ROWS", 100)

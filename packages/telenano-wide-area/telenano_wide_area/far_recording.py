@@ -327,5 +327,5 @@ def fetch_and_merge(
     return merged(own, fetched, folder / MERGED_NAME)
 
 
-# what the entry of the package promises
+# The type checker holds the entry of the package to its declared type.
 _: FetchRecording = fetch_and_merge

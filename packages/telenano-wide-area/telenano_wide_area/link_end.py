@@ -98,5 +98,5 @@ def relayed_place(relay: str, access: AccessControl, machine: str, *, direct: bo
     return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), None, port, path)
 
 
-# what the entry of the package promises
+# The type checker holds the entry of the package to its declared type.
 _: OpenEnds = open_ends

@@ -99,5 +99,5 @@ class PieceSender:
             self.close()
 
 
-# what the entry of the package promises
+# The type checker holds the entry of the package to its declared type.
 _: Callable[[Path, Callable[..., Any]], SendsPieces] = PieceSender
