@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from telenano.recording.column_table import ColumnTable as ColumnTable
     from telenano.recording.export import Payload as Payload
     from telenano.recording.export import export_recording as export_recording
-    from telenano.recording.export import model_of as model_of
     from telenano.recording.export import plain_schema as plain_schema
     from telenano.recording.export import viewer_json as viewer_json
     from telenano.recording.export import viewer_schema as viewer_schema
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from telenano.recording.multi_file import RecordingSource as RecordingSource
     from telenano.recording.multi_file import open_recordings as open_recordings
     from telenano.recording.provenance import versions as versions
+    from telenano.recording.quantities import model_of as model_of
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording
     from telenano.recording.rewrite import CopyResult as CopyResult

@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage
+from telenano.recording.quantities import model_of
 from telenano.recording.reader import Recording
-from telenano.recording.records import RECORDS
 from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
 from telenano.recording.tables import plain
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
-from telenano.settings.package_topics import row_of
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
 from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
@@ -203,11 +202,6 @@ def _as_json(topic: str) -> Payload:
         return viewer_json(fields, schema)
 
     return Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
-
-
-def model_of(topic: str) -> type[Record] | None:
-    """Return the model of the messages of a topic, None where this version does not know it."""
-    return RECORDS.get(topic) or (row.model if (row := row_of(topic)) else None)
 
 
 def viewer_schema(model: type[Record]) -> dict[str, Any]:

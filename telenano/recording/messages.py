@@ -212,11 +212,6 @@ def _number(text: str) -> float | None:
         return None
 
 
-def file_stem(channel_topic: str) -> str:
-    """Return a channel name in a form that is valid in a file name."""
-    return channel_topic.replace("/", "_")
-
-
 def topic_of(channel_topic: str) -> str:
     """Return the topic of a channel, which may have the site of its reception after an `@`."""
     return channel_topic.partition("@")[0]

@@ -27,6 +27,11 @@ class Quantity(NamedTuple):
     description: str
 
 
+def model_of(topic: str) -> type[Record] | None:
+    """Return the model of the messages of a topic, None where this version does not know it."""
+    return RECORDS.get(topic) or (row.model if (row := row_of(topic)) else None)
+
+
 def quantity(topic: str, column: str) -> Quantity:
     """Return unit and description of a column of a topic, such as `tip_force_n.2`; empty where none is known."""
     return _quantities(topic).get(_without_index(column), Quantity("", ""))
@@ -39,7 +44,7 @@ def _without_index(column: str) -> str:
 
 @cache
 def _quantities(topic: str) -> dict[str, Quantity]:
-    model = RECORDS.get(topic) or (row.model if (row := row_of(topic)) else None)
+    model = model_of(topic)
     found = {name: Quantity(*facts) for name, facts in _RECORD.items()}
     return found if model is None else found | dict(_of_model(model, ""))
 
