@@ -8,10 +8,8 @@ if TYPE_CHECKING:
     from telenano.analysis.conditions import described as described
     from telenano.analysis.fig12 import SessionSeries as SessionSeries
     from telenano.analysis.figure_style import COLUMN_IN as COLUMN_IN
-    from telenano.analysis.figure_style import LINES as LINES
     from telenano.analysis.figure_style import ON_SCREEN as ON_SCREEN
     from telenano.analysis.figure_style import REFERENCE as REFERENCE
-    from telenano.analysis.figure_style import VERDICTS as VERDICTS
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
     from telenano.analysis.figure_style import drawn as drawn
     from telenano.analysis.figure_style import figure_options as figure_options
@@ -36,6 +34,5 @@ if TYPE_CHECKING:
     from telenano.analysis.report import split_age as split_age
     from telenano.analysis.report import summarise as summarise
     from telenano.analysis.report import write_files as write_files
-    from telenano.analysis.verdict import KINDS as KINDS
 else:
     __getattr__, __dir__ = face(__name__)

@@ -35,25 +35,6 @@ _PAPER: Mapping[str, Any] = {
 # text of a PDF or SVG stays text, which an editor of the journal can search and set
 _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "telenano"}
 
-# found by a search for the greatest least difference, with these three first: stable is light, what diverges dark
-VERDICTS = {
-    "stable": "#99e6ff",
-    "limit_cycle": "#e68000",
-    "diverged": "#66004d",
-    "contact_lost": "#0000e6",
-    "guarded": "#001a00",
-    "cannot_say": "#4d4d00",
-    "no_data": "#ffffe6",
-}
-# curves of one panel: each has a line of its own as well, for print in grey
-LINES: tuple[tuple[str, Any], ...] = (
-    ("#000000", "-"),
-    ("#d55e00", "--"),
-    ("#0072b2", "-."),
-    ("#009e73", ":"),
-    ("#e69f00", (0, (6, 1, 1, 1, 1, 1))),
-    ("#cc79a7", (0, (3, 1))),
-)
 HAND, TIP, REFERENCE = "#0b3d66", "#d55e00", "#9a9a9a"
 
 

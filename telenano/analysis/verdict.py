@@ -12,7 +12,7 @@ hand's force, and stays so for another such stretch, is rest. What cannot be tol
 
 import math
 from itertools import combinations, pairwise
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,6 @@ from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, n
 
 Series = npt.NDArray[np.float64]
 Kind = Literal["stable", "limit_cycle", "diverged", "contact_lost", "guarded", "no_data", "cannot_say"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 
 # The thresholds of the verdicts, with those of `telenano.analysis.holds`; docs/studies.md has them in one table.
 # share of the hand's greatest force [1]: what moves less from peak to peak is rest, and a force below it presses not

@@ -1,6 +1,5 @@
 """A session by a `telenano up` of its own, for commands that run several; it ends in order when they do."""
 
-import json
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -46,11 +45,3 @@ def run_session(
             session.terminate()
             session.communicate()
             raise
-
-
-def reason_of(stdout: str, stderr: str) -> str:
-    """Return why a command with --json failed, in its own words."""
-    try:
-        return str(json.loads(stdout)["error"])
-    except (ValueError, KeyError):
-        return stderr.strip() or stdout.strip() or "no output"

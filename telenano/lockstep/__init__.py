@@ -6,27 +6,21 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.lockstep.across import steering_force_n as steering_force_n
-    from telenano.lockstep.link import BACKWARD_TOPIC as BACKWARD_TOPIC
-    from telenano.lockstep.link import FORWARD_TOPIC as FORWARD_TOPIC
     from telenano.lockstep.link import Schedule as Schedule
-    from telenano.lockstep.link import Times as Times
     from telenano.lockstep.link import fresh as fresh
-    from telenano.lockstep.link import last_together as last_together
-    from telenano.lockstep.link import schedule_from as schedule_from
     from telenano.lockstep.link import schedule_of as schedule_of
+    from telenano.lockstep.link import schedule_over as schedule_over
     from telenano.lockstep.lockstep import Rig as Rig
     from telenano.lockstep.lockstep import Series as Series
     from telenano.lockstep.lockstep import Trajectory as Trajectory
     from telenano.lockstep.lockstep import build_rig as build_rig
     from telenano.lockstep.lockstep import simulate as simulate
     from telenano.lockstep.lockstep import time_to_place_s as time_to_place_s
-    from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
     from telenano.lockstep.simulation import instrument_of as instrument_of
     from telenano.lockstep.simulation import instrument_params as instrument_params
     from telenano.lockstep.simulation import known_of as known_of
     from telenano.lockstep.simulation import programme_of as programme_of
     from telenano.lockstep.simulation import simulate_document as simulate_document
-    from telenano.lockstep.simulation import simulate_scenario as simulate_scenario
     from telenano.lockstep.steering import HandSteps as HandSteps
 else:
     __getattr__, __dir__ = face(__name__)

@@ -7,6 +7,7 @@ came twice is dropped here as the bus drops it. Of messages that arrive together
 that holds them, the loop takes the newest one that was sent, and there is one answer to them.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from telenano.link.fate import Direction
 from telenano.timing.play_out import PlayOut
 
 Times = npt.NDArray[np.int64]
+# When messages arrive [ns], and which of them each one is, by the times at which they are sent [ns].
+Crossing = Callable[[Times], tuple[Times, Times]]
 
 FORWARD_TOPIC = "teleop/forward"
 BACKWARD_TOPIC = "teleop/backward"
@@ -57,11 +60,29 @@ def schedule_of(
         play_out: Whether each direction ends in a buffer that keeps the delay nearly constant.
     """
     period_ns = round(period_s * 1e9)
-    sent_ns = np.arange(ticks, dtype=np.int64) * period_ns
-    forward_ns, forward_of = _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out)
+    return schedule_over(
+        lambda sent_ns: _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out),
+        lambda sent_ns: _arrivals(settings, "backward", BACKWARD_TOPIC, sent_ns, folder, play_out=play_out),
+        ticks,
+        period_ns,
+    )
+
+
+def schedule_over(forward: Crossing, backward: Crossing, ticks: int, period_ns: int) -> Schedule:
+    """Return the arrivals of a run of `ticks` samples, one every period_ns [ns], over two directions.
+
+    Each direction is called once, with the times at which its messages are sent [ns], and returns when those that a
+    reader takes arrive, in the order of time [ns], and which message each one is: its place among those sent.
+
+    Args:
+        forward: The direction of the signals of the hand.
+        backward: The direction of the answers, of which there is one to all that come together.
+        ticks: The number of samples.
+        period_ns: The time between two samples [ns].
+    """
+    forward_ns, forward_of = forward(np.arange(ticks, dtype=np.int64) * period_ns)
     answered = last_together(forward_ns)
-    sent_ns = forward_ns[answered]
-    backward_ns, answer = _arrivals(settings, "backward", BACKWARD_TOPIC, sent_ns, folder, play_out=play_out)
+    backward_ns, answer = backward(forward_ns[answered])
     return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
 
 

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from telenano.timing.clock_offset import OffsetFilter as OffsetFilter
     from telenano.timing.clock_offset import clock_report as clock_report
     from telenano.timing.freshness import DELAY_STEP_NS as DELAY_STEP_NS
+    from telenano.timing.loop_age import ACROSS_CLOCKS as ACROSS_CLOCKS
     from telenano.timing.loop_age import STAGES as STAGES
-    from telenano.timing.loop_age import TOGETHER as TOGETHER
-    from telenano.timing.loop_age import WITH_JITTER as WITH_JITTER
     from telenano.timing.play_out import PlayOut as PlayOut
 else:
     __getattr__, __dir__ = face(__name__)

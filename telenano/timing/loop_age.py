@@ -28,6 +28,8 @@ STAGES = {
 }
 DEVICE, QUEUE, TOGETHER = "device of the hand", "queue at the device", "laws and instrument"
 WITH_JITTER = f"{TOGETHER}, and jitter of the line"
+# These parts begin at one site and end at the other: the clocks leave open how much belongs to which way.
+ACROSS_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER, WITH_JITTER)
 WAYS = {"forward": "there", "backward": "back"}
 _SLAVES = ("afm/command", "afm/state", "teleop/backward")
 # By so much the clocks of two machines may differ after they were compared [ns]; datagrams are further apart.

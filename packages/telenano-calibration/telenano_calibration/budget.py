@@ -16,7 +16,7 @@ import numpy.typing as npt
 from telenano.analysis import DEVIATIONS, mean_half_width, split_age
 from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.recording import RecordingSource, Timeline
-from telenano.timing import STAGES, TOGETHER, WITH_JITTER
+from telenano.timing import ACROSS_CLOCKS, STAGES
 from telenano.wire import TelenanoError
 
 # the scales that each figure of a summary goes with, by the name of their source
@@ -27,8 +27,6 @@ _SCALES = {
     "contact_x_cm": ("position of the hand for a count",),
     "release_force_nn": _TIP_FORCE,
 }
-# These stages begin at one site and end at the other: the clocks leave open how much belongs to which way.
-_OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER, WITH_JITTER)
 
 
 class Source(NamedTuple):
@@ -139,7 +137,7 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
     found_s = {name: values for name, values in parts.items() if values.any()}
     loop_ms = 1e3 * np.sum(list(found_s.values()), axis=0)
     found = [
-        _stage(name, 1e3 * values, loop_ms, open_ms if name in _OF_TWO_CLOCKS else 0.0)
+        _stage(name, 1e3 * values, loop_ms, open_ms if name in ACROSS_CLOCKS else 0.0)
         for name, values in found_s.items()
     ]
     return [*found, _stage("loop", loop_ms, loop_ms, 0.0)]

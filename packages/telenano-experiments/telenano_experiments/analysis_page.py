@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from telenano_studies.figure_colours import LINES
 from telenano_studies.page import Page, write_images
 
-from telenano.analysis import COLUMN_IN, LINES, FigureOptions, lettered, styled
+from telenano.analysis import COLUMN_IN, FigureOptions, lettered, styled
 from telenano.recording import versions as origin_of
 from telenano_experiments.analyse import Analysis, versions
 from telenano_experiments.effects import Factor

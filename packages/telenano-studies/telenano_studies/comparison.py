@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano.analysis import (
     COLUMN_IN,
-    LINES,
     ON_SCREEN,
     REFERENCE,
     FigureOptions,
@@ -21,6 +20,7 @@ from telenano.analysis import (
 )
 from telenano.recording import open_recordings
 from telenano.wire import ConfigError
+from telenano_studies.figure_colours import LINES
 from telenano_studies.published import PANELS, Published, nearest
 
 if TYPE_CHECKING:

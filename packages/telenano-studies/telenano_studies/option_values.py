@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from telenano.laws import LAW_NAMES, LAWS
+from telenano.laws import LAWS, OWN_LAWS
 from telenano.settings import flag_overrides, flatten
 from telenano.wire import ConfigError, known_names
 
@@ -16,7 +16,7 @@ _OF_A_LINE = (
     " (--network)"
 )
 # The laws of every comparison: those of telenano, and the predictor of telenano-laws, which this package requires.
-COMPARED_LAWS = (*LAW_NAMES, "smith")
+COMPARED_LAWS = (*OWN_LAWS, "smith")
 LONGEST_MS = 10_000.0
 STIFFEST_N_PER_M = 1e5
 

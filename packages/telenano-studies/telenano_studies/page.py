@@ -8,9 +8,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from telenano.analysis import KINDS, ON_SCREEN, VERDICTS, FigureOptions, drawn
+from telenano.analysis import ON_SCREEN, FigureOptions, drawn
 from telenano.recording import versions
 from telenano.settings import flatten
+from telenano_studies.figure_colours import VERDICTS
 from telenano_studies.table_files import table_files
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class Page:
 
 
 def _cell(value: Any) -> str:
-    verdict = value if value in KINDS else ""
+    verdict = value if value in VERDICTS else ""
     words = text(value).replace("_", " ") if verdict else text(value)
     # sentences are broken into lines, so that no table is wider than its page
     kind = verdict or ("words" if len(words) > _LONGEST_FIGURE else "")

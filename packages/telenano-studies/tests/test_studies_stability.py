@@ -11,6 +11,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from telenano_studies.figure_colours import VERDICTS
 from telenano_studies.loops import sweep as sweep_module
 from telenano_studies.loops.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
 from telenano_studies.loops.stability import (
@@ -30,7 +31,6 @@ from telenano_studies.page import Page
 from telenano_studies.pages.stability_page import broken_assumption, summarise, write_stability
 
 from telenano.afm.safety import MODE_HOLD, MODE_RETRACTING
-from telenano.analysis.figure_style import VERDICTS
 from telenano.wire.errors import ConfigError
 
 

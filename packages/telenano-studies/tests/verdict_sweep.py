@@ -19,12 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
+from telenano_studies.failed_session import reason_of
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 from telenano_studies.loops.validate import longest_stall_s
 
 import telenano
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.launcher.child_session import reason_of, run_session
+from telenano.launcher.child_session import run_session
 from telenano.laws.config import ControllerConfig
 from telenano.settings import find_scenario
 from telenano.settings.config import merge, nested, read_yaml

@@ -1,5 +1,7 @@
 """Holds of a session that is made up: what the hand does is known, and so is what becomes of the motion."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ from telenano.analysis.holds import (
     verdict_of,
 )
 from telenano.analysis.interruptions import Interruption
-from telenano.analysis.verdict import KINDS
+from telenano.analysis.verdict import Kind
 
 TIME_S = np.arange(9000) * 1e-3
 # at rest, pressed with 1 N, pressed with 2 N; the steps between them are ramps of half a second
@@ -251,7 +253,7 @@ def test_a_session_is_called_by_its_worst_hold() -> None:
 
 
 def test_every_verdict_has_a_place_among_the_worst() -> None:
-    assert sorted(_WORST_FIRST) == sorted(KINDS)
+    assert sorted(_WORST_FIRST) == sorted(get_args(Kind))
 
 
 def test_a_session_without_holds_cannot_be_called_stable() -> None:

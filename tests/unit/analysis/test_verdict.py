@@ -1,10 +1,12 @@
 """Verdicts on motions whose fate is known, with and without noise of the read-out."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
-from telenano.analysis.verdict import KINDS, SMALL_SHARE, judge
+from telenano.analysis.verdict import SMALL_SHARE, Kind, judge
 
 TIME_S = np.arange(8000) * 1e-3
 SHORT_S = TIME_S[:1400]
@@ -161,7 +163,7 @@ def test_no_reason_has_a_number_that_is_none() -> None:
 
 
 def test_seven_kinds_and_no_more() -> None:
-    assert len(KINDS) <= 7
+    assert len(get_args(Kind)) <= 7
 
 
 def test_the_hand_has_to_press() -> None:

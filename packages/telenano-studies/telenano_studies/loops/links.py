@@ -3,9 +3,12 @@
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from telenano.link import LinkSettings, parse_settings
-from telenano.lockstep import Schedule, Times, fresh, last_together, schedule_from
+from telenano.lockstep import Schedule, fresh, schedule_over
+
+Times = npt.NDArray[np.int64]
 
 # How a link lets signals out in no even flow; `uneven_ns` says what each is.
 Uneven = Literal["slots", "outages", "bursts", "sawtooth"]
@@ -39,10 +42,7 @@ def uneven_schedule(round_trip_s: float, kind: Uneven, size_s: float, ticks: int
         order = np.argsort(released, kind="stable")
         return fresh(released[order], order)
 
-    forward_ns, forward_of = crossed(np.arange(ticks, dtype=np.int64) * period_ns)
-    answered = last_together(forward_ns)
-    backward_ns, answer = crossed(forward_ns[answered])
-    return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
+    return schedule_over(crossed, crossed, ticks, period_ns)
 
 
 def direction_of(one_way_s: float, jitter_s: float, loss: float, burst: float | None = None) -> dict[str, object]:

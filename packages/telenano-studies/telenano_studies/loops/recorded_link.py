@@ -8,13 +8,11 @@ lockstep can run over that draw: what then differs is the bus and not the link.
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from telenano.lockstep import BACKWARD_TOPIC, FORWARD_TOPIC, Schedule, fresh, last_together, schedule_from
+from telenano.lockstep import Schedule, fresh, schedule_over
 from telenano.recording import Recording, columns, last_programme
 from telenano.wire import RecordingError
-
-Times = npt.NDArray[np.int64]
+from telenano_studies.loops.links import Times
 
 
 def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> Schedule:
@@ -42,8 +40,8 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     # the grid is that of the sample that was least late
     origin_ns = int((stamps - tick_of * period_ns)[running].min())
 
-    forward_ns, forward_hand_ns = _crossed(recording, "forward", FORWARD_TOPIC)
-    backward_ns, backward_hand_ns = _crossed(recording, "backward", BACKWARD_TOPIC)
+    forward_ns, forward_hand_ns = _crossed(recording, "forward", "teleop/forward")
+    backward_ns, backward_hand_ns = _crossed(recording, "backward", "teleop/backward")
     forward_ns, forward_of = _within(forward_ns - origin_ns, _ticks(forward_hand_ns, stamps, tick_of), ticks)
     # No message arrives before its tick.
     forward_ns = np.maximum(forward_ns, forward_of * period_ns)
@@ -53,12 +51,14 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     place = np.searchsorted(forward_of, answered_tick)
     known = place < len(forward_of)
     known[known] = forward_of[place[known]] == answered_tick[known]
-    # there is one answer to forward messages that come together, and the loop knows it by the last of them
-    last = last_together(forward_ns)
-    backward_ns, backward_of = fresh(backward_ns[known], last[np.searchsorted(last, place[known])])
-    # an answer comes after its question
-    backward_ns = np.maximum(backward_ns, forward_ns[backward_of])
-    return schedule_from(forward_ns, forward_of, backward_ns, backward_of, ticks, period_ns)
+
+    def answers(sent_ns: Times) -> tuple[Times, Times]:
+        # there is one answer to forward messages that come together
+        times_ns, answered = fresh(backward_ns[known], np.searchsorted(sent_ns, forward_ns[place[known]]))
+        # an answer comes after its question
+        return np.maximum(times_ns, sent_ns[answered]), answered
+
+    return schedule_over(lambda sent_ns: (forward_ns, forward_of), answers, ticks, period_ns)
 
 
 def _ticks(hand_ns: Times, stamps: Times, tick_of: Times) -> Times:

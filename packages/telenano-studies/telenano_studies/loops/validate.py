@@ -34,10 +34,11 @@ import yaml
 from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import lacks_of, read_session
 from telenano.cli import EXIT_INCOMPLETE
-from telenano.launcher import reason_of, run_session
+from telenano.launcher import run_session
 from telenano.lockstep import Trajectory, simulate
 from telenano.recording import Recording, Timeline, columns, last_programme
 from telenano.wire import ConfigError, RecordingError, TelenanoError
+from telenano_studies.failed_session import reason_of
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
     Cell,

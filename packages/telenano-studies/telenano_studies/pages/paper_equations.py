@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from telenano import SimulatedSession, simulate
 from telenano.afm import (
     AfmConfig,
     MaugisDugdale,
@@ -21,7 +22,6 @@ from telenano.afm import (
 )
 from telenano.hand import DeviceConfig, bandwidth_hz, closed_loop_poles
 from telenano.laws import LAWS, impedance_scaled
-from telenano.lockstep import SimulatedSession, simulate_scenario
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 
 
@@ -108,7 +108,7 @@ def control_rows() -> list[Row]:
         assert loop is not None
         row = Row(f"delay margin against {stiffness:g} N/m", "Eq. 15-17", 1e3 * critical_delay_s(loop), expected, "ms")
         rows.append(row)
-    return rows + _fig12_rows(simulate_scenario("fig12"))
+    return rows + _fig12_rows(simulate("fig12"))
 
 
 def _fig12_rows(session: SimulatedSession) -> list[Row]:

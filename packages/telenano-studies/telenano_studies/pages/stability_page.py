@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import KINDS, ON_SCREEN, VERDICTS, FigureOptions, styled
+from telenano.analysis import ON_SCREEN, FigureOptions, styled
 from telenano.files import whole_results
+from telenano_studies.figure_colours import VERDICTS
 from telenano_studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_studies.loops.stability import LineResult
 from telenano_studies.loops.theory import hybrid_of, llewellyn
@@ -138,7 +139,7 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
     axes[-1].set_xlabel("round trip of the link [ms]")
     shown = {cell.verdict for result in results for cell in result.cells}
-    handles = [_patch(VERDICTS[kind], kind.replace("_", " ")) for kind in KINDS if kind in shown]
+    handles = [_patch(VERDICTS[kind], kind.replace("_", " ")) for kind in VERDICTS if kind in shown]
     found = axes[0].plot([], [], "k-", linewidth=_EDGE_PT, label="edge, lockstep")
     theory = axes[0].plot([], [], "w--", linewidth=_THEORY_PT, label="edge, theory (sampled loop)")
     figure.legend(
