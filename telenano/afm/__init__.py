@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import pull_off_indentation_m as pull_off_indentation_m
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.contact.tip_sample import branch_force as branch_force
-    from telenano.afm.disturbances import BOLTZMANN_J_PER_K as BOLTZMANN_J_PER_K
     from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbed import noisy_params as noisy_params
     from telenano.afm.dynamic import NO_NOISE as NO_NOISE

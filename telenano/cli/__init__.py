@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from telenano.cli.exit_codes import EXIT_INCOMPLETE as EXIT_INCOMPLETE
     from telenano.cli.image_output import write_images as write_images
     from telenano.cli.keyboard import RawKeyboard as RawKeyboard
-    from telenano.cli.model_options import Given as Given
     from telenano.cli.model_options import validated as validated
     from telenano.cli.model_options import with_options as with_options
     from telenano.cli.options import AllowOption as AllowOption
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from telenano.cli.output import report_errors as report_errors
     from telenano.cli.output import results_folder as results_folder
     from telenano.cli.progress_bar import progress as progress
-    from telenano.cli.sample_options import AfmOption as AfmOption
     from telenano.cli.sample_options import ChannelOption as ChannelOption
     from telenano.cli.sample_options import SampleOption as SampleOption
     from telenano.cli.sample_options import SampleSetOption as SampleSetOption

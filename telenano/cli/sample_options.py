@@ -37,10 +37,6 @@ SampleSetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the sample, such as dot_count=20 (repeatable)."),
 ]
-AfmOption = Annotated[
-    list[str] | None,
-    typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
-]
 
 
 def sample_config(

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from telenano_microscopy.program_view import LiveOption
+from telenano_microscopy.program_view import AfmOption, LiveOption
 
 from telenano.cli import (
-    AfmOption,
     ChannelOption,
     JsonOption,
     SiteFileOption,

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
+from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
 
 from telenano.cli import (
-    AfmOption,
     JsonOption,
     SiteFileOption,
     print_document,

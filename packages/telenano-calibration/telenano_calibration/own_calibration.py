@@ -20,9 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+from scipy import constants, ndimage
 
-from telenano.afm import BOLTZMANN_J_PER_K
 from telenano.files import Column, TextTable, read_table, unit_of
 from telenano.settings import read_by_package
 from telenano.wire import ConfigError
@@ -372,7 +371,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
         found: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    k = known.factor * BOLTZMANN_J_PER_K * known.temperature_k / found.mean_square_m2
+    k = known.factor * constants.Boltzmann * known.temperature_k / found.mean_square_m2
     if not _STIFFNESS[0] <= k <= _STIFFNESS[1]:
         raise ConfigError(
             f"a stiffness of {k:.3g} N/m is that of no cantilever: look at the unit of the density (--unit), or of a "

@@ -9,7 +9,6 @@ import typer
 
 from telenano.afm import CurveSettings
 from telenano.cli import (
-    AfmOption,
     JsonOption,
     SiteFileOption,
     print_document,
@@ -24,7 +23,7 @@ from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
 from telenano.signals import received as signal_received
 from telenano.wire import ConfigError, RigError
-from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
+from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
     from telenano.wire import Scalar

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 _BAR = 30
 
+AfmOption = Annotated[
+    list[str] | None,
+    typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
+]
 LiveOption = Annotated[
     bool, typer.Option("--live", help="By the instrument of the running rig, with its sample and cantilever.")
 ]

@@ -8,7 +8,6 @@ import typer
 from telenano.afm import ScanSettings
 from telenano.cli import (
     EXIT_FAILED,
-    AfmOption,
     ChannelOption,
     JsonOption,
     SampleOption,
@@ -28,7 +27,7 @@ from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
 from telenano.signals import received as signal_received
 from telenano.wire import RigError
-from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
+from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
     from telenano.analysis import Image

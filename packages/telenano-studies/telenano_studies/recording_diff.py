@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from telenano.recording import ALL, RecordedChannel, RecordedMessage, Recording, Selection, Tolerances, first_difference
+from telenano.recording import RecordedChannel, RecordedMessage, Recording, Selection, Tolerances, first_difference
 
 
 class ChannelDifference(BaseModel):
@@ -39,7 +39,7 @@ def diff_recordings(
     right: Path,
     tolerances: Tolerances | None = None,
     ignore: Iterable[str] = (),
-    selection: Selection = ALL,
+    selection: Selection | None = None,
 ) -> RecordingDifference:
     """Compare two recordings by channel, publisher and `seq` of the message, whatever the times of reception.
 
@@ -48,13 +48,13 @@ def diff_recordings(
         right: The other recording.
         tolerances: The tolerances by field; None compares exactly.
         ignore: Top-level fields that are left out, such as t_ns.
-        selection: The part of the recordings that is compared.
+        selection: The part of the recordings that is compared; None is all of it.
 
     Raises:
         RecordingError: A file is not a recording.
     """
     allowed, skipped = tolerances or Tolerances(), tuple(ignore)
-    sides = [_side(Recording(path), selection) for path in (left, right)]
+    sides = [_side(Recording(path), selection or Selection()) for path in (left, right)]
     rows = [
         _compare(channel, sides[0].get(channel, {}), sides[1].get(channel, {}), allowed, skipped)
         for channel in dict.fromkeys((*sides[0], *sides[1]))

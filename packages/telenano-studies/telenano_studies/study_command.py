@@ -5,7 +5,7 @@ What imports matplotlib is imported when a command runs, so that `telenano study
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,7 +13,6 @@ from telenano.analysis import figure_options, styled
 from telenano.cli import (
     EXIT_FAILED,
     FormatOption,
-    Given,
     JsonOption,
     StyleOption,
     TableOption,
@@ -75,7 +74,7 @@ app.command("network")(network_command)
 @app.command()
 @with_options(Axes)
 def stability(
-    given: Given,
+    given: dict[str, Any],
     out: OutOption,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -112,7 +111,7 @@ def stability(
 @app.command()
 @with_options(Feel, ("environment", "gains", "jitters", "losses", "session_s", *_ONE_LINK), _TRANSPARENCY)
 def transparency(
-    given: Given,
+    given: dict[str, Any],
     out: OutOption,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
@@ -150,7 +149,7 @@ def transparency(
 @app.command()
 @with_options(Question)
 def advise(
-    given: Given,
+    given: dict[str, Any],
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for page, table and journal; resumes a journal.")
     ] = Path("out/advice"),
@@ -195,7 +194,7 @@ def advise(
 @app.command()
 @with_options(Axes, ("gains", *_ONE_LINK), _VALIDATE)
 def validate(
-    given: Given,
+    given: dict[str, Any],
     out: OutOption,
     sample: Annotated[
         int | None,
