@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from telenano.console.command_client import send_control as send_control
     from telenano.console.coupling import couple_anew as couple_anew
     from telenano.console.lease_register import holding as holding
-    from telenano.console.live_program import LiveCurve as LiveCurve
-    from telenano.console.live_program import run_program as run_program
     from telenano.console.live_recording import LiveRecording as LiveRecording
     from telenano.console.page_hand import RigHand as RigHand
 else:

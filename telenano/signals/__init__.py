@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from telenano.signals.children import start as start
     from telenano.signals.interrupts import exit_code as exit_code
     from telenano.signals.interrupts import finishing as finishing
+    from telenano.signals.interrupts import held as held
     from telenano.signals.interrupts import kept_from_children as kept_from_children
     from telenano.signals.interrupts import received as received
 else:

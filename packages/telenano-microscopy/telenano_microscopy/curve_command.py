@@ -129,8 +129,8 @@ def _live(
     as_json: bool,
 ) -> "Curve":
     """Have a running rig take a curve; RigError when it ended before it was complete."""
-    from telenano.console import LiveCurve
     from telenano_microscopy.force_curve import curve_of_samples
+    from telenano_microscopy.live_program import LiveCurve
 
     samples = LiveCurve()
     # The rig decides the values that were not given.

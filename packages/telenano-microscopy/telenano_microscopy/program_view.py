@@ -11,8 +11,8 @@ from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
     from telenano.analysis import LiveImage
-    from telenano.console import LiveCurve
     from telenano.wire import AfmProgram, Scalar
+    from telenano_microscopy.live_program import LiveCurve
 
 _BAR = 30
 
@@ -43,7 +43,7 @@ def follow_program(
 
     `on_end` is called as soon as the instrument has reported the end, before anything of the program is closed.
     """
-    from telenano.console import run_program
+    from telenano_microscopy.live_program import run_program
 
     with RawKeyboard() as keyboard:
 

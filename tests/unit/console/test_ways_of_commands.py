@@ -14,7 +14,7 @@ WAYS = {
     ("telenano/console/command_client.py", "CommandClient"): "send_controls, which holds the hand around it",
     ("telenano/console/command_client.py", "send_controls by"): "the same, with the hand held",
     ("telenano/console/coupling.py", "send_control by"): "the hub's desk for a page; without a name send_control",
-    ("telenano/console/live_program.py", "send_control"): HOLDS,
+    ("packages/telenano-microscopy/telenano_microscopy/live_program.py", "send_control"): HOLDS,
     (
         "telenano/launcher/session.py",
         "CommandClient",

@@ -1,4 +1,4 @@
-"""What a running rig sends of an image or a curve, put together."""
+"""The lines that a running rig sends of an image, put together."""
 
 from typing import Any
 

@@ -6,22 +6,14 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
+from telenano.analysis import LiveImage
+from telenano.console import holding, send_control
+from telenano.runtime import RIG_HINT, Command, Observer, load_site, require_rig
+from telenano.signals import held
+from telenano.wire import AfmProgram, AfmScanline, AfmState, NodeHealth, RigError, Scalar
 
-from telenano.analysis.image_files import LiveImage
-from telenano.console.command_client import send_control
-from telenano.console.lease_register import holding
-from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.loop.commands import Command
-from telenano.runtime.wiring.observer import RIG_HINT, Observer, require_rig
-from telenano.signals import interrupts
-from telenano.wire.errors import RigError
-from telenano.wire.instrument import AfmProgram
-from telenano.wire.messages import AfmScanline, AfmState, NodeHealth, Scalar
-from telenano.wire.nodes import TIP
-
-Array = npt.NDArray[np.float64]
+# the instrument of a rig
+TIP = "afm_node@slave"
 
 _TOPICS = ("afm/scanline", "afm/program", "node/health")
 # the instrument reports twice a second, and ten times while a program runs
@@ -81,7 +73,7 @@ def run_program(
         with holding("program"):
             try:
                 # an instrument that has begun is told to end
-                with interrupts.held():
+                with held():
                     _send(site_file, parameters)
                 return listener.listen(on_report, send)
             except KeyboardInterrupt:
@@ -91,7 +83,7 @@ def run_program(
 def _aborted(listener: "_Listener", send: Callable[[str], None]) -> AfmProgram:
     """End the program and return its last report; RigError when the instrument does not answer and goes on."""
     try:
-        with interrupts.held():
+        with held():
             try:
                 send("abort")
             except RigError:
