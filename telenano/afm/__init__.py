@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import indentation_m as indentation_m
     from telenano.afm.contact.maugis_dugdale import maugis_dugdale as maugis_dugdale
-    from telenano.afm.contact.maugis_dugdale import pull_off_force_n as pull_off_force_n
-    from telenano.afm.contact.maugis_dugdale import pull_off_indentation_m as pull_off_indentation_m
+    from telenano.afm.contact.maugis_dugdale import pull_off as pull_off
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.contact.tip_sample import branch_force as branch_force
     from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig

@@ -27,7 +27,7 @@ from telenano.afm import (
     force_n,
     indentation_m,
     maugis_dugdale,
-    pull_off_indentation_m,
+    pull_off,
     reduced_modulus_pa,
 )
 from telenano.numerics import compiled, compiled_form
@@ -268,7 +268,7 @@ def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float)
     contact = _contact(model, radius, work)
     dry_n = max(load_n - model.capillary_n_per_m * radius, 0.0)
     deepest = indentation_m(contact, 1.2 * dry_n + 0.1 * contact.force_unit_n)
-    first = pull_off_indentation_m(contact)
+    _, first = pull_off(contact)
     # fine where the contact ends
     depths = first + (deepest - first) * np.linspace(0.0, 1.0, _GRID) ** 2
     forces = np.empty(_GRID)

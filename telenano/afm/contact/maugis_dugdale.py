@@ -312,12 +312,10 @@ def indentation_m(contact: MaugisDugdale, force_n: float) -> float:
 
 
 @compiled
-def pull_off_force_n(contact: MaugisDugdale) -> float:
-    """Most attractive force of the contact [N]: -2 pi w R for lambda -> 0 (DMT), -1.5 pi w R for infinity (JKR)."""
-    return contact.force_unit_n * contact_at(contact.transition, pull_off_angle(contact.transition)).force
+def pull_off(contact: MaugisDugdale) -> tuple[float, float]:
+    """Most attractive force of the contact [N] and the indentation there [m], negative: the surface is drawn out.
 
-
-@compiled
-def pull_off_indentation_m(contact: MaugisDugdale) -> float:
-    """Indentation [m] at the pull-off force, negative: the surface is drawn out."""
-    return contact.indentation_unit_m * contact_at(contact.transition, pull_off_angle(contact.transition)).indentation
+    The force is -2 pi w R for lambda -> 0 (DMT), and -1.5 pi w R for infinity (JKR).
+    """
+    end = contact_at(contact.transition, pull_off_angle(contact.transition))
+    return contact.force_unit_n * end.force, contact.indentation_unit_m * end.indentation

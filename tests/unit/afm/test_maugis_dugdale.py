@@ -37,8 +37,8 @@ def test_derived_values_of_table_2(table_2):
     assert round(md.reduced_modulus_pa(E_TIP, 0.5, E_SAMPLE, 0.3) * 1e-9, 5) == 4.31198
     assert round(md.cohesive_stress_pa(W, A0) * 1e-9, 6) == 0.374568
     assert round(table_2.transition, 5) == 0.82538
-    assert round(md.pull_off_force_n(table_2) * 1e9, 3) == -3.684
-    assert round(md.pull_off_indentation_m(table_2) * 1e9, 3) == -0.124
+    assert round(md.pull_off(table_2)[0] * 1e9, 3) == -3.684
+    assert round(md.pull_off(table_2)[1] * 1e9, 3) == -0.124
     assert round(md.force_n(table_2, 0.0) * 1e9, 3) == -3.225
 
 
@@ -154,11 +154,11 @@ def test_stiffness_is_the_numerical_derivative(lam):
 
 
 def test_separation_from_force_is_the_inverse(table_2):
-    pull_off = md.pull_off_force_n(table_2)
+    pull_off, first = md.pull_off(table_2)
     for force in np.array([-3.68e-9, -2e-9, 0.0, 1e-9, 5e-8, 1e-6]):
         assert math.isclose(md.force_n(table_2, md.indentation_m(table_2, force)), force, rel_tol=1e-9, abs_tol=1e-20)
     rng = np.random.default_rng(3)
-    for delta in rng.uniform(md.pull_off_indentation_m(table_2), 5e-9, 50):
+    for delta in rng.uniform(first, 5e-9, 50):
         found = md.indentation_m(table_2, md.force_n(table_2, delta))
         assert math.isclose(found, delta, rel_tol=1e-6, abs_tol=1e-16)
     with pytest.raises(ValueError, match="below the pull-off force"):

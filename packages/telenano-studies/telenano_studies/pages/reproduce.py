@@ -20,7 +20,7 @@ from telenano.afm import (
     meniscus_force,
     meniscus_radius_m,
     minimum_distance_m,
-    pull_off_force_n,
+    pull_off,
     reduced_modulus_pa,
     table_force,
     volts_per_m,
@@ -81,7 +81,7 @@ def equations() -> list[Value]:
     def contact(indentation_m: float) -> tuple[float, float]:
         return table_force(tip.table, indentation_m)
 
-    pull_off = pull_off_force_n(tip.table.contact)
+    most_attractive_n, _ = pull_off(tip.table.contact)
     rows = [
         ("read-out of the bridge", "Eq. 3", volts * 1e-6, 6.25, "mV/nm"),
         ("contact distance a0", "Eq. 5", a0 * 1e9, 0.197988, "nm"),
@@ -94,7 +94,7 @@ def equations() -> list[Value]:
         ("reduced modulus E*", "Eq. 8", modulus * 1e-9, 4.31198, "GPa"),
         ("cohesive stress", "Eq. 8, E5", cohesive_stress_pa(t.work_of_adhesion_j_per_m2, a0) * 1e-9, 0.374568, "GPa"),
         ("transition parameter lambda", "Eq. 8", tip.table.contact.transition, 0.82538, ""),
-        ("pull-off of the dry contact", "Eq. 7-11, E6", pull_off * 1e9, -3.684, "nN"),
+        ("pull-off of the dry contact", "Eq. 7-11, E6", most_attractive_n * 1e9, -3.684, "nN"),
         ("force without indentation", "Eq. 7-11", contact(0.0)[0] * 1e9, -3.225, "nN"),
         ("hand-over distance h*", "Eq. 4, E7", onset * 1e9, 0.2735, "nm"),
         ("force there", "Eq. 4, E7", branch_force(tip, onset, False, False)[0] * 1e9, -3.605, "nN"),
