@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 # Each of them has a measure of its own: what they have more of is no burden of who reads the core.
-APART = ("tests", "benchmarks", "packages")
+APART = ("tests", "benchmarks", "examples", "packages")
 _NO_CODE = frozenset(
     {
         *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING),

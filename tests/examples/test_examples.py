@@ -1,0 +1,59 @@
+"""The programs of examples/: each is short, runs, prints its figures and draws its picture."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from documented_lines import differing
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+PROGRAMS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+MOST_LINES = 60
+MOST_BYTES = 80_000
+ARGUMENTS = {"own_analysis": ("telenano/settings/demo.mcap",)}
+# What a line begins with, the figure after it, and how far it may be off.
+FIGURES = {
+    "fig12": (("hand_per_tip_force", 1.05, 1e-3), ("rest_cm", 0.7035, 1e-3)),
+    "own_analysis": (("slope_n_per_m", 16.469, 0.01), ("least_force_nn", -12.482, 0.01)),
+    "own_law": (("rules_broken", 0.0, 0.0),),
+    "why_it_rings": (("K_f 20 delay_ms 40 verdict stable margin_ms", 5.0, 0.1),),
+}
+TEXTS = {
+    "fig12": ("verdict stable",),
+    "own_analysis": (),
+    "own_law": ("law virtual_impedance verdict limit_cycle", "law my_law verdict stable"),
+    "why_it_rings": ("K_f 20 delay_ms 60 verdict limit_cycle",),
+}
+
+
+def test_every_program_is_tried() -> None:
+    assert PROGRAMS == sorted(FIGURES) == sorted(TEXTS)
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_program_is_short_has_its_picture_and_is_in_the_table(name: str) -> None:
+    assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+    assert (EXAMPLES / f"{name}.png").stat().st_size <= MOST_BYTES
+    (row,) = [
+        line
+        for line in (EXAMPLES / "README.md").read_text(encoding="utf-8").splitlines()
+        if f"examples/{name}.py" in line
+    ]
+    assert f"({name}.png)" in row
+
+
+@pytest.mark.check("runs a program that simulates and draws")
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_program_prints_its_figures_and_draws_its_picture(name: str, tmp_path: Path) -> None:
+    command = [sys.executable, f"examples/{name}.py", *ARGUMENTS.get(name, ()), str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    for beginning, figure, tolerance in FIGURES[name]:
+        (found,) = re.findall(rf"^{re.escape(beginning)} (-?[\d.]+)", done.stdout, re.MULTILINE)
+        assert abs(float(found) - figure) <= tolerance, beginning
+    for text in TEXTS[name]:
+        assert text in done.stdout
+    assert differing(tmp_path / f"{name}.png", EXAMPLES / f"{name}.png") < 0.02
