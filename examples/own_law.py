@@ -1,6 +1,6 @@
 """Write a control law of your own, try it against the rules of the rig, and compare it with another law under delay.
 
-Run it: python examples/own_law.py [FOLDER]     takes: 25 s     needs: pip install 'telenano[viz]' hatchling
+Run it: python examples/own_law.py [FOLDER]     takes: 10 s     needs: pip install 'telenano[viz]' hatchling
 You see: the force at the tip at 60 ms. `telenano new law` makes a package; here one line of it is changed, so that the
 hand is braked while the tip presses. The paper's law does not come to rest; yours strikes first, and then does.
 """
