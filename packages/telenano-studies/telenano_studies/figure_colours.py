@@ -9,8 +9,8 @@ VERDICTS = {
     "diverged": "#66004d",
     "contact_lost": "#0000e6",
     "guarded": "#001a00",
-    "cannot_say": "#4d4d00",
     "no_data": "#ffffe6",
+    "cannot_say": "#4d4d00",
 }
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (
