@@ -26,9 +26,10 @@ from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from telenano.signals import children
 
 ROOT = Path(__file__).parents[3]
-# Tests start programs as users do. The page is built where the project is not installed.
+# Tests and examples start programs as users do. The page is built where the project is not installed.
 APART = (
     "tests/",
+    "examples/",
     "telenano/signals/children.py",
     "services/viz_node/build_page.py",
 )
