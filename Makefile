@@ -54,15 +54,17 @@ $(VENV)/.rig: pyproject.toml deploy/locks/rig.lock
 	  { echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' || \
 	  { echo "Python's venv module is missing; on Debian: apt-get install python3-venv" >&2; exit 1; }
-	$(PYTHON) -m venv $(VENV)
-	@$(PIP) --require-hashes -r deploy/locks/uv.lock 2>/dev/null || echo "uv is not to be had: pip takes longer" >&2
-	$(call install,--require-hashes -r deploy/locks/rig.lock)
-	$(call install,--no-deps --no-build-isolation -e .)
+	@echo "setting up the rig in $(VENV), once"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) --require-hashes -r deploy/locks/uv.lock 2>/dev/null || echo "uv is not available: pip takes longer" >&2
+	@$(call install,--require-hashes -r deploy/locks/rig.lock)
+	@$(call install,--no-deps --no-build-isolation -e .)
 	@touch $@
 
 $(VENV)/.complete: $(VENV)/.rig requirements.lock $(addsuffix /pyproject.toml,$(PACKAGES))
-	$(call install,--require-hashes -r requirements.lock)
-	$(call install,--no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES)))
+	@echo "installing what the packages and tests need in $(VENV), once"
+	@$(call install,--require-hashes -r requirements.lock)
+	@$(call install,--no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES)))
 	@$(PIP) --require-hashes -r deploy/locks/gwyddion.lock 2>/dev/null || \
 	  echo "Gwyddion's converter has no build for this machine: images of most makers are refused" >&2
 	@touch $@

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import msgspec
 
 from telenano.afm import safety
-from telenano.afm.config import AfmConfig
+from telenano.afm.config import DRIVERS, AfmConfig
 from telenano.afm.felt import FeltState
 from telenano.afm.programs.runner import RunnerState
 from telenano.afm.programs.settings import (
@@ -114,6 +114,8 @@ class AfmNode(DeviceNode):
         if (report := driver.report) is not None:
             self.has_device(driver.latency_s, driver.calibration_identity)
             self.take_up(report)
+        if caution := DRIVERS.caution(config.driver):
+            self.event("node", "warning", caution)
         self._memory.stepped_ns = self.clock.monotonic_ns()
         self._memory.due_ns = self._memory.stepped_ns + self._period_ns
         is_model = config.driver == "simulated" and config.environment == "tip_sample" and config.map_span is None

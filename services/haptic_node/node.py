@@ -14,7 +14,7 @@ from telenano.extend.hands import (
     HapticReport,
 )
 from telenano.hand import safety
-from telenano.hand.config import HapticConfig, changed_operator
+from telenano.hand.config import DRIVERS, HapticConfig, changed_operator
 from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from telenano.hand.disturbances import DisturbedHaptic
 from telenano.hand.operator_config import InteractiveConfig
@@ -100,6 +100,8 @@ class HapticNode(DeviceNode):
         self._reported = (MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
         if device.report is not None:
             self.take_up_report(device.report)
+        if caution := DRIVERS.caution(config.driver):
+            self.event("node", "warning", caution)
         # The steps are compiled before the grid starts, not in its first tick.
         self._guarded()
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(self.period_s * 1e9))

@@ -412,7 +412,7 @@ _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "sprin
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields})
 SAMPLES = load("samples", checked_sample, TAKEN)
-DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys())
+DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys(), experimental=("modbus",))
 
 if TYPE_CHECKING:
     DriverName = str

@@ -178,20 +178,34 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
 
 
 def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, str]:
-    """Return in three lines what happened in a session, where its picture is, and what to do next."""
+    """Return in three lines what happened in a session, where its picture is, and what to do next.
+
+    A verdict other than `stable` has its reason beside it. Paths inside the working folder are relative to it.
+    """
     laws = " then ".join(summary["law"])
     delay_ms = summary["link_round_trip_ms"]
     link = f", {delay_ms:g} ms by the link" if delay_ms else ""
     ratio = summary["hold_ratio"]
     error = summary.get("intervals", {}).get("hold_ratio")
     hold = f"; the hand held {with_error(ratio, error)} N for each newton at the tip" if ratio is not None else ""
+    recording = _as_typed(Path(summary["recording"]["file"]))
     figures = [path for path in sorted(folder.glob("*")) if path.suffix in (".png", ".pdf", ".svg")]
+    reason = f" ({summary['reason']})" if summary["verdict"] != "stable" and summary.get("reason") else ""
+    if summary["scenario"] == "touch":
+        further = f"`{own_command()} up --scenario fig12 --round-trip-ms 60` shows what delay does"
+    else:
+        further = f"`{own_command()} up --scenario touch` lets you press"
     return (
-        f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{hold}",
-        f"picture: {figures[0] if figures else 'none'}; all numbers: {folder / 'summary.json'}",
-        f"next: `{own_command()} view {shlex.quote(summary['recording']['file'])}` shows it again, "
-        f"`{own_command()} up --scenario touch` lets you press",
+        f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{reason}{hold}",
+        f"picture: {_as_typed(figures[0]) if figures else 'none'}; all numbers: {_as_typed(folder / 'summary.json')}",
+        f"next: `{own_command()} view {shlex.quote(recording)}` shows it again, {further}",
     )
+
+
+def _as_typed(path: Path) -> str:
+    """Return a path as a person in this folder would type it."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_absolute() and path.is_relative_to(here) else str(path)
 
 
 def own_command() -> str:

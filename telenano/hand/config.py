@@ -239,7 +239,7 @@ _SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
 _OWN_DRIVERS = (*_SIMULATED, "serial")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields})
-DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN)
+DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN, experimental=("serial",))
 
 if TYPE_CHECKING:
     DriverName = str

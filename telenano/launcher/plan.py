@@ -22,6 +22,7 @@ from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
+from telenano.settings.device_drivers import Drivers
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
@@ -162,6 +163,17 @@ class Plan:
         stiffness, latency_s = (afm.stiffest_n_per_m, 0.0) if afm.simulated else _declared(afm, self.scenario.period_s)
         even = not self.book.spans_machines and network_name(self.loaded.section(LINK, LinkSettings)) in EVEN
         return controller.stiffness_doubts(stiffness, latency_s, even=even) if stiffness is not None else ""
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """The warnings of the drivers that never drove a real device, for the nodes that are started here."""
+        started = sorted({name_of(node) for node in self.nodes})
+        found = [
+            drivers.caution(getattr(self.scenario, name).get("driver"))
+            for name in started
+            if not package_is_absent(self.loaded, name) and (drivers := _drivers_of(name)) is not None
+        ]
+        return tuple(filter(None, found))
 
     @property
     def fetches(self) -> bool:
@@ -408,12 +420,16 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
             raise ConfigError(f"{loaded.origin}: afm_node.sample.map: {error}") from error
 
 
-def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
-    """Return whether no package on this machine has the driver, a layer or the program that a section names."""
+def _drivers_of(name: str) -> Drivers | None:
+    """Return the drivers of a node that has a device, None for any other."""
     from telenano.hand.config import DRIVERS as HANDLES
 
-    drivers = {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
-    if drivers is None:
+    return {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
+
+
+def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
+    """Return whether no package on this machine has the driver, a layer or the program that a section names."""
+    if (drivers := _drivers_of(name)) is None:
         return False
     section = getattr(loaded.scenario, name)
     layers = (section.get("sample") or {}).keys() - keys_of(SampleConfig).keys()

@@ -32,7 +32,8 @@ class DeviceDriver:
     with which laws and programs it is used; one without them is not judged. `what` names the
     devices in a list. `own` is what the package needs of it in a process of its own, which finds the driver by its name
     (`telenano.settings.haptic_driver`). `calibration` is the model of a file whose key
-    `controller` names this driver; the settings then have a key `calibration` with its path.
+    `controller` names this driver; the settings then have a key `calibration` with its path. `experimental`: it has
+    driven an emulator and never a real device, which its node reports when it starts.
     """
 
     node: Literal["haptic_node", "afm_node"]
@@ -45,6 +46,7 @@ class DeviceDriver:
     calibration: type[BaseModel] | None = None
     own: Any = None
     what: str = ""
+    experimental: bool = False
 
     def section(self, node: BaseModel) -> BaseModel:
         """Return the settings of the driver in the section of its node, or the default ones."""
@@ -75,11 +77,15 @@ class Drivers(Entries[DeviceDriver]):
         node: The node that drives them.
         own: The names of the node's own drivers.
         taken: Those, and what else in the section of the node has a name.
+        experimental: Those of the node's own drivers that have driven an emulator and never a real device.
     """
 
-    def __init__(self, node: str, own: Collection[str], taken: Collection[str]) -> None:
+    def __init__(
+        self, node: str, own: Collection[str], taken: Collection[str], experimental: Collection[str] = ()
+    ) -> None:
         super().__init__("devices", "driver", self._checked, taken, own)
         self._node = node
+        self._experimental = experimental
 
     def is_absent(self, name: object) -> bool:
         """Return whether a driver is neither one of the node's own nor one of a package on this machine."""
@@ -88,6 +94,16 @@ class Drivers(Entries[DeviceDriver]):
     def is_simulated(self, name: str) -> bool:
         driver = self.find(name)
         return driver is not None and driver.simulated
+
+    def caution(self, name: str | None) -> str:
+        """Return the warning of a driver that never drove a real device; empty for every other and for None."""
+        driver = None if name is None else self.find(name)
+        if name not in self._experimental and (driver is None or not driver.experimental):
+            return ""
+        return (
+            f"{self._node}.driver: {name} is experimental: it has driven an emulator and never a real device, so keep "
+            "a hand at the switch of its power; `telenano device trial` tries it step by step"
+        )
 
     def require_section(self, config: BaseModel, name: str) -> None:
         """Raise ValueError where a driver of a package has keys without a default and no section that gives them."""

@@ -34,6 +34,7 @@ GWYSCOPE = DeviceDriver(
         500.0, 333.0, 4e-3, True, True, True, ("e", "adc1", "adc2", "in1 to in16"), "the guard, or a person"
     ),
     calibration=GwyscopeCalibration,
+    experimental=True,
 )
 NANONIS = DeviceDriver(
     "afm_node",
@@ -54,4 +55,5 @@ NANONIS = DeviceDriver(
         scans=True,
     ),
     calibration=NanonisCalibration,
+    experimental=True,
 )

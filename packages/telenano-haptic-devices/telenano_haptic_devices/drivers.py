@@ -3,6 +3,10 @@
 from telenano_haptic_devices.impedance import impedance_driver
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
-HAPLY = impedance_driver("haply", HaplyConfig, "telenano_haptic_devices.haply:HaplyWire", "Haply Inverse3")
-DHD = impedance_driver("dhd", DhdConfig, "telenano_haptic_devices.dhd:DhdWire", "Force Dimension, Novint Falcon")
-HD = impedance_driver("hd", HdConfig, "telenano_haptic_devices.hd:HdWire", "3D Systems Touch")
+HAPLY = impedance_driver(
+    "haply", HaplyConfig, "telenano_haptic_devices.haply:HaplyWire", "Haply Inverse3", experimental=True
+)
+DHD = impedance_driver(
+    "dhd", DhdConfig, "telenano_haptic_devices.dhd:DhdWire", "Force Dimension, Novint Falcon", experimental=True
+)
+HD = impedance_driver("hd", HdConfig, "telenano_haptic_devices.hd:HdWire", "3D Systems Touch", experimental=True)

@@ -25,7 +25,9 @@ class Impedance(NamedTuple):
         return wire
 
 
-def impedance_driver(name: str, config: type[BaseModel], wire: str, what: str = "") -> DeviceDriver:
+def impedance_driver(
+    name: str, config: type[BaseModel], wire: str, what: str = "", *, experimental: bool = False
+) -> DeviceDriver:
     """Return the driver of a device that takes a force.
 
     Args:
@@ -34,6 +36,7 @@ def impedance_driver(name: str, config: type[BaseModel], wire: str, what: str = 
         wire: The class or function that makes the wire of the settings, as `my_package.wire:MyWire`. It is imported in
             the process of the servo alone, where the coupling runs at the rate of the device.
         what: The devices, for a list.
+        experimental: Whether it has driven an emulator and never a real device, which the node then reports.
     """
 
     def build(settings: BaseModel, limits: Any, *, coupling: CouplingConfig, period_s: float) -> HapticDevice:
@@ -43,7 +46,9 @@ def impedance_driver(name: str, config: type[BaseModel], wire: str, what: str = 
         return ImpedanceDevice(ProcessLink(name, settings.model_dump(mode="json")), coupling, period_s)
 
     told = ("coupling", "period_s")
-    return DeviceDriver("haptic_node", name, config, build, told=told, own=Impedance(wire), what=what)
+    return DeviceDriver(
+        "haptic_node", name, config, build, told=told, own=Impedance(wire), what=what, experimental=experimental
+    )
 
 
 def takes_force(driver: DeviceDriver | None) -> bool:

@@ -7,6 +7,7 @@ import typer
 
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.settings.device_drivers import DeviceDriver
 from telenano.settings.plugins import installed
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_install
@@ -56,6 +57,10 @@ def serial_ports() -> list[dict[str, Any]]:
     ]
 
 
+def _state(driver: DeviceDriver) -> str:
+    return "can be used, experimental: it has driven an emulator only" if driver.experimental else "can be used"
+
+
 def package_rows() -> list[dict[str, Any]]:
     """Return the drivers that installed packages bring, and whether what each needs is here.
 
@@ -77,7 +82,7 @@ def package_rows() -> list[dict[str, Any]]:
                 "device": found[name].what if name in found else "",
                 "node": found[name].node if name in found else "",
                 "package": f"{row.package} {row.version}",
-                "found": problems[name] if name not in found else finding.found if finding else "can be used",
+                "found": problems[name] if name not in found else finding.found if finding else _state(found[name]),
                 "advice": finding.advice if finding else "",
             }
         )

@@ -130,6 +130,8 @@ def _warn(request: UpRequest, plan: Plan) -> None:
         _tell(f"warning: {text}")
     for text in Keyring().expiring() if plan.book.requires_keys else ():
         _tell(f"warning: {text}: `telenano doctor` says what to do")
+    for text in plan.cautions:
+        _tell(f"warning: {text}")
     if plan.warning:
         _tell(plan.warning)
     if text := plan.stiffness_warning:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from services.player.command import replay
 from services.recorder.command import record
 from telenano.cli.commands.bag import app
-from telenano.cli.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
+from telenano.cli.output import EXIT_INCOMPLETE, closing_lines, fail_with_summary, print_summary
 from telenano.cli.tables import summary_tables
 from telenano.recording.reader import Recording
 from telenano.wire.errors import ReportError
@@ -149,6 +149,21 @@ def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_
         f"picture: {tmp_path / 'fig12.png'}; all numbers: {tmp_path / 'summary.json'}",
         "next: `bin/telenano view s.mcap` shows it again, `bin/telenano up --scenario touch` lets you press",
     ]
+
+
+def test_the_last_lines_give_the_reason_of_a_verdict_the_paths_as_typed_and_another_thing_to_do_after_a_touch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["bin/telenano", "up"])
+    monkeypatch.chdir(tmp_path)
+    recording = {**SUMMARY["recording"], "file": str(tmp_path / "out" / "session.mcap")}
+    summary = {**SUMMARY, "scenario": "touch", "verdict": "cannot_say", "reason": "no force", "recording": recording}
+    happened, picture, further = closing_lines(summary, tmp_path / "out")
+    assert "cannot say (no force)" in happened
+    assert picture == f"picture: none; all numbers: {Path('out/summary.json')}"
+    assert further.startswith("next: `bin/telenano view out/session.mcap` shows it again, ")
+    assert "--scenario touch" not in further
+    assert "(" not in closing_lines({**summary, "verdict": "stable"}, tmp_path)[0]
 
 
 LET_GO = {"kind": "hand_let_go", "start_s": 1.5, "end_s": 1.54, "reason": "no command within the deadline"}

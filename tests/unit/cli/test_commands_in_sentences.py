@@ -41,7 +41,7 @@ ORIGINS = {
     "services/viz_node/build_page.py: ' '.join(step)": OWN,
     "telenano/cli/output.py: own_command()": NAMED,
     "telenano/cli/output.py: path": OWN,
-    "telenano/cli/output.py: shlex.quote(summary['recording']['file'])": QUOTED,
+    "telenano/cli/output.py: shlex.quote(recording)": QUOTED,
     "telenano/doctor/checks.py: demands[name]": OWN,
     "telenano/doctor/checks.py: name": OWN,
     "telenano/doctor/checks.py: unknown[0]": NAMED,
