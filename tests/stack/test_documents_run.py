@@ -16,8 +16,8 @@ import pytest
 from documented_lines import ALONE, BESIDE, FOR_A_MOMENT, KEYS, PYTHON, RIG, Line, lines, of_kind
 from documents import (
     DOCS,
+    HOWTO,
     LONGEST_S,
-    README,
     ROOT,
     environment_of,
     expanded,
@@ -151,10 +151,11 @@ def succeeds(rig: Rig, line: Line) -> bool:
     return rig.telenano(*line.words).returncode == 0
 
 
-def test_what_the_readme_says_of_commands_beside_a_rig_is_so(rig: Rig) -> None:
+def test_what_a_page_says_of_commands_beside_a_rig_is_so(rig: Rig) -> None:
     rig.start("--duration", "90")
     rig.wait_until(rig.running, "the session")
-    for line in [line for line in of_kind(BESIDE) if line.page == README and line.words[0] in ("link", "session")]:
+    at_a_glance = [line for line in of_kind(BESIDE) if line.page == HOWTO and line.block == 0]
+    for line in [line for line in at_a_glance if line.words[0] in ("link", "session")]:
         assert rig.telenano(*line.words).returncode == 0
     (block,) = [line.text for line in of_kind(PYTHON) if LIVE in line.text]
     environment = {**environment_of(), "TELENANO_RUNTIME_DIR": str(rig.sockets)}
@@ -169,7 +170,7 @@ def test_what_the_readme_says_of_commands_beside_a_rig_is_so(rig: Rig) -> None:
         found: dict[str, object] = json.loads(done.stdout)["messages"][0]
         return found.get("message", found)  # type: ignore[return-value]
 
-    # the README: everything stops, until `telenano session arm`
+    # docs/howto.md: everything stops, until `telenano session arm`
     assert rig.telenano("estop").returncode == 0
     assert hand()["estop"] is True
     # a copy of the stop that comes after it makes an arm void

@@ -63,6 +63,7 @@ def test_an_installed_one_is_refused_where_it_is_loaded(monkeypatch: pytest.Monk
         return {"friction": Plugin(kind, "friction", "telenano-friction", "1.0", "nowhere:FRICTION")}
 
     monkeypatch.setattr(plugins, "installed", installed)
+    monkeypatch.setattr(plugins, "_problems", {})
     words = "friction of the package telenano-friction 1.0 cannot be used: friction is a name of telenano's own"
     for loaded in (plugins.load("samples", checked_sample, afm.TAKEN), Drivers("afm_node", (), afm.TAKEN).all()):
         assert loaded.found == {}
