@@ -40,7 +40,7 @@ _LOOP = "haptic/state"
 class Table(ColumnTable):
     """Columns of equal length, in the order of sending; each of shape (n,).
 
-    `time_s` is the time of sending since the start of the operator's programme [s], NaN where none ran, and `src`
+    `time_s` is the time of sending since the start of the operator's force profile [s], NaN where none ran, and `src`
     the publisher; the others are the fields of the message, `position_m.2` for a component. `units` and `descriptions`
     have an entry for each column. A value that a message lacks is NaN, or None among text and lists.
     """
@@ -49,7 +49,7 @@ class Table(ColumnTable):
         facts = {name: quantity(topic, name) for name in columns}
         units = {name: found.unit for name, found in facts.items()} | {"time_s": "s"}
         descriptions = {name: found.description for name, found in facts.items()}
-        descriptions["time_s"] = "Time of sending since the start of the operator's programme"
+        descriptions["time_s"] = "Time of sending since the start of the operator's force profile"
         super().__init__(topic, columns, units, descriptions)
         self.topic = topic
 
@@ -87,7 +87,7 @@ class RecordedSession:
 
     @cached_property
     def start_ns(self) -> int | None:
-        """When the operator's programme last began, on the publishers' clock [ns]; None if it never ran."""
+        """When the operator's force profile last began, on the publishers' clock [ns]; None if it never ran."""
         try:
             return int(self._session.start_ns)
         except RecordingError:

@@ -82,7 +82,7 @@ class AfmNode(DeviceNode):
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
-    # A command to a pattern ends the operator's programme, after which the tip may stay where it is.
+    # A command to a pattern ends the operator's force profile, after which the tip may stay where it is.
     named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
     # After this the tick is in the slave's half and the link, which may share its processor.

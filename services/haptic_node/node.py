@@ -44,7 +44,7 @@ _NOT_RUNNING_S = -1.0
 _FRESH_PERIODS = 2
 # With a change of law the force of an impedance device is zero for so long, and control begins anew where the hand is.
 _LET_GO_S = 0.1
-_LAW_CHANGES = "the law changes: no force meanwhile, and control begins anew where the hand is"
+_LAW_CHANGES = "the law changes: no force meanwhile, and control begins again where the hand is"
 
 
 class HapticNodeState(NamedTuple):
@@ -168,10 +168,10 @@ class HapticNode(DeviceNode):
     def on_control(self, control: SessionControl) -> str:
         if control.command == "start":
             self._memory.session_ticks = 0
-            return "the operator's programme runs"
+            return "the operator's force profile runs"
         if control.command == "stop":
             self._memory.session_ticks = None
-            return "the operator's programme has ended"
+            return "the operator's force profile has ended"
         if control.command == "estop":
             self._memory.estop_requested = True
             return "emergency stop latched: the motor is off until armed"
@@ -199,7 +199,7 @@ class HapticNode(DeviceNode):
         self.device.close()
 
     def _session_s(self, periods: int) -> float:
-        """Return the time of the operator's programme after so many periods more [s], < 0 while none runs."""
+        """Return the time of the operator's force profile after so many periods more [s], < 0 while none runs."""
         if self._memory.session_ticks is None:
             return _NOT_RUNNING_S
         self._memory.session_ticks += periods
@@ -216,11 +216,11 @@ class HapticNode(DeviceNode):
             self.event("fault", "warning", text, source=message.src)
 
     def _set_operator(self, control: SessionControl) -> str:
-        """Put another simulated hand on the device, while the operator's programme does not run."""
+        """Put another simulated hand on the device, while the operator's force profile does not run."""
         if not isinstance(self.device, SimulatedHaptic):
             raise RefusedError("operator: a real device has its own")
         if self._memory.session_ticks is not None:
-            raise RefusedError("operator: its programme runs; stop the session first")
+            raise RefusedError("operator: its force profile runs; stop the session first")
         self._config = changed_operator(self._config, control.parameters)
         self.device.take_operator(self._config.operator.to_params())
         self._other_operator = True

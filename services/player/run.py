@@ -86,7 +86,7 @@ def run_replay(
 
         def watch(player: PlayerNode) -> None:
             if player.started and not told and not any(publisher.was_read for publisher in publishers.values()):
-                told.append(f"nobody reads what is played: {_RIG}")
+                told.append(f"no node reads what is played: {_RIG}")
                 warn(told[0])
             observe(player)
 
@@ -95,7 +95,7 @@ def run_replay(
         )
         run_loop(player, bus, signals)
     if player.sent and not any(publisher.was_read for publisher in publishers.values()):
-        raise RigError(f"{player.sent} messages of {', '.join(plan.nodes)} were played, and nobody read them: {_RIG}")
+        raise RigError(f"{player.sent} messages of {', '.join(plan.nodes)} were played, and no node read them: {_RIG}")
     return Replayed(plan.nodes, player.sent, playback.time_s, warnings)
 
 

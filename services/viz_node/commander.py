@@ -13,7 +13,7 @@ from telenano.wire.messages import Scalar
 from telenano.wire.nodes import TIP
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
-# This one consists of several commands: hand and tip are coupled anew.
+# This one consists of several commands: hand and tip are coupled again.
 COUPLE = "couple"
 # A command that is for several nodes is sent to this target.
 _EVERYBODY = "*"

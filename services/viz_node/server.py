@@ -69,7 +69,7 @@ class _PageSocket:
                 self._hub.desk.refused.note("revoked", f"{person.name}: the address was revoked, or has expired")
                 await _refuse(socket, POLICY, REVOKED)
             elif role is None:
-                self._hub.desk.refused.note("token", "a page showed a token that is nobody's")
+                self._hub.desk.refused.note("token", "a page showed a token that belongs to no person")
                 await asyncio.sleep(_WRONG_TOKEN_S)
                 await _refuse(
                     socket,

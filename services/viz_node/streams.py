@@ -65,7 +65,10 @@ _LAW = (
     Column("net_energy", "J", "energy that entered at both ports less what left", _if("net_valid", "net_energy_j")),
     Column("power", "W", "power that enters at this port", _number("port_power_w")),
     Column(
-        "round_trip", "s", "age of the hand's sample behind the newest answer", _if("round_trip_valid", "round_trip_s")
+        "round_trip",
+        "s",
+        "end-to-end latency: age of the hand's sample behind the newest answer",
+        _if("round_trip_valid", "round_trip_s"),
     ),
 )
 STREAMS = (

@@ -87,7 +87,7 @@ class _OwnSections(Settings):
         description="How the cantilever moves: k zeta = F(h); or Eq. 4 in full, which needs numba and processor time.",
     )
     mode: Literal["consistent", "as_printed"] = Field(
-        "consistent", description="Reading of the force law: errata E3, E4, E7 mended, or Eq. 4 and 6 to the letter."
+        "consistent", description="Reading of the force law: errata E3, E4, E7 corrected, or Eq. 4 and 6 to the letter."
     )
     meniscus: bool = Field(True, description="Whether water forms a meniscus between tip and sample.")
     sample: SampleConfig | None = Field(

@@ -35,7 +35,7 @@ class FeelConfig(Settings):
         description="Rows of value [unit] and force [N], from far to near; both monotone, the force of one sign.",
     )
     tolerance: float = Field(
-        gt=0.0, description="How far the value may go back while the base goes on [unit]: its noise, peak to peak."
+        gt=0.0, description="How far the value may go back while the base advances [unit]: its noise, peak to peak."
     )
     slope_limit_n_per_unit: float = Field(gt=0.0, description="Steepest part that the table may have [N/unit].")
     rate_limit_n_per_s: float = Field(
@@ -48,7 +48,9 @@ class FeelConfig(Settings):
     def _usable(self) -> Self:
         quantity = UNITS.get(self.unit, ("", 0.0))[0]
         if quantity != self.channel:
-            raise ValueError(f"unit: {self.unit!r} is none of {self.channel}, which is in {SI_UNITS[self.channel]}")
+            raise ValueError(
+                f"unit: {self.unit!r} is not a unit of {self.channel}, which is in {SI_UNITS[self.channel]}"
+            )
         for number, row in enumerate(self.table, 1):
             if len(row) != 2:
                 raise ValueError(f"table: row {number} has {len(row)} numbers; it must have a value and a force")

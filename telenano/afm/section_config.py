@@ -90,7 +90,7 @@ class SafetyConfig(Settings):
         2e-6,
         gt=0.0,
         le=1e6,
-        description="How fast the base takes up its speed again after a hold [m/s^2]: 0.4 nm in 20 ms.",
+        description="Acceleration of the base to its speed after a hold [m/s^2]: 0.4 nm in 20 ms.",
     )
     retract_position_m: BasePosition = Field(
         -100e-9,

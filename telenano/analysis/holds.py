@@ -177,7 +177,8 @@ class Lack(NamedTuple):
 class Programme(NamedTuple):
     """What else is known of a session.
 
-    planned: holds of the operator's programme, start [s], end [s], force [N]; answered_s: when the hand took up answers
+    planned: holds of the operator's force profile, start [s], end [s], force [N]; answered_s:
+    when the hand took up answers
     [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
     sites that fell silent; limits, those of the instrument's guard, if they are known; programs: from when to when [s]
     the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop;
@@ -278,7 +279,7 @@ def judge_holds(
         tip_time_s: The times of the tip's samples [s], shape (m,).
         scaled_force_n: alpha_f F_s at those times [N], shape (m,).
         tip: What the instrument says at those times; None if that is not known.
-        programme: What else is known of the operator's programme.
+        programme: What else is known of the operator's force profile.
         spans: Start [s], end [s] and force [N] of the holds, where they are known although the force of the hand, an
             arm, does not stand still; None looks for them.
     """
@@ -718,7 +719,7 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
         last_s = max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz)
         left_n = float(np.ptp(session.tip_n[session.at(last_s, at_s)]))
         dies_out = left_n < 0.5 * swing.peak_to_peak_n
-        reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")
+        reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "continues")
         kind: Kind = "stable" if dies_out else "limit_cycle"
         found = found._replace(kind=kind, peak_to_peak_n=swing.peak_to_peak_n, reason=reason)
     return Hold(swing.start_s, swing.end_s, force, *found[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz)
@@ -761,7 +762,7 @@ def _in_words(at_s: float, reason: str, programme: Programme) -> tuple[str, bool
         words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
         return "; ".join([words, *_causes(programme, at_s, at_s)]), True
-    when = f"at {at_s:.3f} s" + (", before the hand's programme" if at_s < 0.0 else "")
+    when = f"at {at_s:.3f} s" + (", before the hand's force profile" if at_s < 0.0 else "")
     return f"{GUARD_ACTED} {when}" + (f" ({why})" if why else ""), False
 
 

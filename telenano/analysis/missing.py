@@ -23,7 +23,7 @@ Spans = tuple[tuple[float, float], ...]
 def cut_off(
     recording: RecordingSource, session_s: npt.NDArray[Any], running: npt.NDArray[np.intp], length_s: float
 ) -> list[str]:
-    """Return in sentences what a recording lacks of the operator's programme at either end.
+    """Return in sentences what a recording lacks of the operator's force profile at either end.
 
     Args:
         recording: The recording that is judged.
@@ -38,9 +38,9 @@ def cut_off(
     found = []
     first_s = float(session_s[running[0]])
     if first_s > _LATE_START_S:
-        found.append(f"the recording begins {first_s:.3f} s after the operator's programme")
+        found.append(f"the recording begins {first_s:.3f} s after the operator's force profile")
     if running[-1] == session_s.size - 1 and not _has_ended(recording, hand):
-        found.append(f"the recording ends within the operator's programme, {length_s:.3f} s after its start")
+        found.append(f"the recording ends within the operator's force profile, {length_s:.3f} s after its start")
     return found
 
 

@@ -79,7 +79,7 @@ _ALARMS = ("warning", "error")
 _LEAST_SHARE, _LEAST_N = 0.1, 0.1
 # A launcher that is busy reports the end of a process so long after it [s].
 _EXIT_WITHIN_S = 2.0
-_NOT_ANEW = "its programme was not started anew, which `telenano session start` does"
+_NOT_ANEW = "its force profile was not started again, which `telenano session start` does"
 _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
 _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
@@ -91,7 +91,7 @@ _TIP_FIELDS = (
 
 @dataclass(frozen=True)
 class Session:
-    """The part of a recording in which the operator's programme ran, and the series that the report needs.
+    """The part of a recording in which the operator's force profile ran, and the series that the report needs.
 
     `missing` has a sentence for each end of it that the recording lacks; `programme` is what is known of its holds
     besides the series; `timeline` puts stamps on the master's clock, on which the series are; `otherwise` is the same
@@ -205,7 +205,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def read_session(recording: RecordingSource) -> Session:
-    """Read the last session that a recording holds; RecordingError when the operator's programme never ran.
+    """Read the last session that a recording holds; RecordingError when the operator's force profile never ran.
 
     The slave's stamps are put on the master's clock where the clocks are shown to differ
     (`telenano.recording.site_clock`). Where they may, by more than a period of the loop, the session has both readings.
@@ -225,7 +225,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     starts_ns, ends_ns = ([at_ns for at_ns, data in reports if key in data] for key in ("duration_s", "interrupted"))
     running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], starts_ns, ends_ns)
     if running.size < 2:
-        raise RecordingError(f"{recording.path}: the operator's programme never ran in it, so there is no session")
+        raise RecordingError(f"{recording.path}: the operator's force profile never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
     document = scenario_in(recording)
@@ -415,7 +415,7 @@ def _interruptions(
         own = [exit for exit in exits if exit[0] == HAND_NODE and abs(exit[1].time_s - begins_s) < _EXIT_WITHIN_S]
         text = own[0][1].text if own else f"the process of {HAND_NODE} ended and was started again"
         ends_s = float(hand_s[first + runs[0]]) if runs.size else length_s
-        then = f"its programme began anew at {ends_s:.3f} s" if runs.size else _NOT_ANEW
+        then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_ANEW
         found.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
         exits = [exit for exit in exits if exit not in own]
     found += [

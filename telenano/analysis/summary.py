@@ -83,7 +83,7 @@ class HoldSummary(_Part):
         "parted, nothing moved, interrupted, machine late, contact taken from the force"
     )
     judged_from_s: float | None = Field(
-        description="Start of the episode that is judged: contact with the loop closed [s]; null where there is none"
+        description="Start of the episode that is judged: contact with the loop closed [s]; null without one"
     )
     judged_to_s: float | None = Field(
         description="End of that episode: of the hold, or the cause of what interrupted it [s]; null where none is"
@@ -107,7 +107,8 @@ class InterruptionSummary(_Part):
     )
     start_s: float = Field(description="Start in the session [s]")
     end_s: float = Field(
-        description="End in the session [s]; where the hand's process ended, when its programme began anew, or else "
+        description="End in the session [s]; where the hand's process ended, when its force profile began "
+        "again, or else "
         "the end of the session; of another process that ended the same as `start_s`"
     )
     reason: str = Field(description="What the device or the launcher reported of it")
@@ -221,7 +222,7 @@ class Summary(_Part):
     plugins: dict[str, Package] = Field(description="What other packages brought to the session, by `<kind>.<name>`")
     version: str = Field(description="Version of telenano that recorded the session; unknown if not recorded")
     commit: str = Field(description="Commit of telenano that recorded the session; unknown if not recorded")
-    duration_s: float = Field(description="Duration of the operator's programme as recorded [s]")
+    duration_s: float = Field(description="Duration of the operator's force profile as recorded [s]")
     stable: bool | None = Field(
         description="Whether the verdict is `stable`; null where it is `cannot_say` or `no_data`"
     )
@@ -278,7 +279,7 @@ class Summary(_Part):
         description="What the clocks of the sites differ by; null where the link measured nothing"
     )
     lines: list[LineSummary] = Field(
-        default=[], description="Each direction of the line between two sites; the key is absent where there is none"
+        default=[], description="Each direction of the line between two sites; the key is absent without one"
     )
     recording: RecordingSummary = Field(description="The account of the recording")
 

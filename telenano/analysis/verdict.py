@@ -243,7 +243,7 @@ def _by_modes(
     elif rate < 0.0:
         words = f"the motion dies out by {-rate:.3g}/s{_left(size)}"
     elif size > small_n:
-        words = f"nothing swings, and the force goes on by {size:.2g} N to one side"
+        words = f"nothing swings, and the force moves by {size:.2g} N to one side"
     return Verdict("stable", rate, size, noise_n, words, rest_from_s)
 
 
@@ -303,7 +303,7 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
     if falls and slope * _WINDOWS < -LEAST_CHANGE:
         return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}")
     size = max(sizes[_WINDOWS // 2 :])
-    words = f"a motion of {size:.3g} N from peak to peak goes on irregularly"
+    words = f"a motion of {size:.3g} N from peak to peak continues irregularly"
     # what goes on is of one size, or comes again and again
     if min(sizes[_WINDOWS // 2 :]) < 0.5 * size and not _recurs(sizes, small):
         return Verdict("cannot_say", rate, size, noise_n, f"{words}: a longer hold would decide")

@@ -38,7 +38,7 @@ class LazyCommand(NamedTuple):
 _ABOUT = {
     "up": "Run a scenario on a rig, record it, write figure and summary.",
     "session": "Send a command to a running rig.",
-    "estop": "Stop the devices at once, whoever else sends commands.",
+    "estop": "Stop the devices at once, regardless of what else sends commands.",
     "status": "Show the state of a running rig.",
     "view": "Open the operator's page of a rig or of a recording.",
     "bridge": "Hand a running rig to the viewers of others.",

@@ -106,11 +106,11 @@ def couple(rig: RunningRig) -> str:
     states = _States(rig)
     states.require(lambda: states.known, _PATIENCE_S, f"states of hand and tip: {RIG_HINT}")
     if reason := states.objection():
-        raise RigError(f"not coupled anew, and nothing has moved: {reason}")
+        raise RigError(f"not coupled, and nothing has moved: {reason}")
     before_m = states.base_m
     answer = rig.send(Command("stop", name_of(TIP)))
     if _LATCHED in answer:
-        raise RigError(f"not coupled anew: {answer}, which `telenano session arm` releases")
+        raise RigError(f"not coupled: {answer}, which `telenano session arm` releases")
     states.require(lambda: not states.follows, _RETRACT_S, f"the tip to be withdrawn ({answer})")
     states.hand_still.forget()
     stays = "the tip stays withdrawn until it is armed"
@@ -118,14 +118,14 @@ def couple(rig: RunningRig) -> str:
     try:
         rig.send(ARM_TIP, _RETRACT_S)
     except RigError as error:
-        raise RigError(f"not coupled anew: {error}; {stays}") from error
+        raise RigError(f"not coupled: {error}; {stays}") from error
     states.require(
         lambda: states.follows and states.hand.mode != "off",
         _PATIENCE_S,
         "a hand that follows: its newest event says why; then couple again",
     )
     return (
-        f"hand and tip are coupled anew: the tip went from {1e9 * before_m:.1f} to {1e9 * states.base_m:.1f} nm, for a"
+        f"hand and tip are coupled again: the tip went from {1e9 * before_m:.1f} to {1e9 * states.base_m:.1f} nm, for a"
         f" hand at {1e3 * to_paper_axis(states.hand.reference_m):.2f} mm"
     )
 
@@ -185,7 +185,7 @@ class _States:
     def require(self, is_so: Callable[[], bool], patience_s: float, what: str) -> None:
         """Wait until something is so; RigError says for what was waited in vain."""
         if not self.until(is_so, patience_s):
-            raise RigError(f"not coupled anew: waited {patience_s:g} s in vain for {what}")
+            raise RigError(f"not coupled: waited {patience_s:g} s for {what}")
 
     def objection(self) -> str:
         """Return why hand and tip cannot be coupled anew now; empty if they can."""

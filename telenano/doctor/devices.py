@@ -86,7 +86,7 @@ def _latency(ports: Sequence[Path], usb: Path) -> Iterator[Finding]:
             yield Finding("latency timer", "ok", found)
             continue
         advice = f"run `echo {_GOOD_LATENCY_MS} | sudo tee {timer}`, or {_RULE}"
-        yield Finding("latency timer", "warning", f"{found}: the adapter holds samples back for so long", advice)
+        yield Finding("latency timer", "warning", f"{found}: the adapter holds samples back for that time", advice)
 
 
 def _intruders(processes: Path) -> Iterator[Finding]:

@@ -131,7 +131,7 @@ def _refusal_of_base(node: yaml.ScalarNode) -> str:
         total = 0.0
         for part in word.lstrip("+-").split(":"):
             total = 60.0 * total + float(part.replace("_", ""))
-        said = f"{'-' if word.startswith('-') else ''}{total:g} for so many seconds or minutes"
+        said = f"{'-' if word.startswith('-') else ''}{total:g} for that number of seconds or minutes"
     elif word.lstrip("+-")[1:2].isalpha():
         said = f"{int(word.replace('_', ''), 0)}" if len(word) <= _LONGEST_NUMBER else "its value"
     else:

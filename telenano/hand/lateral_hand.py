@@ -74,14 +74,16 @@ class LateralHandConfig(Settings):
         default=40.0,
         ge=0.0,
         le=1e3,
-        description="Damping of stylus and hand while a person pulls, b [N s/m]; 40 bears the spring of a page that is"
+        description="Damping of stylus and hand while a person pulls, b [N s/m]; 40 tolerates the spring of a "
+        "page that is"
         " up to 0.3 s late",
     )
     free_damping_n_s_per_m: float = Field(
         default=1.5,
         ge=0.0,
         le=1e3,
-        description="Its own damping, while nobody pulls [N s/m]; 1.5 lets the usual spring of mode rate bring it back"
+        description="Its own damping, without a hand that pulls [N s/m]; 1.5 lets the usual spring of mode rate "
+        "bring it back"
         " to the middle in 0.3 s without overshoot",
     )
     reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]")
@@ -159,7 +161,7 @@ def lateral_hand_step(
         state: The state before.
         pushed_n: Force of a person at a page [N].
         shown_n: Force of the controller [N].
-        session_s: Time of the operator's programme [s], negative before it.
+        session_s: Time of the operator's force profile [s], negative before it.
         dt: The time of the step [s].
     """
     own_x, own_y = pushed_n

@@ -129,7 +129,7 @@ class InteractiveConfig(Settings):
 
     kind: Literal["interactive"] = Field(description="Selects this model of the hand")
     force_deadline_s: float = Field(
-        default=0.1, ge=0.01, le=1.0, description="Age of the newest force from which on there is none [s]; [0.01, 1]"
+        default=0.1, ge=0.01, le=1.0, description="Age of the newest force at which it becomes 0 [s]; [0.01, 1]"
     )
     max_force_n: MaxForce = 10.0
 

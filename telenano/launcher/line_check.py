@@ -88,8 +88,8 @@ class LineCheck:
         if not narrow:
             return []
         return [
-            f"{narrow}, and the loop at 1 kHz needs {FULL_BIT_PER_S * 1e-6:g} Mbit/s each way: so many samples are "
-            "left out that no queue stands; `telenano link show` says how many"
+            f"{narrow}, and the loop at 1 kHz needs {FULL_BIT_PER_S * 1e-6:g} Mbit/s each way: samples that would "
+            "queue are left out; `telenano link show` says how many"
         ]
 
     def _narrower_than(self, bit_per_s: int) -> str:

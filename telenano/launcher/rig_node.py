@@ -26,7 +26,7 @@ _EVENTS_KEPT = 8
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
     HAND: "a haptic device that was restarted stays off until `telenano session arm --target haptic_node{at}`, "
-    "its programme until `telenano session start{at}`",
+    "its force profile until `telenano session start{at}`",
 }
 
 

@@ -275,7 +275,7 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     if not (plan.out / FAR_LIST).exists():
         text = "the slave's site did not record the session: what it sends fast is missing"
         return replace(outcome, missing=(*outcome.missing, text))
-    again = f"`telenano bag fetch {plan.out} --site-file {plan.site_file}` goes on"
+    again = f"`telenano bag fetch {plan.out} --site-file {plan.site_file}` continues"
     try:
         fetch = transports.imported(transports.fetching().fetch)
         whole = fetch(plan.book, plan.out, outcome.recordings, plan.fetch_kbit_per_s, show)

@@ -88,7 +88,7 @@ class SessionNode(RigNode):
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the operator's programme started [s]; 0 before that."""
+        """Time since the operator's force profile started [s]; 0 before that."""
         if self._running_ns is None:
             return 0.0
         return (self.clock.monotonic_ns() - self._running_ns) * 1e-9
@@ -99,7 +99,7 @@ class SessionNode(RigNode):
 
     @property
     def ran(self) -> bool:
-        """Whether the operator's programme was started."""
+        """Whether the operator's force profile was started."""
         return self._running_ns is not None
 
     @property
@@ -241,7 +241,7 @@ class SessionNode(RigNode):
             self._latched, self._latched_ns = latched, now_ns
             self.report("warning", self._release_hint(), about_node=latched, state="latched")
         elif self._latched and self._wait_s is not None and (now_ns - self._latched_ns) * 1e-9 >= self._wait_s:
-            self._fail(f"{self._release_hint()}; nobody did within {self._wait_s:g} s")
+            self._fail(f"{self._release_hint()}; it was not done within {self._wait_s:g} s")
 
     def _release_hint(self) -> str:
         at = f" --site {self.site}" if self.site else ""
@@ -265,7 +265,7 @@ class SessionNode(RigNode):
         self.event("node", "info", "the session is running", answer_to="", duration_s=self.duration_s)
 
     def _end(self) -> None:
-        """Command the end of the operator's programme, where one is running and can still be commanded."""
+        """Command the end of the operator's force profile, where one is running and can still be commanded."""
         was_arming = self.phase == "arming"
         self.phase = "ending"
         withdraw = [WITHDRAW_TIP] if self.attached and TIP in self._needed else []

@@ -191,4 +191,4 @@ def _sentence(node: str, kind: Kind, silence_s: float, watched: _Watched) -> str
         return f"{silent}: it is stopped, by a signal or a debugger, and is left alone"
     if kind == "starved":
         return f"{silent} and used little or no processor time: it is idle, not hung, and is left alone"
-    return f"{silent}; whether it hangs cannot be told here ({watched.why_not}), and it is left alone"
+    return f"{silent}; whether it hangs cannot be decided here ({watched.why_not}), and it is left alone"

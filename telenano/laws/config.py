@@ -146,7 +146,8 @@ class _OwnSections(Settings):
         behind += f" ({prompt:.4g} N/m without that)" if behind else ""
         remedy = "an instrument that answers sooner" if late else "a smaller controller.period_s"
         return (
-            f"law {self.law}: {stiffness_n_per_m:g} N/m is stiffer than the {limit:.4g} N/m that its slave half bears"
+            f"law {self.law}: {stiffness_n_per_m:g} N/m is stiffer than the {limit:.4g} N/m that its slave half "
+            "tolerates"
             f"{behind}, beyond which the force swings and the sample gets energy that no hand has paid;"
             f" {remedy}, a greater damper of the half, or a smaller force_scale times position_scale raises that"
         )

@@ -301,7 +301,8 @@ RULES = (
     Rule("lets the hand go while the other half is silent", _silence),
     Rule("holds a spring without delay", _holds_spring),
     Rule(
-        "touches a wall and holds it, up to nine tenths of the stiffness that it bears with a prompt instrument, with"
+        "touches a wall and holds it, up to nine tenths of the stiffness that it tolerates with a prompt "
+        "instrument, with"
         f" one that answers {LATE_PERIODS} ms late, and over a line that loses every second signal",
         _touches,
     ),

@@ -151,7 +151,7 @@ class PassivityConfig(MassConfig):
     silence_limit_s: TimeS = Field(
         default=0.5,
         description="Time without a signal from the other half after which the hand is let go [s]: what has not arrived"
-        " cannot be spent, and each time that hand and tip are joined anew their positions differ by what they moved",
+        " cannot be spent, and each time that hand and tip are joined again their positions differ by what they moved",
     )
     coupling_stiffness_n_per_m: StiffnessNPerM = Field(default=1500.0, description="Spring of the coupling K_c [N/m]")
     coupling_damping_n_s_per_m: DampingNSPerM = Field(default=60.0, description="Damper of the base B_c [N s/m]")

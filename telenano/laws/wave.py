@@ -109,7 +109,7 @@ class WaveConfig(MassConfig):
     silence_limit_s: TimeS = Field(
         default=0.5,
         description="Time without a signal from the other half after which the hand is let go [s]: waves die out"
-        " with filter_s by themselves, and a line that is taken up anew has lost what was on its way",
+        " with filter_s by themselves, and a line that comes back has lost what was in transit",
     )
     filter_s: TimeOrNoneS = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
     fade_s: TimeS = Field(default=1.0, description="Time in which a force that the line begins under fades tau_0 [s]")

@@ -48,7 +48,7 @@ from telenano.settings.scenario import scenario_of
 from telenano.wire.errors import ConfigError
 
 _COLUMNS = {
-    "time_s": ("s", "Time since the start of the operator's programme"),
+    "time_s": ("s", "Time since the start of the operator's force profile"),
     "operator_force_n": ("N", "Force of the operator on the device, F_m, towards the sample"),
     "hand_position_m": ("m", "Position of the device, x_m, towards the sample"),
     "reference_m": ("m", "Reference of the device, x_mr"),

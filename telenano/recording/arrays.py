@@ -204,7 +204,7 @@ def _array(recording: RecordingSource, channel_topic: str, field: str, values: l
 
 
 def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
-    """Return the indices of the last run of the operator's programme.
+    """Return the indices of the last run of the operator's force profile.
 
     It begins where the time of the programme falls while the time of sending goes on, or where a player was set back.
     A message that stands behind later ones, or is repeated, is in none.

@@ -63,7 +63,7 @@ class RecorderConfig(FileSettings):
         splits = self.split_size_bytes is not None or self.split_interval_s is not None
         if self.quota_bytes is not None and self.quota_policy == "drop_oldest" and not splits:
             raise ValueError(
-                "quota_policy drop_oldest removes whole files: it needs split_size_bytes or split_interval_s"
+                "quota_policy drop_oldest removes complete files: it needs split_size_bytes or split_interval_s"
             )
         if self.quota_bytes is not None and (self.split_size_bytes or 0) > self.quota_bytes:
             raise ValueError(f"split_size_bytes must not be above quota_bytes, which is {self.quota_bytes}")

@@ -78,7 +78,7 @@ class People:
         def without_person(people: list[Person]) -> list[Person]:
             known = sorted({each.name for each in people if each.is_admitted(self._now_s())})
             if name not in known:
-                raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(known) or 'nobody'} has")
+                raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(known) or 'no person'} has")
             return [msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in people]
 
         self._change(without_person)

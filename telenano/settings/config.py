@@ -81,7 +81,7 @@ def refused_code(setting: str, named: str) -> str:
     if os.environ.get(ALLOW_CODE_VARIABLE):
         return ""
     return (
-        f"{setting} {named}: it is code, and a scenario is data: if you trust whoever wrote it, allow it with "
+        f"{setting} {named}: it is code, and a scenario is data: if you trust its author, allow it with "
         f"`telenano up --allow-code`, or {ALLOW_CODE_VARIABLE}=1 in the environment"
     )
 

@@ -28,7 +28,7 @@ def cause(error: BaseException) -> str:
         return str(error)
     if isinstance(error, OSError):
         return f"the connection is gone: {error.strerror or error}"
-    return f"an answer that nobody expected: {type(error).__name__}: {error}"[:200]
+    return f"an unexpected answer: {type(error).__name__}: {error}"[:200]
 
 
 class ConfigError(TelenanoError):

@@ -34,6 +34,6 @@ class NodeJournal(Message):
         Array,
         about(
             "u1: state of the node before the first turn, for the re-run only; empty when it has none. A larger "
-            "one goes on in the next messages of this first_turn, which have no turns"
+            "one continues in the next messages of this first_turn, which have no turns"
         ),
     ]

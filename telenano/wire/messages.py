@@ -202,7 +202,9 @@ class HapticState(Message):
     mode: Annotated[Literal["off", "position", "force"], about("What the motor does; off is zero force")]
     estop: Annotated[bool, about("Emergency stop is latched")]
     limited: Annotated[bool, about("A travel, speed or force limit is acting")]
-    session_s: Annotated[TimeS, about("Time of the operator's programme [s]; negative = the session is not running")]
+    session_s: Annotated[
+        TimeS, about("Time of the operator's force profile [s]; negative = the session is not running")
+    ]
     answered_seq: Annotated[Count, about("hand_seq of the newest haptic/command; meaningful once answered_t_ns > 0")]
     answered_t_ns: Annotated[Count, about("hand_t_ns of the newest haptic/command [ns]; 0 = none yet")]
     answered_at_ns: Annotated[Count, about("When that command reached this device, on this clock [ns]")]
@@ -350,7 +352,7 @@ class LawStatus(Message):
     """State of one half of the law: energy, passivity, and what it receives; energies at the hand's scale."""
 
     law: Annotated[LawName, about("Law in force at this half")]
-    switching: Annotated[bool, about("The half waits for the other one to take up this law; its device stands still")]
+    switching: Annotated[bool, about("The half waits for the other one to change to this law; its device stands still")]
     port_energy_j: Annotated[EnergyJ, about("Energy that has entered the law at this port since it is in force [J]")]
     port_power_w: Annotated[PowerW, about("Power entering at this port, mean since the last report [W]")]
     net_valid: Annotated[bool, about("The energy of the other port is known too")]
@@ -425,7 +427,7 @@ class LinkDelay(Message):
         Count, about("Least time that a message was measured to take between two machines besides [ns]; 0 on one")
     ]
     clock_ahead_ns: Annotated[
-        Stamp, about("What the slave's clock is ahead of the master's [ns]; 0 where they cannot be told apart")
+        Stamp, about("What the slave's clock is ahead of the master's [ns]; 0 where no difference is resolved")
     ]
 
 
@@ -472,7 +474,7 @@ class SessionControl(Message):
     command: Annotated[
         Literal["start", "stop", "arm", "estop", "set", "mark"],
         about(
-            "start or stop the operator's programme; arm the devices; stop at once and latch; set parameters; "
+            "start or stop the operator's force profile; arm the devices; stop at once and latch; set parameters; "
             "mark this moment in the recording"
         ),
     ]

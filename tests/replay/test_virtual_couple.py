@@ -114,7 +114,7 @@ def test_what_a_stall_has_left_between_hand_and_tip_is_gone_without_a_jump(law: 
     hands, tips = (len(rig.received(topic, src)) for topic, src in (("haptic/state", HAND), ("afm/state", TIP)))
     console = VirtualConsole(rig, PARTED_S)
     text = couple(console)
-    assert text.startswith("hand and tip are coupled anew: the tip went from ")
+    assert text.startswith("hand and tip are coupled again: the tip went from ")
     assert console.sent == ["stop", "arm"]
     hand, tip = newest(rig)
     assert (hand.mode, tip.mode) == ("position", "follow")

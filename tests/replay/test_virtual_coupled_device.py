@@ -98,7 +98,7 @@ def _change_of_law(session: Session) -> None:
     assert session.at(0.94).mode == "off"
     assert all(state.motor_force_n == (0.0, 0.0, 0.0) for state in session.states()[before:])
     assert [event.text for event in session.events()].count(
-        "the law changes: no force meanwhile, and control begins anew where the hand is"
+        "the law changes: no force meanwhile, and control begins again where the hand is"
     ) == 1
     assert session.at(1.3).mode == "position"
     forces = [state.motor_force_n[2] for state in session.states()[before:]]

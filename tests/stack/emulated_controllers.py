@@ -54,7 +54,7 @@ class Emulated:
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", port)) == 0:
                     return
-            assert time.monotonic() < end, f"nobody listens at {port}"
+            assert time.monotonic() < end, f"no process listens at {port}"
             time.sleep(0.05)
 
     @property

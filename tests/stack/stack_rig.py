@@ -224,7 +224,7 @@ class Rig:
         return self.recording().messages(topic)[-1].decode()
 
     def session_s(self) -> float:
-        """Give how long the operator's programme has run, by the newest state of the hand in the recording."""
+        """Give how long the operator's force profile has run, by the newest state of the hand in the recording."""
         states = self.recording().messages("haptic/state")
         return float(states[-1].fields()["session_s"]) if states else -1.0
 
@@ -246,7 +246,7 @@ class Rig:
         return path.exists() and path.read_text().count(text) >= times
 
     def running(self) -> bool:
-        """The operator's programme has been started."""
+        """The operator's force profile has been started."""
         return self.log_has("launcher@master", "the session is running")
 
     def close(self) -> None:

@@ -115,7 +115,7 @@ def check_parts(rig: Rig, summary: dict[str, Any]) -> None:
     """Assert that figure and summary are made of every part, from the start of the programme on."""
     found = summary["recording"]["parts"] if len(parts(rig)) > 1 else []
     assert [part["file"] for part in found] == [path.name for path in parts(rig) if len(parts(rig)) > 1]
-    assert not [text for text in summary["recording"]["missing"] if "after the operator's programme" in text]
+    assert not [text for text in summary["recording"]["missing"] if "after the operator's force profile" in text]
     for part in found[1:]:
         assert 0.0 < part["begins_s"] < summary["duration_s"], part
 

@@ -198,7 +198,7 @@ def test_a_session_of_a_page_runs(line: Line, rig: Rig, place: Path) -> None:
     if "sessions" in summary:
         assert len(summary["sessions"]) >= 3
         return
-    # the operator's programme ran, and the tip was measured all the while
+    # the operator's force profile ran, and the tip was measured all the while
     assert summary["duration_s"] > 2.0
     assert summary["completeness"]["afm/state"] > 0.5
 

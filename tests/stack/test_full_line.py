@@ -120,7 +120,7 @@ def test_falling_back_to_tcp_stands_still_for_no_more_than_a_tenth_of_a_second(
     sites.wait_until(sites.running, "a running session")
     time.sleep(2.0)
     before, begin_ns = cable.change(block_udp_there=True, block_udp_back=True), time.time_ns()
-    sites.wait_until(lambda: sites.slave.has_log(ENDS["slave"], "goes on over TCP"), "the slave to say so")
+    sites.wait_until(lambda: sites.slave.has_log(ENDS["slave"], "continues over TCP"), "the slave to say so")
     time.sleep(0.5)
     end_ns = time.time_ns()
     late = lateness(cable.change(), before, begin_ns, end_ns)

@@ -75,9 +75,9 @@ def test_both_sites_dial_out_and_find_the_way_past_the_relay(rig: RelayedSites, 
     rig.stop_relay()
     rig.wait_until(lambda: mode(rig) == "retracted", "a withdrawn tip", 30.0)
     rig.wait_until(lambda: both(rig, "no command can cross"), "the word of both ends")
-    assert not rig.slave.has_log(ENDS["slave"], "goes on over TCP")
+    assert not rig.slave.has_log(ENDS["slave"], "continues over TCP")
     rig.start_relay()
-    rig.wait_until(lambda: both(rig, "the link's datagrams go on"), "both sites in touch again")
+    rig.wait_until(lambda: both(rig, "the link's datagrams continue"), "both sites in touch again")
     rig.rearm()
     rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows again", 30.0)
     rig.end_session()
@@ -164,7 +164,7 @@ def test_a_hostile_relay_reaches_no_node_and_is_counted(rig: RelayedSites) -> No
             "unknown_key": True,
         }
         assert report["late"] > 20
-        assert not site.has_log(ENDS[site.name], "goes on over TCP")
+        assert not site.has_log(ENDS[site.name], "continues over TCP")
     followed = [m.fields()["hand_t_ns"] for m in rig.slave.recording().messages("afm/state", begin_ns)]
     end_ns = time.time_ns()
     rig.wait_until(lambda: bool(rig.master.recording().messages("haptic/state", end_ns)), "the hand's recording")

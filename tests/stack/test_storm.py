@@ -26,7 +26,7 @@ KILLS = int(os.environ.get("TELENANO_STORM_KILLS", "60"))
 SEED = int(os.environ.get("TELENANO_STORM_SEED", "25"))
 # how often a rig is ended by SIGTERM at all processes, and how long each may take [s]
 TERM_STORMS, STORM_S = 10, 60.0
-# how often each node is killed while hand and tip are coupled anew
+# how often each node is killed while hand and tip are coupled again
 COUPLINGS = 2
 # a hand that lies on its device and presses nothing
 AT_REST = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}]"

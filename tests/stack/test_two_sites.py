@@ -474,7 +474,7 @@ def test_without_tcp_no_datagram_keeps_the_loop_alive(rig: TwoSites) -> None:
     finally:
         rig.cable.drop_tcp(dropped=False)
     for site, node in ends:
-        rig.wait_until(lambda s=site, n=node: s.has_log(n, "the link's datagrams go on"), f"{node} in touch again")
+        rig.wait_until(lambda s=site, n=node: s.has_log(n, "the link's datagrams continue"), f"{node} in touch again")
     assert hold_s < gone_s
     record(
         "TCP is cut between the sites, and UDP is not",

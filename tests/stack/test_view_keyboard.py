@@ -79,7 +79,7 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     keys.choose("#layout", "Stability")
     page.until("telenano.scopes.specs[1].kind === 'spectrum'", "the spectrum of the forces")
     assert "acknowledged" in keys.answered("#stop")
-    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's programme")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's force profile")
     assert "acknowledged" in keys.answered("#start")
     rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")
     assert "acknowledged" in page.answered(lambda: keys.press("Escape"))

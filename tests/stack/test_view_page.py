@@ -66,7 +66,7 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     marks = lambda: [event for event in since(rig, "session/event", begin_ns) if event.kind == "mark"]  # noqa: E731
     rig.wait_until(lambda: any(mark.data.get("text") == "jump to contact" for mark in marks()), "the mark")
     operator.answered(lambda: operator.click("#stop"))
-    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's programme")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's force profile")
     operator.answered(lambda: operator.click("#start"))
     rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")
     assert operator.faults == []
@@ -299,7 +299,7 @@ def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_
     check_nothing_presses()
     hold()
     operator.answered(lambda: operator.click("#stop"))
-    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's programme")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's force profile")
     operator.until(has("#hand-text", "Let go: "), "why")
     operator.answered(lambda: operator.click("#start"))
     rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")

@@ -90,7 +90,7 @@ def test_blocked_udp_and_another_address_in_mid_session(rig: tuple[TwoSites, Wid
 
     sites.wait_until(lambda: both("as datagrams", 1), "datagrams in both directions")
     cable.change(block_udp_there=True, block_udp_back=True)
-    sites.wait_until(lambda: both("goes on over TCP, and tries again", 1), "both ends to fall back to TCP")
+    sites.wait_until(lambda: both("continues over TCP, and tries again", 1), "both ends to fall back to TCP")
     at_ns = time.time_ns()
     sites.wait_until(
         lambda: any(True for _ in sites.master.recording().messages("teleop/backward@master", at_ns)),
@@ -196,7 +196,7 @@ def test_attacks_on_the_line_reach_no_node_are_counted_and_cost_no_rate(rig: tup
         else:
             assert report["late"] >= 0.9 * done[place][REORDERED]
         assert report["lost"] <= 0.001 * report["sent"]
-        assert not site.has_log(ENDS[site.name], "goes on over TCP")
+        assert not site.has_log(ENDS[site.name], "continues over TCP")
     attacked_hz = rates_hz(sites, begin_ns, end_ns)
     # one in twelve datagrams was held back until others had overtaken it, and brings the tip nothing
     for name, least in {"haptic/state": 0.95, "afm/state": 0.95, "followed": 0.8}.items():

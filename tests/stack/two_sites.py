@@ -262,7 +262,7 @@ class TwoSites:
         raise AssertionError(f"waited in vain for: {what}\n{self.master.logs()}\n{self.slave.logs()}")
 
     def running(self) -> bool:
-        """The operator's programme has been started."""
+        """The operator's force profile has been started."""
         return self.master.has_log("launcher@master", "the session is running")
 
     def start(self, *arguments: str) -> None:

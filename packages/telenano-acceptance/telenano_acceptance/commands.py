@@ -15,6 +15,6 @@ COMMANDS = {
     ),
     "device trial": (
         "telenano_acceptance.trial.trial_command:trial",
-        "Try a device of one's own with a question before each step, and write one file; or make its page.",
+        "Try your device with a question before each step, and write one file; or make its page.",
     ),
 }

@@ -68,7 +68,7 @@ def probe(
     with report_errors(as_json):
         if name is not None:
             raise ConfigError(
-                f"{name}: name a device by how it is reached: an instrument by the file that says so, --calibration"
+                f"{name}: name a device by how it is reached: an instrument by its file, --calibration"
                 f" {name}.yaml, a handle by --port /dev/serial/by-id/..., the driver of a package by --device {name}"
             )
         if (port is not None) + (calibration is not None) + (kind is not None) != 1:
@@ -214,7 +214,7 @@ def _probe_package(driver: Any, settings: list[str]) -> dict[str, Any]:
                 "vibration": device.vibration is not None,
             }
         report = device.report
-        state = {} if report is None else {"status": report.status, "sample_age_s": report.age_s, "said": report.text}
+        state = {} if report is None else {"status": report.status, "sample_age_s": report.age_s, "text": report.text}
         return {**declared, **read, **state}
     finally:
         device.close()

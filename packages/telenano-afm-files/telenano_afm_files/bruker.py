@@ -59,7 +59,8 @@ def curves_of(path: str) -> Curves:
     width = length // max(samples, 1)
     if width not in (2, 4) or width * samples != length or offset + length > len(content):
         raise ValueError(
-            f"is no whole file of NanoScope: {side} x {side} curves of {counts[0]} and {counts[1]} samples are not the "
+            f"is not a complete file of NanoScope: {side} x {side} curves of {counts[0]} and {counts[1]} "
+            "samples are not the "
             f"{length} bytes of data that it states, at {offset} of {len(content)}"
         )
     volts_per_step = float(_matched(r"\(([\d.eE+-]+) V/LSB\)", values, "Z scale"))
@@ -70,7 +71,7 @@ def curves_of(path: str) -> Curves:
     # A force volume of version 9.2 was seen whose numbers were 256 times those that its header explains.
     if width == 4 and np.count_nonzero(np.abs(data.astype(np.int64)) > _CONVERTER) > samples // 1000:
         raise ValueError(
-            "has deflections beyond the 16 bits of its converter, so that their volts cannot be told: export the "
+            "has deflections beyond the 16 bits of its converter, so that their volts are unknown: export the "
             "curves as text, for `telenano calibrate sensitivity --curve`"
         )
 

@@ -145,7 +145,7 @@ def load_deflections(path: str) -> Found:
             k, sensitivity = (1.0, 1.0) if raw else (curve.stiffness_n_per_m, curve.sensitivity_m_per_v)
             parts = {"V": (1.0,), "m": (sensitivity,), "N": (k, sensitivity)}[curve.unit]
             if None in parts:
-                raise ValueError("its metadata lack the sensitivity: the voltage that was read cannot be told")
+                raise ValueError("its metadata lack the sensitivity: the voltage that was read is unknown")
             z, value = _in_order(curve.ways[0])
             ways.append((z, value / float(np.prod([part for part in parts if part is not None]))))
             if len(ways) == _MOST_OF_HARD:

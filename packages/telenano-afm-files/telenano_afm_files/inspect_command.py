@@ -39,7 +39,7 @@ def inspect(
     with report_errors(as_json):
         given = flag_overrides(lacking or ())
         if unknown := sorted(set(given) - set(Said._fields)):
-            raise ConfigError(f"--set {unknown[0]}: is none of {', '.join(Said._fields)}")
+            raise ConfigError(f"--set {unknown[0]}: is not one of {', '.join(Said._fields)}")
         try:
             said = said_of(json.dumps(given))
         except ValueError as error:

@@ -56,7 +56,9 @@ def sections_of(path: str) -> tuple[Sections, list[DataSet]]:
     sizes = [[int(sections[name][key]) for key in ("Lines", "Points", "SaveBits")] for name in named]
     stated = sum(lines * points * bits // 8 for lines, points, bits in sizes)
     if min(map(min, sizes), default=0) < 1 or stated != len(data):
-        raise ValueError(f"is no whole file of Nanosurf: it has {len(data)} bytes of data, its header states {stated}")
+        raise ValueError(
+            f"is not a complete file of Nanosurf: it has {len(data)} bytes of data, its header states {stated}"
+        )
     found, place = [], 0
     for name, (lines, points, bits) in zip(named, sizes, strict=True):
         facts = sections[name]

@@ -75,7 +75,7 @@ def test_an_image_of_nanosurf_is_read_without_another_program(tmp_path: Path) ->
     assert (surface.width_m, surface.depth_m) == pytest.approx((160e-9, 100e-9), rel=1e-9)
     path.write_bytes(path.read_bytes()[:-4])
     with pytest.raises(
-        ConfigError, match="is no whole file of Nanosurf: it has 1276 bytes of data, its header states 1280"
+        ConfigError, match="is not a complete file of Nanosurf: it has 1276 bytes of data, its header states 1280"
     ):
         read_surface(path)
 
@@ -192,7 +192,7 @@ def test_a_force_curve_of_bruker_is_read_by_what_is_in_the_file(tmp_path: Path) 
     for changes, words in (
         ({"factor": 20_000}, "beyond the 16 bits of its converter"),
         ({"capture": "Allow"}, "whose piezo follows a sine"),
-        ({"points": 100}, "is no whole file of NanoScope: 1 x 1 curves of 100 and 200 samples"),
+        ({"points": 100}, "is not a complete file of NanoScope: 1 x 1 curves of 100 and 200 samples"),
     ):
         with pytest.raises(ConfigError, match=words):
             read_measured(write_nanoscope(tmp_path / "other.spm", **changes))

@@ -48,7 +48,7 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
     except OSError as error:
         known = ", ".join(NAMES)
         raise ConfigError(
-            f"--pattern {name}: is none of {known}, and cannot be read as a file: {error.strerror}"
+            f"--pattern {name}: is not one of {known}, and cannot be read as a file: {error.strerror}"
         ) from error
     places = []
     for number, line in enumerate(lines, 1):
@@ -71,7 +71,7 @@ def _spelled(text: str, spacing_m: float) -> list[Point]:
     """Return the places of the dots of a word [m], its middle at 0, 0."""
     for letter in text.upper():
         if letter not in _ROWS:
-            raise ConfigError(f"--pattern letters:{text}: {letter!r} is none of A to Z, 0 to 9 and space")
+            raise ConfigError(f"--pattern letters:{text}: {letter!r} is not one of A to Z, 0 to 9 and space")
     middle = 0.5 * (4 * len(text) - 2)
     places = [
         ((4 * number + column - middle) * spacing_m, (2 - row) * spacing_m)

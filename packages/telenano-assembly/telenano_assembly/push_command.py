@@ -33,7 +33,7 @@ def push(
     begin: Annotated[
         str, typer.Option("--from", metavar="X,Y", help="Where the particle is believed to be on the sample [nm].")
     ],
-    goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Where it is to go on the sample [nm].")],
+    goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Its target on the sample [nm].")],
     given: dict[str, Any],
     afm: AfmOption = None,
     live: LiveOption = False,

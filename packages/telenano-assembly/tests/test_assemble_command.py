@@ -74,7 +74,7 @@ def judge_recording(path: Path) -> None:
     ("words", "said"),
     [
         (("--pattern", "square", "--count", "6"), "its outline has 4, 8, 12"),
-        (("--pattern", "no-such"), "is none of line, square, ring"),
+        (("--pattern", "no-such"), "is not one of line, square, ring"),
         (("--pattern", "line", "--spacing", "2000"), "target 0 at -7e-06, 0 m must lie 3.33e-07 m or more within the"),
         (("--afm", "sample.particles.places=[[0.0,0.0],[1e-7,0.0]]"), "numbers 0 and 1 overlap"),
         (("--afm", "sample.particles.places=[[9e-6,0.0]]"), "number 0 at 9e-06, 0 m with the radius"),
@@ -83,7 +83,7 @@ def judge_recording(path: Path) -> None:
             "the pattern has 3 places, and 1 particles were found",
         ),
         (("--afm", "sample.particles.radius_m=0"), "radius_m"),
-        (("--pattern", "letters:A?"), "'?' is none of A to Z, 0 to 9 and space"),
+        (("--pattern", "letters:A?"), "'?' is not one of A to Z, 0 to 9 and space"),
         (("--pattern", "line", "--spacing", "400"), "targets 0 and 1 are 4e-07 m apart"),
     ],
 )

@@ -135,9 +135,9 @@ def test_letters_are_dots_in_three_columns_and_five_rows() -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("letters:AÄ", "'Ä' is none of A to Z, 0 to 9 and space"),
+        ("letters:AÄ", "'Ä' is not one of A to Z, 0 to 9 and space"),
         ("letters: ", "has no places"),
-        ("lettres", "is none of line, square, ring, letters:TEXT, and cannot be read as a file"),
+        ("lettres", "is not one of line, square, ring, letters:TEXT, and cannot be read as a file"),
     ],
 )
 def test_a_pattern_that_is_none_says_what_there_is(name: str, words: str) -> None:

@@ -288,7 +288,8 @@ def curve_of(
         if not _WAY_NM[0] <= span <= _WAY_NM[1]:
             likely = "m" if span < 1e-3 else "um" if span < _WAY_NM[0] else "pm"
             raise ConfigError(
-                f"{path}: its head names no unit of the way, whose span of {span:.3g} is none in nm: is it in {likely}?"
+                f"{path}: its head names no unit of the way, whose span of {span:.3g} is not one in nm: is it "
+                f"in {likely}?"
                 f" Give --way-unit {likely}, or what it is"
             )
         way = 1e-9 * way

@@ -71,7 +71,7 @@ class AnswersOfClient:
         if step == self._unknown_key:
             asked["dry_run"] = True
         elif step == self._others:
-            asked["target"] = "nobody@slave"
+            asked["target"] = "absent@slave"
         elif step == self._disturbed:
             self._disturb()
         self._commands(asked, _OLD_NS if step == self._expired else 0)
@@ -111,7 +111,7 @@ class AnswersOfClient:
         if answer is None:
             self._account.hold("others' commands")
         else:
-            self._account.fail("others' commands", f"a command to nobody@slave is answered by {answer.get('src')}")
+            self._account.fail("others' commands", f"a command to absent@slave is answered by {answer.get('src')}")
 
     def _disturbed(self, answer: dict[str, Any] | None) -> None:
         if answer is not None:

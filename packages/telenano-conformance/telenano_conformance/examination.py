@@ -296,7 +296,7 @@ def _connection_events(account: Account, monitor: "zmq.Socket[bytes]", now_s: fl
 
 def _connection(account: Account, client: str, duration_s: float) -> None:
     if "connection" not in account.held:
-        account.fail("connection", f"nobody at {client} ended a handshake within {duration_s:g} s")
+        account.fail("connection", f"no client at {client} ended a handshake within {duration_s:g} s")
 
 
 def _stranger(account: Account, monitor: "zmq.Socket[bytes]") -> None:

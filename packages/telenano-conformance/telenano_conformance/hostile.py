@@ -15,7 +15,7 @@ HOSTILITIES = {
     "held": "nothing comes for 0.2 s, and then all of it at once, again and again",
     "never": "no answer comes",
     "reordered": "each second answer comes behind the one that follows it",
-    "pushed": "forty answers of before come at once, now and then, and nobody has asked for them",
+    "pushed": "forty answers of before come at once, now and then, without a request",
     "repeated": "the same answer comes each time",
     "half": "the second half of each answer is lost",
 }

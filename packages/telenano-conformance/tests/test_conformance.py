@@ -381,7 +381,7 @@ def test_a_node_that_answers_as_the_specification_says_breaks_no_rule() -> None:
         (
             lambda asked, age_ns, taken: {"id": asked["id"], "kind": "ack", "text": "", "data": {}, "src": "b@slave"},
             "others' commands",
-            "a command to nobody@slave is answered by b@slave",
+            "a command to absent@slave is answered by b@slave",
         ),
     ],
 )

@@ -104,7 +104,7 @@ def longest_gap(times_s: Times, begin_s: float, end_s: float) -> tuple[float, fl
 
 def _stalls(what: str, steps_s: Times, stall_s: float) -> Iterable[str]:
     if not len(steps_s):
-        yield f"{what} said nothing"
+        yield f"{what} reported nothing"
         return
     longest = int(np.argmax(steps_s[:, 1]))
     time_s, step_s = steps_s[longest].tolist()

@@ -125,7 +125,7 @@ def run(
         plan = _load(source)
         folder = out or Path("experiments") / plan.experiment.name
         if (folder / "journal.jsonl").exists():
-            raise ConfigError(f"{folder}: has an experiment already; `telenano experiment resume {folder}` goes on")
+            raise ConfigError(f"{folder}: has an experiment already; `telenano experiment resume {folder}` continues")
         with _marks(marks, baud, apparatus or plan.experiment.apparatus, plan) as port:
             _copy(plan, source, folder, apparatus)
             _run(folder, participant, port, as_json=as_json)
@@ -273,7 +273,7 @@ def _range(counts: Sequence[int]) -> str:
 
 
 _MOST_COLUMNS = 6
-_INTERRUPTED = "interrupted; `telenano experiment resume` goes on with the trial that was interrupted"
+_INTERRUPTED = "interrupted; `telenano experiment resume` continues with the trial that was interrupted"
 
 
 def _load(path: Path) -> "Plan":
@@ -335,7 +335,7 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
     text = f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}"
     print_answer(found, text, as_json=as_json)
     if stopped.reason:
-        typer.echo(f"telenano: stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", err=True)
+        typer.echo(f"telenano: stopped: {stopped.reason}; `telenano experiment resume {folder}` continues", err=True)
         raise typer.Exit(EXIT_FAILED)
 
 

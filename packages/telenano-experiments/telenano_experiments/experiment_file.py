@@ -129,7 +129,7 @@ class Practice(Settings):
 class Breaks(Settings):
     """Rests."""
 
-    every_trials: int | None = Field(default=None, ge=1, description="A rest after so many trials of a block")
+    every_trials: int | None = Field(default=None, ge=1, description="Number of trials of a block before a rest")
     duration_s: float = Field(default=60.0, ge=0.0, le=3600.0, description="Length of a rest [s]")
     between_blocks_s: float = Field(default=0.0, ge=0.0, le=3600.0, description="Length of a rest between blocks [s]")
 
@@ -219,7 +219,7 @@ class Words(Settings):
     end: Heading = Field(default="Thank you", description="Heading of the end")
     end_text: Paragraph = Field(default="The session is over.", description="What stands below it")
     begin: Heading = Field(default="Begin", description="Button below an instruction")
-    go_on: Heading = Field(default="Go on", description="Button that ends a rest")
+    go_on: Heading = Field(default="Continue", description="Button that ends a rest")
     submit: Heading = Field(default="Continue", description="Button below questions")
     practice: Heading = Field(default="Practice", description="What stands beside the bar in practice")
     trial: Heading = Field(
@@ -284,9 +284,9 @@ class Experiment(Settings):
     breaks: Breaks = Field(default=Breaks(), description="Rests")
     disturbed: Disturbed = Field(default=Disturbed(), description="Trials that are repeated")
     stop: Stop = Field(default=Stop(), description="What ends a run early")
-    questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Instruments of one's own, by name")
+    questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Your own instruments, by name")
     ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions, and when they are asked")
-    words: Words = Field(default=Words(), description="What participants read, in words of one's own")
+    words: Words = Field(default=Words(), description="What participants read, in your own words")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

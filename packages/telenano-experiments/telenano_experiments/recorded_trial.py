@@ -221,7 +221,7 @@ def _last_run(path: Path, hand: _Rows) -> tuple[int, int]:
     before = np.concatenate(([-1.0], session_s[:-1]))
     begins = np.flatnonzero(runs & ((before < 0.0) | (session_s < before)))
     if not begins.size:
-        raise RecordingError(f"{path}: no programme of an operator ran in it")
+        raise RecordingError(f"{path}: no operator's force profile ran in it")
     begin = int(begins[-1])
     after = np.flatnonzero(~runs[begin:])
     last = begin + int(after[0]) - 1 if after.size else len(runs) - 1

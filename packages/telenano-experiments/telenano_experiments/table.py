@@ -32,7 +32,7 @@ FIXED = {
     "excluded": ("", "Why the participant does not count; empty for one who does"),
     "started_utc": ("", "Beginning of the attempt, ISO 8601, UTC"),
     "duration_s": ("s", "Duration of the attempt"),
-    "recording": ("", "Recording of the attempt, from the folder of the experiment; empty where there is none"),
+    "recording": ("", "Recording of the attempt, from the folder of the experiment; empty without one"),
 }
 _ASKED = {
     "participant": ("", "Pseudonym of the participant"),

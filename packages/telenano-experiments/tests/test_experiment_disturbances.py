@@ -94,7 +94,7 @@ DISTURBED = {
         {"missing": ["7 messages of afm/state are missing"]},
         "the recording is not whole: 7",
     ),
-    "a device that says nothing": ({"tip_s": np.empty((0, 2))}, "the instrument said nothing"),
+    "a device that says nothing": ({"tip_s": np.empty((0, 2))}, "the instrument reported nothing"),
     "a dead band that is no excuse for a longer silence": (
         {"forward": passage(silent=(1.0, 1.2)), "quiet_s": 0.1},
         "nothing of the hand reached the link for 200 ms",

@@ -94,7 +94,7 @@ def test_a_recording_gives_the_tables_and_the_evidence_of_a_trial(recording_of: 
 def test_a_recording_without_a_programme_is_no_trial(tmp_path: Path, recording_of: Callable[[str], Path]) -> None:
     out = tmp_path / "without.mcap"
     filter_recording(recording_of("fig12_wave"), out, Selection.of(["node/*"]))
-    with pytest.raises(RecordingError, match="no programme of an operator ran in it"):
+    with pytest.raises(RecordingError, match="no operator's force profile ran in it"):
         RecordedTrial(out)
 
 

@@ -283,7 +283,8 @@ class HaplyWire:
         self._unasked_lately = max(0, self._unasked_lately + (1 if unasked else -1))
         if self._unasked_lately > _MOST_UNASKED:
             raise DeviceError(
-                f"{self._service}: the service has sent {self.unasked} messages that it was not asked for, and goes on:"
+                f"{self._service}: the service has sent {self.unasked} messages that it was not asked for, and "
+                "continues:"
                 " end other programs of the device, or update it"
             )
 

@@ -216,7 +216,7 @@ def obey(service: HaplyService, line: str) -> str:
         return text
     if word == "loose":
         service.arm.person, service.arm.push_n = None, 0.0
-        return "nobody holds the handle"
+        return "no hand holds the handle"
     if word in ("press", "release") and rest in service.buttons:
         service.buttons[rest] = word == "press"
         return f"button {rest} is {'held' if word == 'press' else 'free'}"

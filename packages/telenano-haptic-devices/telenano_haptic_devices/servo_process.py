@@ -175,7 +175,7 @@ class ServoLoop:
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
-                error = f"the device is now {found.identity}, and it was {self._found.identity}: start the node anew"
+                error = f"the device is now {found.identity}, and it was {self._found.identity}: restart the node"
             except Exception as still:  # noqa: BLE001
                 error = cause(still)
             self._let_go()
@@ -229,7 +229,7 @@ class ProcessLink:
             part = os.read(self._process.stdout.fileno(), 65_536) if ready else b""
             if not part or len(answer) > _LONGEST_ANSWER:
                 self.close()
-                what = f"said nothing for {OPEN_S:g} s" if not ready else "ended; its reason is in the log above"
+                what = f"answered nothing for {OPEN_S:g} s" if not ready else "ended; its reason is in the log above"
                 raise DeviceError(f"the servo of haptic_node.driver {self._kind} {what}")
             answer += part
         found = json.loads(answer)

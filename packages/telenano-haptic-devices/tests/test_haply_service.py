@@ -145,7 +145,7 @@ def test_messages_that_nobody_asked_for_make_no_place_older_than_it_is_told() ->
 def test_service_that_answers_twice_is_lost_before_its_places_are_old() -> None:
     server, found, wire = clocked(lambda number: (2, 0.0))
     wire.open()
-    with pytest.raises(DeviceError, match=r"has sent \d+ messages that it was not asked for, and goes on: end other"):
+    with pytest.raises(DeviceError, match=r"has sent \d+ messages that it was not asked for, and continues: end other"):
         wire.run(ages(found, 5000))
     assert len(found) < 500
     assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
@@ -248,7 +248,7 @@ def test_other_hands_and_a_late_drive_are_put_in_by_a_line() -> None:
     for _ in range(40):
         arm.advance(0.05)
     assert arm.position_m[2] == pytest.approx(-0.01, abs=1e-4)
-    assert obey(service, "loose") == "nobody holds the handle"
+    assert obey(service, "loose") == "no hand holds the handle"
     assert obey(service, "drive-late 0.005") == "forces act 0.005 s late"
     arm.drive((1.0, 0.0, 0.0))
     arm.advance(0.004)

@@ -214,7 +214,7 @@ class Policy:
         if not config.stiffness_doubts(self._stiffness_n_per_m, self._latency_s, even=even):
             return ""
         line_text = "" if even else ", whose signals are lost or held back"
-        return f"law {candidate.law} does not bear {self._stiffness_n_per_m:g} N/m over this line{line_text}"
+        return f"law {candidate.law} does not tolerate {self._stiffness_n_per_m:g} N/m over this line{line_text}"
 
     def refused(self, law: str, text: str) -> None:
         """Take note of what a node has said against a law: it is not asked for again."""

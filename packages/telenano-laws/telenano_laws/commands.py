@@ -3,6 +3,6 @@
 COMMANDS = {
     "law by-line": (
         "telenano_laws.by_line_command:by_line",
-        "Watch the line of a running rig and change to the law that bears it, until Ctrl-C.",
+        "Watch the line of a running rig and change to the law that tolerates it, until Ctrl-C.",
     ),
 }

@@ -115,7 +115,7 @@ class _Listener:
                 on_report(report)
                 return report
             if time.monotonic() - self._heard_s > _PATIENCE_S:
-                raise RigError(f"{TIP} has said nothing of its program for {_PATIENCE_S:g} s: {RIG_HINT}")
+                raise RigError(f"{TIP} has reported nothing of its program for {_PATIENCE_S:g} s: {RIG_HINT}")
             if report is not None and (word := on_report(report)):
                 send(word)
 

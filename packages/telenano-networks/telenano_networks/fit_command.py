@@ -185,7 +185,7 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
             "so that the sum is that of the log; how they are shared in truth, no round trip says."
         )
     found.append(
-        f"The log has a message each {1e3 * log.period_s:.3g} ms. Between them the model goes on as at them; what "
+        f"The log has a message each {1e3 * log.period_s:.3g} ms. Between them the model is as at them; what "
         "lasts less is not in the log."
     )
     if any(row.what == "stalls per minute" and row.measured > 0.0 for row in table):

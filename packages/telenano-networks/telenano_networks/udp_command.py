@@ -39,7 +39,7 @@ def udp(
             help="Where clients send to: PORT of this machine alone, HOST:PORT or [HOST]:PORT; [::]:PORT for all.",
         ),
     ],
-    target: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the datagrams go on to.")],
+    target: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the datagrams are forwarded.")],
     profile: Annotated[
         str, typer.Option("--profile", metavar="NAME", help="Network, of those that `telenano link profile` lists.")
     ] = "clean",
@@ -95,7 +95,8 @@ def udp(
             bus = participant.bus_of(outlets[1], [*readers, ports])
             link = UdpLink(participant.context(bus), settings, outlets, ports, Path(), duration_s=duration)
             typer.echo(
-                f"ready: datagrams to {_shown(ports)} go on to {there} over the network {network_name(settings)}; "
+                f"ready: datagrams to {_shown(ports)} are forwarded to {there} over the network "
+                f"{network_name(settings)}; "
                 "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
                 err=as_json,
             )

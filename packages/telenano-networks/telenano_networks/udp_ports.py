@@ -256,7 +256,7 @@ def _resolved(place: Place, what: str, family: int, flags: int) -> tuple[int, tu
 
 def _reason(error: OSError) -> str:
     known = {
-        errno.ECONNREFUSED: "nobody listens",
+        errno.ECONNREFUSED: "no process listens",
         errno.EMSGSIZE: "too long",
         errno.EHOSTUNREACH: "host unreachable",
         errno.ENETUNREACH: "network unreachable",

@@ -301,7 +301,7 @@ def test_a_target_that_is_not_there_is_counted_and_found_when_it_comes() -> None
             client.sendto(b"anybody?", ports.address[:2])
             ports.receive()
             ports.receive()
-        assert ports.unsent["nobody listens"] >= 1
+        assert ports.unsent["no process listens"] >= 1
         with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as late:
             late.bind(address)
             late.settimeout(5.0)

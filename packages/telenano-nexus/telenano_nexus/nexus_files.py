@@ -193,7 +193,7 @@ def _plot_of(image: Image) -> Plot:
 
 
 def _origin_ns(recording: Recording) -> int:
-    """Return when the operator's programme last began; the beginning of the recording where none ran."""
+    """Return when the operator's force profile last began; the beginning of the recording where none ran."""
     if any(channel.channel_topic == "haptic/state" for channel in recording.channels):
         found = columns(recording, "haptic/state", ("session_s", "t_ns"))
         running = last_programme(found["session_s"], found["t_ns"])
@@ -212,7 +212,7 @@ def _courses(recording: Recording, wanted: Mapping[str, str], origin_ns: int) ->
         found["time"] = 1e-9 * (timeline.times_ns(wanted[channel], found["publish_ns"]) - origin_ns)
         return found
 
-    clock = "Time since the start of the operator's programme"
+    clock = "Time since the start of the operator's force profile"
     if "afm/state" in wanted:
         tip = read(
             "afm/state", "tip_force_n.2", "base_position_m.2", "deflection_m", "separation_m", "separation_valid"

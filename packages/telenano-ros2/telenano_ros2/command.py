@@ -37,5 +37,5 @@ def ros2(
         live = open_parts.enter_context(live_rig(site_file))
         typer.echo(f"publishing to the router at {router}, domain {domain}")
         if not is_connected():
-            typer.echo(f"telenano: no router answers at {router} yet; the bridge goes on trying", err=True)
+            typer.echo(f"telenano: no router answers at {router} yet; the bridge keeps trying", err=True)
         hand_on(bridge, live, duration)

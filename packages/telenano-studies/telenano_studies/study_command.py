@@ -199,7 +199,7 @@ def validate(
     sample: Annotated[
         int | None,
         typer.Option(
-            "--sample", min=1, max=1000, metavar="N", help="Run so many drawn cells instead of those of the options."
+            "--sample", min=1, max=1000, metavar="N", help="Run N drawn cells instead of those of the options."
         ),
     ] = None,
     sample_seed: Annotated[int, typer.Option("--sample-seed", min=0, help="Seed of the draw.")] = 1,

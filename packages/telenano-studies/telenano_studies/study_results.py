@@ -16,7 +16,7 @@ from telenano_studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Swe
 from telenano_studies.page import Page, text, write_tables
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
-NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins anew"
+NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins again"
 _PIPE_COLUMNS = 160
 
 

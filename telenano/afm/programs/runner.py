@@ -101,7 +101,7 @@ class ProgramRunner:
             self._plan, self._reached, self._notice = begun.plan, begun.state, begun.notice
             return begun.text
         if not self.name:
-            raise RefusedError(f"program: there is none to {wanted}")
+            raise RefusedError(f"program: no program runs, so there is nothing to {wanted}")
         if wanted == "abort":
             return self.abort()
         if not self._program.can_pause:

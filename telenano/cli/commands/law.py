@@ -88,7 +88,7 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
         if limit is not None:
             late, lossy = (", ".join(f"{value:.4g}" for value in values) for values in (behind, uneven))
             typer.echo(
-                f"bears samples of up to {limit:.4g} N/m; {late} with an instrument 1 to {LATE_PERIODS} ms late;"
+                f"tolerates samples of up to {limit:.4g} N/m; {late} with an instrument 1 to {LATE_PERIODS} ms late;"
             )
             typer.echo(f"over a line that loses signals or holds them back {lossy}, 0 to {LATE_PERIODS} ms late")
         for rule, faults in broken.items():

@@ -134,7 +134,9 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
     for law in document["laws"]:
         yield f"law {law['src']}", _law_text(law)
     for hand in document["hand"]:
-        session = f"programme at {hand['session_s']:.1f} s" if hand["session_s"] >= 0.0 else "programme not running"
+        session = (
+            f"force profile at {hand['session_s']:.1f} s" if hand["session_s"] >= 0.0 else "force profile not running"
+        )
         stopped = " · emergency stop is latched" if hand["estop"] else ""
         limited = " · at a limit" if hand["limited"] else ""
         yield f"hand {hand['src']}", Text(f"{hand['mode']} · {session}{limited}{stopped}", "red" if stopped else "")

@@ -28,7 +28,7 @@ class NetworkCalibration(Settings):
 
     host: str = Field(min_length=1, max_length=255, description="Name or address")
     port: int = Field(502, ge=1, le=65535)
-    device_id: int = Field(1, ge=0, le=255, description="Unit behind a gateway; 1 if there is none")
+    device_id: int = Field(1, ge=0, le=255, description="Unit behind a gateway; 1 without one")
 
 
 class StageCalibration(Settings):

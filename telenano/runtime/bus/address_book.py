@@ -116,7 +116,9 @@ class AddressBook(Settings):
         description="host:port of a relay (`telenano relay`) between machines that can only dial out, in the place of "
         "the addresses of `machines`; without it TELENANO_RELAY of the environment",
     )
-    insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port can read it")
+    insecure: bool = Field(
+        default=False, description="Plain tcp:// without keys: every process that reaches a port can read it"
+    )
 
     @model_validator(mode="after")
     def _check_endpoints(self) -> Self:

@@ -175,7 +175,7 @@ def test_a_pause_holds_the_force_where_the_tip_is_and_an_abort_retracts_it(afm: 
     assert afm.outcome() == ("ended", "the scan ended, it was aborted")
     last = afm.bench.take("afm/state")[-1]
     assert (last.mode, last.in_contact) == ("retracted", False)
-    with pytest.raises(RefusedError, match="there is none to abort"):
+    with pytest.raises(RefusedError, match="no program runs, so there is nothing to abort"):
         afm.set(program="abort")
 
 

@@ -90,7 +90,7 @@ def test_noise_within_the_tolerance_and_another_place_do_not_leave_the_branch() 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"unit": "V"}, "unit: 'V' is none of frequency_shift, which is in Hz"),
+        ({"unit": "V"}, "unit: 'V' is not a unit of frequency_shift, which is in Hz"),
         ({"table": [[0.0, 0.0], [-4.0, 1e-9], [-3.0, 2e-9]]}, "the value is not monotone at row 3"),
         ({"table": [[0.0, 0.0], [-4.0, 1e-9], [-5.0, 1e-9]]}, "the force is not monotone at row 3"),
         ({"table": [[0.0, -1e-9], [-4.0, 1e-9]]}, "the force changes its sign"),

@@ -90,7 +90,7 @@ def test_before_the_first_program_nothing_runs_and_nothing_can_be_changed(runner
     assert (runner.name, runner.state, runner.take_notice()) == ("", "finished", "")
     assert runner.capture() == RunnerState("", "finished", "", "", None, None)
     for change in ("pause", "resume", "abort"):
-        with pytest.raises(RefusedError, match=f"^program: there is none to {change}$"):
+        with pytest.raises(RefusedError, match=f"^program: no program runs, so there is nothing to {change}$"):
             ask(runner, change)
 
 

@@ -125,7 +125,7 @@ def test_a_guard_that_acted_before_the_programme_is_named() -> None:
     holds = judge_holds(TIME_S, HAND_N, TIME_S, np.zeros_like(TIME_S), tip, programme)
     kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
     assert kind == "guarded"
-    assert reason.startswith("the instrument's guard acted at -0.210 s, before the hand's programme (force_limit")
+    assert reason.startswith("the instrument's guard acted at -0.210 s, before the hand's force profile (force_limit")
 
 
 def test_a_stop_that_a_person_asked_for_is_no_guard() -> None:

@@ -55,7 +55,7 @@ def test_a_part_of_a_session_is_not_called_whole(parts: list[Path], tmp_path: Pa
     summary = write_report(parts[0], tmp_path, [known])["recording"]
     assert summary["complete"] is False
     (sentence, *rest) = summary["missing"]
-    assert sentence.startswith("the recording ends within the operator's programme")
+    assert sentence.startswith("the recording ends within the operator's force profile")
     # what the launcher knows besides
     assert rest == [known]
 
@@ -149,7 +149,7 @@ def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_
     filter_recording(session, tmp_path / "beginning.mcap", ALL, end_s=1.0)
     beginning = Recording(tmp_path / "beginning.mcap")
     assert cut_off(beginning, session_s[: running[-1] + 1], running, float(session_s[running[-1]])) == [
-        f"the recording ends within the operator's programme, {session_s[running[-1]]:.3f} s after its start"
+        f"the recording ends within the operator's force profile, {session_s[running[-1]]:.3f} s after its start"
     ]
     assert cut_off(recording, session_s + 2.0, running[:-1], 4.0)[0].startswith("the recording begins 2.0")
 

@@ -279,7 +279,7 @@ def test_a_session_after_a_kill_of_the_hand_is_told_to_its_end_with_the_kill_and
     assert (kill["kind"], summary["processes_ended"]) == ("process_ended", 1)
     assert kill["start_s"] == pytest.approx(3.1, abs=0.01)
     assert kill["end_s"] == pytest.approx(summary["duration_s"] if anew_s is None else anew_s, abs=0.01)
-    then = "its programme was not started anew" if anew_s is None else "its programme began anew at 4.000 s"
+    then = "its force profile was not started again" if anew_s is None else "its force profile began again at 4.000 s"
     assert f"in the session at 3.095 s {KILL[1]}; {then}" in summary["reason"]
     # the holds of the programme that began anew are judged as well
     presses = [hold for hold in summary["holds"] if hold["hand_force_n"] > 0.5 and hold["start_s"] > 4.0]

@@ -292,7 +292,7 @@ def test_a_rig_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         "wan · delay 20.50 ms · dropped loss 3 · 2 in flight", "wan · no message · dropped 0",
         "the slave's clock is 1.500 ms ahead, ± 0.100 ms",
         "net energy 0.0025 J · last signal received 2 ms ago",
-        "position · programme at 3.2 s", "follow · in contact", "running · 1234 messages received · 0 lost",
+        "position · force profile at 3.2 s", "follow · in contact", "running · 1234 messages received · 0 lost",
         "slave is not reached", "recording to x.mcap", "every node reports and none waits for anything",
     ):  # fmt: skip
         assert words in out, words
@@ -352,7 +352,7 @@ def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     for words in (
         "│ replay", "version 4", "no report", "has not reported yet", "does not receive haptic/state", "not passive",
         "waits for the other half to switch", "no signal received yet", "emergency stop is latched",
-        "programme not running · at a limit", "estop · in contact · meniscus · at a limit",
+        "force profile not running · at a limit", "estop · in contact · meniscus · at a limit",
     ):  # fmt: skip
         assert words in out, words
     assert "clocks" not in out

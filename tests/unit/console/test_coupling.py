@@ -1,4 +1,4 @@
-"""When hand and tip are not coupled anew, and what is said then."""
+"""When hand and tip are not coupled, and what is said then."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -95,8 +95,8 @@ STUCK: dict[str, tuple[dict[str, Any], list[str], str]] = {
         ["stop"],
         "the tip is in emergency stop already, which `telenano session arm` releases",
     ),
-    "program": ({"obeys": False}, ["stop"], "in vain for the tip to be withdrawn"),
-    "hand that moves": ({"moves_m": 2e-3}, ["stop"], "in vain for a hand at rest; the tip stays withdrawn"),
+    "program": ({"obeys": False}, ["stop"], "s for the tip to be withdrawn"),
+    "hand that moves": ({"moves_m": 2e-3}, ["stop"], "s for a hand at rest; the tip stays withdrawn"),
     "stop meanwhile": (
         {"answers": {"stop": "the tip retracts", "arm": RigError("arm is void: an emergency stop came")}},
         ["stop", "arm"],
@@ -125,14 +125,14 @@ def test_tip_is_withdrawn_and_armed_again(changes: dict[str, Any]) -> None:
         return answer
 
     rig.send = send  # type: ignore[method-assign]
-    assert couple(rig) == ("hand and tip are coupled anew: the tip went from -66.0 to -66.0 nm, for a hand at 0.00 mm")
+    assert couple(rig) == ("hand and tip are coupled again: the tip went from -66.0 to -66.0 nm, for a hand at 0.00 mm")
     assert rig.sent == ["stop", "arm"]
 
 
 def test_silent_rig_is_named() -> None:
     rig = Told()
     rig.look = lambda duration_s: iter(())  # type: ignore[method-assign]
-    with pytest.raises(RigError, match="in vain for states of hand and tip: is `telenano up` running"):
+    with pytest.raises(RigError, match="s for states of hand and tip: is `telenano up` running"):
         couple(rig)
 
 
@@ -151,24 +151,22 @@ def test_command_and_page_end_at_the_same_function(monkeypatch: pytest.MonkeyPat
     def couple_anew(site_file: Path, *rest: Any, **options: Any) -> str:
         given.append(site_file)
         if len(given) > 2:
-            raise RigError("not coupled anew, and nothing has moved: the hand presses with 1.00 N")
-        return "hand and tip are coupled anew"
+            raise RigError("not coupled, and nothing has moved: the hand presses with 1.00 N")
+        return "hand and tip are coupled again"
 
     for module in (session_command, commander_module):
         monkeypatch.setattr(module, "couple_anew", couple_anew)
     file = tmp_path / "site.yaml"
     run = partial(CliRunner().invoke, app)
     done = run(["session", "couple", "--site-file", str(file)])
-    assert (done.exit_code, done.output) == (0, "hand and tip are coupled anew\n")
+    assert (done.exit_code, done.output) == (0, "hand and tip are coupled again\n")
     commander = commander_module.RigCommander(DEFAULT_SITE_FILE)
     answers = commander.send("couple", "*", {}, lambda: True, 0, "")
-    assert answers == {"afm_node@slave": ("ack", "hand and tip are coupled anew")}
+    assert answers == {"afm_node@slave": ("ack", "hand and tip are coupled again")}
     assert "couple" in COMMANDS
     refused = run(["session", "couple", "--json"])
     assert refused.exit_code == 1
-    assert json.loads(refused.stdout) == {
-        "error": "not coupled anew, and nothing has moved: the hand presses with 1.00 N"
-    }
+    assert json.loads(refused.stdout) == {"error": "not coupled, and nothing has moved: the hand presses with 1.00 N"}
     assert given == [file, DEFAULT_SITE_FILE, DEFAULT_SITE_FILE]
     for wrong in (["a=1"], ["--target", "afm_node"], ["--site", "slave"]):
         assert "couple takes no parameters" in run(["session", "couple", *wrong]).output

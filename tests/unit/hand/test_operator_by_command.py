@@ -1,4 +1,4 @@
-"""Another simulated hand by `set operator`, between two runs of the operator's programme."""
+"""Another simulated hand by `set operator`, between two runs of the operator's force profile."""
 
 import json
 from typing import Any
@@ -63,7 +63,7 @@ def test_a_hand_of_another_kind_begins_at_rest_where_the_arm_is(hand: Bench) -> 
 
 def test_it_is_refused_while_the_programme_runs(hand: Bench) -> None:
     hand.control("start")
-    with pytest.raises(RefusedError, match="its programme runs; stop the session first"):
+    with pytest.raises(RefusedError, match="its force profile runs; stop the session first"):
         hand.control("set", operator=json.dumps(HARDER))
 
 

@@ -86,7 +86,7 @@ def test_a_sample_that_is_too_stiff_for_the_law_is_named(tmp_path: Path) -> None
     assert stiff.stiffness_warning.startswith("law wave: 500 N/m is stiffer than the 444.4 N/m")
     lossy = (*spring, "afm_node.spring.stiffness_n_per_m=200", "delay_node.forward.loss.probability=0.2")
     told = make_plan(request(tmp_path, settings=lossy), tmp_path).stiffness_warning
-    assert told.startswith("law wave: 200 N/m is stiffer than the 194.4 N/m that its slave half bears over a line")
+    assert told.startswith("law wave: 200 N/m is stiffer than the 194.4 N/m that its slave half tolerates over a line")
     # Nobody knows beforehand what a network between two machines does.
     two = request(tmp_path, site="slave", site_file=TWO_SITES_FILE, settings=lossy[:-1])
     assert make_plan(two, tmp_path).stiffness_warning == told

@@ -184,7 +184,7 @@ def test_a_device_that_is_in_emergency_stop_from_before_is_waited_for(wait_s: fl
     assert len({control.id for control in rig.bus.controls()}) < 20
     if wait_s is not None:
         refuse(120)
-        assert rig.session.failure.endswith("; nobody did within 20 s")
+        assert rig.session.failure.endswith("; it was not done within 20 s")
         return
     rig.silent = set()
     rig.tick(30)

@@ -196,7 +196,7 @@ def test_without_the_files_of_the_kernel_nothing_is_killed_and_the_reason_is_giv
     bench.run(60.0, silent=(NODE,))
     (state, text), = bench.reported  # fmt: skip
     assert state == "unknown"
-    assert "whether it hangs cannot be told here (/proc is not mounted)" in text
+    assert "whether it hangs cannot be decided here (/proc is not mounted)" in text
     assert bench.children.killed == []
 
 

@@ -156,11 +156,12 @@ def test_a_line_that_is_not_even_is_named_with_both_limits() -> None:
     assert config.stiffness_doubts(194.0, even=False) == config.stiffness_doubts(440.0) == ""
     text = config.stiffness_doubts(195.0, even=False)
     assert text.startswith(
-        "law wave: 195 N/m is stiffer than the 194.4 N/m that its slave half bears over a line that loses signals or"
+        "law wave: 195 N/m is stiffer than the 194.4 N/m that its slave half tolerates over a line that loses "
+        "signals or"
         " holds them back (444.4 N/m without that)"
     )
     both = config_of("model_mediated").stiffness_doubts(53.0, 4e-3, even=False)
-    assert "the 52.78 N/m that its slave half bears with an instrument that answers 4 ms late over a line" in both
+    assert "the 52.78 N/m that its slave half tolerates with an instrument that answers 4 ms late over a line" in both
     limits = [config_of(name).stiffness_limit_n_per_m(even=False) for name in LOCAL]
     assert limits == pytest.approx([350.0, 194.4, 175.0], rel=1e-3)
 
@@ -169,7 +170,9 @@ def test_a_late_instrument_is_named_with_both_limits() -> None:
     config = config_of("model_mediated")
     assert config.stiffness_doubts(69.0, 4e-3) == config.stiffness_doubts(399.0) == ""
     text = config.stiffness_doubts(70.0, 4e-3)
-    assert text.startswith("law model_mediated: 70 N/m is stiffer than the 69.46 N/m that its slave half bears with")
+    assert text.startswith(
+        "law model_mediated: 70 N/m is stiffer than the 69.46 N/m that its slave half tolerates with"
+    )
     assert "an instrument that answers 4 ms late (400 N/m without that)" in text
     # a part of a period counts as a whole one, and a sample beyond both limits is one of them still
     assert config.stiffness_doubts(70.0, 3.1e-3) == text.replace("4 ms", "3.1 ms")

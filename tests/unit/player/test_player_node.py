@@ -496,9 +496,9 @@ def test_a_replay_that_nobody_reads_says_so_and_fails(tmp_path: Path) -> None:
     writer.finish()
     warned: list[str] = []
     request = ReplayRequest([writer.path], site_file, nodes=["haptic_node"], settings=PlaySettings(wait_s=0.0))
-    with pytest.raises(RigError, match=r"200 messages of haptic_node@master were played, and nobody read them"):
+    with pytest.raises(RigError, match=r"200 messages of haptic_node@master were played, and no node read them"):
         run_replay(request, warn=warned.append)
-    (text,) = [text for text in warned if text.startswith("nobody reads what is played: start the rest of the rig")]
+    (text,) = [text for text in warned if text.startswith("no node reads what is played: start the rest of the rig")]
     assert "--without NODE --allow-replay" in text
 
 

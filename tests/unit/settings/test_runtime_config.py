@@ -96,7 +96,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ("a: \x00", "is not valid YAML"),
         ("duration_s: 012", "is not valid YAML: 012 in line 1 is no number of base 10: write 12, or '012' for a text"),
         ("a: 1\nseed: -0100", "is not valid YAML: -0100 in line 2 is no number of base 10: write -100"),
-        ("d: 1:30", "is not valid YAML: 1:30 in line 1 is no number of base 10: write 90 for so many seconds"),
+        ("d: 1:30", "is not valid YAML: 1:30 in line 1 is no number of base 10: write 90 for that number of seconds"),
         ("d: [1:02:03.5]", "is not valid YAML: 1:02:03.5 in line 1 is no number of base 10: write 3723.5"),
         ("d: 0x1F", "is not valid YAML: 0x1F in line 1 is no number of base 10: write 31, or '0x1F' for a text"),
         ("d: 0o17", "is not valid YAML: 0o17 .*: write 15"),

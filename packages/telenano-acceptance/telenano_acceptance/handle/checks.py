@@ -71,7 +71,7 @@ def _force_noise(take: Take[Facts]) -> tuple[Result, str]:
 
 def _zero(take: Take[Facts]) -> tuple[Result, str]:
     mean_n = float(take.of("rest")["hand_n"].mean())
-    return passes(abs(mean_n) <= ZERO_N), f"{mean_n:.3f} N with nobody at it"
+    return passes(abs(mean_n) <= ZERO_N), f"{mean_n:.3f} N without a hand on it"
 
 
 def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
@@ -135,7 +135,7 @@ def _watchdog(take: Take[Facts]) -> tuple[Result, str]:
     text = f"{1e3 * take.facts.watchdog_s:.0f} ms are allowed"
     if take.of("silence")["tripped"].any():
         return "pass", f"switched off by itself, {text}"
-    return "fail", f"it has not said that it was off, {text}"
+    return "fail", f"it has not reported that it was off, {text}"
 
 
 def _cable(take: Take[Facts]) -> tuple[Result, str]:
@@ -144,7 +144,7 @@ def _cable(take: Take[Facts]) -> tuple[Result, str]:
         return "retake", "the cable was not pulled out"
     if lost[-1]:
         return "retake", "the handle did not come back before the step ended"
-    return "pass", f"told for {lost.sum() * PERIOD_S:.2f} s, and it came back"
+    return "pass", f"reported for {lost.sum() * PERIOD_S:.2f} s, and it came back"
 
 
 _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
@@ -156,7 +156,7 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
     ("noise at rest", _noise, f"{1e6 * NOISE_M:.0f} um at most", ("rest",)),
     ("drift at rest", _drift, f"{1e6 * DRIFT_M:.0f} um at most", ("rest",)),
     ("noise of the force", _force_noise, f"{FORCE_NOISE_N:g} N at most", ("rest",)),
-    ("zero of the force", _zero, f"{ZERO_N:g} N at most with nobody at it", ("rest",)),
+    ("zero of the force", _zero, f"{ZERO_N:g} N at most without a hand on it", ("rest",)),
     ("sign of the force", _force_sign, "positive when pushed towards the sample", ("push",)),
     ("sign of places", _place_sign, "growing towards the sample", ("push",)),
     ("following", _follows, f"within {100 * FOLLOW_SHARE:.0f} % of the motion", ("follow",)),
@@ -164,7 +164,7 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
     ("holding", _holds, "in place, but for what its servo yields", ("hold",)),
     ("quiet hold", _buzz, f"{1e6 * BUZZ_M:.0f} um of buzz at most", ("hold",)),
     ("watchdog", _watchdog, "the drive is off while nothing is sent", ("silence",)),
-    ("cable loss", _cable, "told, and it comes back", ("cable",)),
+    ("cable loss", _cable, "reported, and it comes back", ("cable",)),
 )
 
 

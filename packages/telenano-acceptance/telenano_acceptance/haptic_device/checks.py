@@ -259,7 +259,7 @@ def _cable(take: Take[Facts]) -> tuple[Result, str]:
     if not lost.any():
         still_s = _longest_still_s(rows["place_m"])
         if still_s > 0.1 * len(rows) * PERIOD_S:
-            return "fail", f"the readings stood still for {still_s:.1f} s and no loss was told"
+            return "fail", f"the readings stood still for {still_s:.1f} s and no loss was reported"
         return "retake", "the cable was not pulled out"
     later = np.flatnonzero(lost)
     driven = bool(np.linalg.norm(rows["force_n"][lost & (rows["age_s"] > GAP_S)], axis=1).any())
@@ -317,7 +317,7 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
     ("limits of force", _limits, "no more than the clamp, and what was asked for", ("hold",)),
     ("buttons", _buttons, "each pressed and let go", ("button",)),
     ("dead-man", _deadman, "no force within 0.1 s without it", ("button",)),
-    ("cable loss", _cable, "told, and no force while lost", ("cable",)),
+    ("cable loss", _cable, "reported, and no force while lost", ("cable",)),
     ("orientation", _orientation, "unit quaternions", ()),
     ("independent stop", _stop, f"stated for every device of more than {MOST_WITHOUT_STOP_N:g} N", ()),
 )

@@ -49,7 +49,7 @@ def _declared_hz(config: AfmConfig) -> float:
     """Return how often a new sample comes, as the driver of a section declares it [Hz]; ConfigError if it does not."""
     found = capabilities_of(config.driver)
     if found is None:
-        known = f"is none of {', '.join(TABLE)}, and declares no capabilities"
+        known = f"is not one of {', '.join(TABLE)}, and declares no capabilities"
         raise ConfigError(f"afm_node.driver = {config.driver} {known}: its package judges it")
     return found.sample_hz
 

@@ -94,7 +94,7 @@ class Questions:
                 return True
             if answer in ("n", "no"):
                 return False
-            self._tell(f"{answer!r} is none of y, n and end")
+            self._tell(f"{answer!r} is not y, n or end")
 
     def _line(self, idle: Callable[[], None]) -> str:
         """Return the next line that is typed, with the device at rest meanwhile."""

@@ -57,7 +57,7 @@ def trial(
             found = read_trial(read)
             typer.echo(sheet_of(found), nl=False)
             if others := judged_again(found):
-                typer.echo("judged anew by the version here: " + "; ".join(others), err=True)
+                typer.echo("judged again by the version here: " + "; ".join(others), err=True)
             return
         if driver is None:
             raise ConfigError("name what is tried, such as `telenano device trial haply`, or give --read FILE")
@@ -71,7 +71,7 @@ def trial(
         _write(path, made)
         typer.echo("\n" + sheet_of(made), nl=False)
         if not made.acceptance.device:
-            raise ConfigError(f"{made.errors[0].text} ({path} says so too)")
+            raise ConfigError(f"{made.errors[0].text} (it is also in {path})")
         typer.echo(f"\n{path} has all of it: please send it as docs/trial.md says")
     if made.acceptance.result != "pass":
         raise typer.Exit(_NOT_PASSED)

@@ -154,7 +154,7 @@ def read_trial(path: Path) -> Trial:
         raise ConfigError(f"{path}: is no file of `telenano device trial`: it has no member {error}") from error
     # damage may lead zipfile and zlib anywhere
     except Exception as error:
-        raise ConfigError(f"{path}: is no whole file of `telenano device trial`: {error}") from error
+        raise ConfigError(f"{path}: is not a complete file of `telenano device trial`: {error}") from error
 
 
 def kind_of(take: Take[Any]) -> Kind[Any]:

@@ -272,7 +272,7 @@ class Live(Apparatus):
             self._rest(wanted)
             if abs(off_m := self._off_m(document)) <= _SAME_PLACE_M:
                 break
-            self._show(f"the tip is {1e9 * off_m:.1f} nm from where the hand has it: both are coupled anew")
+            self._show(f"the tip is {1e9 * off_m:.1f} nm from where the hand has it: both are coupled again")
             try:
                 self._couple()
             except RigError as error:
@@ -280,7 +280,7 @@ class Live(Apparatus):
                     raise
                 self._show(str(error))
                 if wanted.operator:
-                    self._show("the rig is started anew")
+                    self._show("the rig is restarted")
                     self.close()
                 continue
             # Some laws, such as tactile, do not bring the tip to the place of the hand: then this is where it belongs.
@@ -338,7 +338,9 @@ class Live(Apparatus):
         """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""
         states = self._states()
         if states["haptic/state"].estop or states["afm/state"].mode == "estop":
-            raise RigError("a device is in emergency stop: find out why, and go on with `telenano experiment resume`")
+            raise RigError(
+                "a device is in emergency stop: find out why, and continue with `telenano experiment resume`"
+            )
         if states["afm/state"].mode not in ("follow", "hold"):
             self._command("set", LINK, _CLEAN)
             self._send(Command("arm", TIP, placed=True))

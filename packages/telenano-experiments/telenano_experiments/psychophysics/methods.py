@@ -95,11 +95,11 @@ class StaircaseSettings(_Adaptive):
     )
     low: float = Field(description="The least level")
     high: float = Field(description="The greatest level")
-    reversals: int = Field(default=12, ge=2, le=1000, description="It ends with so many reversals")
+    reversals: int = Field(default=12, ge=2, le=1000, description="Number of reversals with which it ends")
     discarded: int = Field(
         default=4, ge=0, le=1000, description="The first reversals, which the mean of the reversals leaves out"
     )
-    trials: int = Field(default=200, ge=1, le=_MOST_TRIALS, description="It ends after so many trials at the latest")
+    trials: int = Field(default=200, ge=1, le=_MOST_TRIALS, description="Largest number of trials, after which it ends")
 
     @model_validator(mode="after")
     def _can_move(self) -> "StaircaseSettings":
@@ -129,7 +129,7 @@ class QuestSettings(_Adaptive):
     lapses: tuple[float, ...] = Field(
         default=(0.0, 0.02, 0.04), min_length=1, max_length=20, description="Lapse rates that are thought possible"
     )
-    trials: int = Field(default=60, ge=1, le=_MOST_TRIALS, description="It ends after so many trials at the latest")
+    trials: int = Field(default=60, ge=1, le=_MOST_TRIALS, description="Largest number of trials, after which it ends")
     precision: float = Field(
         default=0.0,
         ge=0.0,

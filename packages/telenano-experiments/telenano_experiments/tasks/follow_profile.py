@@ -21,7 +21,7 @@ class FollowProfile(Parameters):
     way_m: float = Field(800e-9, gt=0.0, le=1e-5, description="Way across it [m]")
     duration_s: float = Field(24.0, gt=1.0, le=600.0, description="How long a trial takes [s]")
     lead_in_s: float = Field(
-        4.0, ge=0.0, le=60.0, description="Time in which the hand takes up the force, not judged [s]"
+        4.0, ge=0.0, le=60.0, description="Time in which the hand reaches the force, not judged [s]"
     )
     contact_n: float = Field(1e-9, gt=0.0, le=1e-6, description="Force below which contact counts as lost [N]")
 

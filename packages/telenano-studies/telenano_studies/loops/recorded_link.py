@@ -32,7 +32,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "step_s"))
     running = last_programme(hand["session_s"], hand["t_ns"])
     if not running.size:
-        raise RecordingError(f"{path}: the operator's programme never ran in it")
+        raise RecordingError(f"{path}: the operator's force profile never ran in it")
     # Each sample says how many periods it is after the one before, which gives its tick, however late it was.
     stamps, tick_of = hand["t_ns"], np.cumsum(np.round(hand["step_s"] / period_s)).astype(np.int64)
     first = running[0]

@@ -274,13 +274,13 @@ def read_course(path: Path) -> Trajectory:
 
     Raises:
         RecordingError: The file lacks something; the message names the file and what it lacks.
-        StudyError: The operator's programme never ran in the recording.
+        StudyError: The operator's force profile never ran in the recording.
     """
     recording = Recording(path)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
     running = last_programme(hand["session_s"], hand["t_ns"])
     if running.size < 2:
-        raise StudyError(f"{path}: the operator's programme never ran in it")
+        raise StudyError(f"{path}: the operator's force profile never ran in it")
     hand = {name: values[running] for name, values in hand.items()}
     tip = columns(
         recording, "afm/state", ("t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode")

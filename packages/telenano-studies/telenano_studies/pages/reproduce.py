@@ -134,7 +134,9 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
         page.heading("Equations and errata E1 to E8, with the values of Table 1 and 2 and of Fig. 12")
         head = ("quantity", "where", "ours", "expected", "unit", "difference [%]")
         page.table(head, [(r.name, r.where, r.ours, r.expected, r.unit, 100.0 * r.difference) for r in rows])
-        page.paragraph("Expected: computed from the equations independently of this project, with the errata mended.")
+        page.paragraph(
+            "Expected: computed from the equations independently of this project, with the errata corrected."
+        )
         summary["equations"] = [{**row._asdict(), "difference": row.difference} for row in rows]
     for name, stiffness, words in (
         ("fig5", 40.0, "Fig. 5, force and distance in approach and retraction (simulation): Table 2"),

@@ -281,7 +281,7 @@ def _page(results: Sequence[LineResult], images: dict[str, bytes], command: str)
     environment = results[0].line.axes.environment
     page = Page(f"Stability under delay: {environment}")
     page.code(command)
-    page.heading("Which delay each law bears")
+    page.heading("Which delay each law tolerates")
     page.table(
         ("law", "conditions", "theory [ms]", "lockstep [ms]", "difference [%]", "theory, link [ms]", "link [ms]"),
         [_row(result) for result in results],

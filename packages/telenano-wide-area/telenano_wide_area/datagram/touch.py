@@ -31,7 +31,7 @@ class Touch:
         self.is_kept = now_ns - self._connected_ns < (LOSSY_NS if loss_share > LOSSY_SHARE else OUT_OF_TOUCH_NS)
         if self._is_told and self.is_kept:
             self._is_told = False
-            return "info", f"{self._machine} is connected again: the link's datagrams go on"
+            return "info", f"{self._machine} is connected again: the link's datagrams continue"
         if not self._is_told and not self.is_kept and arriving:
             self._is_told = True
             text = "no command can cross, and the link's datagrams wait"

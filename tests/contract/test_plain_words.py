@@ -1,0 +1,47 @@
+"""The words of CONTRIBUTING's table are counted where people read them, and their number only falls."""
+
+from collections import Counter
+
+import plain_words
+import pytest
+
+
+@pytest.fixture(scope="module")
+def known() -> list[plain_words.Word]:
+    return plain_words.words()
+
+
+def test_the_table_is_short_and_marks_the_worst(known: list[plain_words.Word]) -> None:
+    assert len(known) <= 60
+    assert sum(word.is_worst for word in known) == 20
+
+
+def test_no_more_of_them_are_written(known: list[plain_words.Word]) -> None:
+    found = Counter(one.kind for one in plain_words.findings(known))
+    most = plain_words.ceilings()
+    assert most.keys() == {"identifier", "message", "prose"}
+    assert {kind: found[kind] for kind in most} == most, "a lower number replaces the one in pyproject.toml"
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        ("told_of_queue = 1", ["identifier"]),
+        ("class ToldTwice: ...", ["identifier"]),
+        ("def opened_anew(): ...", ["identifier"]),
+        ("def f(nobody): ...", ["identifier"]),
+        ("f('nobody answers')", ["message"]),
+        ('"""Whoever calls."""', ["prose"]),
+        ("# so many\nx = 1", ["prose"]),
+        ("retold = 'foretold'", []),
+    ],
+)
+def test_a_word_is_found_where_it_stands(known: list[plain_words.Word], text: str, kinds: list[str]) -> None:
+    found = [
+        kind
+        for kind, _, part in plain_words.of_python(text)
+        for word in known
+        for _ in word.pattern.finditer(part)
+        if word.is_worst
+    ]
+    assert found == kinds
