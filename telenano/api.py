@@ -80,7 +80,7 @@ class RecordedSession:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
+        """Conditions, figures and verdict, as in `summary.json`; RecordingError when the force profile never ran."""
         from telenano.analysis.report import summarise
 
         return summarise(self._session, self._source)
@@ -153,7 +153,7 @@ class LiveRig:
             yield observed.name, observed.received.message
 
     def table(self, channel: str, src: str | None = None, *, duration_s: float) -> Table:
-        """Return what is received on a channel within a time [s]; `time_s` is that of the hand's programme."""
+        """Return what is received on a channel within a time [s]; `time_s` is that of the hand's force profile."""
         rows: list[tuple[int, dict[str, Any]]] = []
         start_ns: int | None = None
         for name, message in self.messages(duration_s):

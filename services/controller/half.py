@@ -59,10 +59,10 @@ class HalfState(NamedTuple):
 class ControllerHalf(Node):
     """What both halves share: the law, its parameters, and how both change at run time.
 
-    A change of law reaches the halves at different times, and each stands still from then on: the reference of the hand
+    A change of law reaches the halves at different times, and each stands still after that: the reference of the hand
     coasts to rest, that of the base stays, and both send the new law's signals without following; those of another law
     are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
-    reference where the slave reports the base; the slave goes on when it receives that the master follows.
+    reference where the slave reports the base; the slave continues when it receives that the master follows.
 
     What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal.
     """
@@ -136,7 +136,7 @@ class ControllerHalf(Node):
         return self.timing.heard
 
     def forget(self) -> None:
-        """Forget the signal of the other half; it is waited for anew."""
+        """Forget the signal of the other half; it is waited for again."""
         self.signal = NO_SIGNAL
         self.state = "safe"
 
@@ -211,7 +211,7 @@ class ControllerHalf(Node):
         )
 
     def restore_half(self, state: HalfState) -> None:
-        """Go on from a state that both halves have."""
+        """Continue from a state that both halves have."""
         if state.config is not None:
             self._adopt(state.config)
         self.law_state = None if state.law is None else state.law.like(self.started())
@@ -292,7 +292,7 @@ class ControllerHalf(Node):
         return send or self.switching
 
     def report_status(self, other_energy_j: float | None) -> None:
-        """Have law/status sent every so many ticks; other_energy_j [J]: what entered at the other port, if known."""
+        """Have law/status sent once in some ticks; other_energy_j [J]: what entered the other port, if known."""
         if self.steps % self._status_ticks or self.law_state is None:
             return
         account: EnergyAccount = self.energy_account()

@@ -187,7 +187,7 @@ class MasterController(ControllerHalf):
             self._send_signal(found.periods * self.config.period_s)
 
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
-        """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on its way."""
+        """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on the way."""
         self._hand_stamp = (message.seq, message.t_ns)
         self._armed = message.armed is True
         following = self.hand.following

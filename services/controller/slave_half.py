@@ -18,7 +18,7 @@ from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
 from telenano.wire.node_state import FindInput
 from telenano.wire.received import Received
 
-# A program that is silent for so long is over [ns]: it reports ten times a second.
+# A program that is silent for this time is over [ns]: it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000
 _NO_COMMAND = -2
 # An instrument that is behind by more commands than this is taken to be at the oldest of them.
@@ -54,7 +54,7 @@ class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out.
 
     Whatever the law says, a command asks the instrument to follow only where the hand was armed in the sample behind
-    it, and says so. The guard of the instrument judges the same by itself (`telenano.afm.safety`).
+    it, and reports it. The guard of the instrument judges the same by itself (`telenano.afm.safety`).
     """
 
     inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
@@ -157,9 +157,9 @@ class SlaveController(ControllerHalf):
         return self.law.slave_start(self.params, self.tip._replace(base_position_m=self.reference.position_m))
 
     def _interrupted(self) -> Any:
-        """Return the state of a half that takes the signals up anew.
+        """Return the state of a half that takes the signals up again.
 
-        What it counts goes on: a master that has not noticed would take lower counters for those of old signals.
+        What it counts continues: a master that has not noticed would take lower counters for those of old signals.
         """
         return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.tip, self.config.period_s)[0]
 

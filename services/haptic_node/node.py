@@ -40,9 +40,10 @@ _MODE_CODES = {name: code for code, name in MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
-# A sample of a real device that is younger than so many periods needs no remark.
+# A sample of a real device that is younger than this number of periods needs no remark.
 _FRESH_PERIODS = 2
-# With a change of law the force of an impedance device is zero for so long, and control begins anew where the hand is.
+# With a change of law the force of an impedance device is zero for this time, and control begins again where the hand
+# is.
 _LET_GO_S = 0.1
 _LAW_CHANGES = "the law changes: no force meanwhile, and control begins again where the hand is"
 
@@ -199,7 +200,7 @@ class HapticNode(DeviceNode):
         self.device.close()
 
     def _session_s(self, periods: int) -> float:
-        """Return the time of the operator's force profile after so many periods more [s], < 0 while none runs."""
+        """Return the time of the operator's force profile this number of periods later [s], < 0 while none runs."""
         if self._memory.session_ticks is None:
             return _NOT_RUNNING_S
         self._memory.session_ticks += periods

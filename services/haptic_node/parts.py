@@ -62,8 +62,8 @@ class HapticMemory(msgspec.Struct, array_like=True):
 class Tick:
     """One tick: the command, what the guard lets through, and what the device then measured.
 
-    armed: a person has armed since the tick before. elapsed_s, session_s: time since then, and of the programme [s].
-    shown_n, pushed_n: force of the controller and of an operator without a device across [N]. said: keys of
+    armed: a person has armed since the tick before. elapsed_s, session_s: time since then, and of the force profile
+    [s]. shown_n, pushed_n: force of the controller and of an operator without a device across [N]. said: keys of
     haptic/state that the parts add.
     """
 

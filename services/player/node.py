@@ -30,7 +30,7 @@ _RETRY_NS = 500_000
 # Reading a few messages ahead takes less, and so does a message of the player's own.
 _PIECE_NS = 250_000
 _BATCH = 256
-# As fast as possible, so many are read and then sent in a row: the threads of both ends wake up less often.
+# As fast as possible, this number of are read and then sent in a row: the threads of both ends wake up less often.
 _FAST_BATCH = 2048
 _LINGER_MS = 10_000
 # a millionth: an hour takes a century

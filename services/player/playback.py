@@ -82,7 +82,7 @@ class Playback:
         """Read messages, for `next` not to; return whether there may be more to read.
 
         Args:
-            count: So many are read where fewer are ready; None reads a few unless enough are.
+            count: This number of are read where fewer are ready; None reads a few unless enough are.
         """
         return self._order.read_ahead(_READY) if count is None else self._order.read_ahead(count, count)
 

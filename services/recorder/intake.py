@@ -183,7 +183,7 @@ class Intake:
     def silent_at_the_end(self, sites: Sequence[str], now_ns: int) -> tuple[str, ...]:
         """Return the nodes at these sites that are silent without having published their last message.
 
-        What they sent last may be missing. A node that goes on sending is not one of them: the recorder ends first.
+        What they sent last may be missing. A node that continues sending is not one of them: the recorder ends first.
         """
         newest_ns: dict[str, int] = {}
         for stream in self._streams:
@@ -295,7 +295,7 @@ class Intake:
 
     def _count_missing(self, stream: Stream, count: int, *, at_end: bool = False) -> None:
         self.lost = min(self.lost + count, MOST_COUNTED)
-        # what an impaired link drops on its way is the experiment, not a fault; what it has sent on at last is not
+        # what an impaired link drops in transit is the experiment, not a fault; what it has sent on at last is not
         if stream.direct or at_end:
             self.missing = min(self.missing + count, MOST_COUNTED)
         if stream.direct and stream.topic.delivery == "lossless":
@@ -348,7 +348,7 @@ def begin_recording(
 ) -> Intake:
     """Start a recording by the node `key`.
 
-    A file that cannot be written is a fault that the intake reports, not an error: the rig goes on.
+    A file that cannot be written is a fault that the intake reports, not an error: the rig continues.
     """
 
     def create_file(number: int) -> RecordingWriter:

@@ -26,7 +26,7 @@ _DRAIN_TIMEOUT_NS = 20_000_000_000
 _REPORT_PERIOD_NS = 1_000_000_000
 # a count on the wire holds no more, and a peer may have made up the numbers
 _GREATEST_COUNT = 2**63 - 1
-# so many passes in a row with less than a backlog are the end of it; nodes of another site may go on sending
+# this number of passes in a row with less than a backlog are the end of it; nodes of another site may continue sending
 _CALM_PASSES, _PASS_NS, _BACKLOG = 30, 5_000_000, 256
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop

@@ -20,7 +20,7 @@ _RAW_S = 3.0
 # the longest part that is given sample by sample, for a file of its own [s]
 _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
-# Of a longer recording an outline is read first [s]: so many looks into it, each of so many messages.
+# Of a longer recording an outline is read first [s]: this number of looks into it, each of this number of messages.
 _LONG_S, _LOOKS, _LOOK = 120.0, 240, 200
 # It is read in pieces [s]; so many of them are read at once for a page that waits for them.
 _PIECE_S, _AT_ONCE = 2.0, 16
@@ -42,7 +42,7 @@ class Document(Protocol):
         """Return what is known of the whole by now: `read` is the share that has been read."""
 
     def part(self, from_s: float, to_s: float, spans: int) -> Facts:
-        """Return the curves of a part [s] in so many spans; all samples for 0. RefusedError says why not."""
+        """Return the curves of a part [s] in this number of spans; all samples for 0. RefusedError says why not."""
 
 
 class Kept(Protocol):

@@ -635,7 +635,7 @@ class Hub:
             self._push_share(self._hand)
 
     def _fade(self) -> None:
-        """Go on with the share of the force that is in force: less in a silence, and more while a page is heard."""
+        """Continue with the share of the force that is in force: less in a silence, and more while a page is heard."""
         now_s = time.monotonic()
         passed_s = min(_LONGEST_LOOK_S, now_s - self._looked_s)
         self._silent_s, self._looked_s = self._silent_s + passed_s, now_s

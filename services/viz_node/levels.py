@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 
 # as fine as the smallest level is [s], and as many spans as it may have: 35 MB for all curves
 _LEAST_WIDTH_S, _MOST_SPANS = 0.005, 200_000
-# so many messages of a stream are put into numbers at once
+# this number of messages of a stream are put into numbers at once
 _AT_ONCE = 4000
 _NS = 1_000_000_000
 

@@ -10,7 +10,7 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.participant import OBSERVER, open_participant
 from telenano.wire.nodes import site_of
 
-# So many batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
+# This number of batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
 _MOST_BATCHES = 8
 
 

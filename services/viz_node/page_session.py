@@ -9,7 +9,7 @@ from telenano.console.lease import Party
 from telenano.serving.access import Role
 from telenano.serving.people import Person
 
-# two seconds: a page that is further behind begins anew
+# two seconds: a page that is further behind begins again
 MOST_QUEUED = 60
 # The oldest answers go, where a page reads nothing.
 _MOST_ANSWERS = 256
@@ -33,16 +33,16 @@ class Session:
         self.hand = HandAge()
         # When it was told last that its hand is too slow [s]; None where that is not so.
         self.slow_told_s: float | None = None
-        # An address that is revoked ends its pages, after the frame that says so.
+        # An address that is revoked ends its pages, after the frame that reports it.
         self.ended = False
         self.ready = asyncio.Event()
         self._frames: deque[bytes] = deque()
-        # What a page was told once is not in the snapshot with which it begins anew.
+        # What a page was told once is not in the snapshot with which it begins again.
         self._answers: deque[bytes] = deque(maxlen=_MOST_ANSWERS)
         self._times_s: deque[float] = deque(maxlen=REQUESTS_PER_S)
 
     def offer(self, frame: bytes) -> bool:
-        """Queue a frame; false when the page is so far behind that it has to begin anew."""
+        """Queue a frame; false when the page is so far behind that it has to begin again."""
         if len(self._frames) >= MOST_QUEUED:
             return False
         self._frames.append(frame)

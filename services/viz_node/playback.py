@@ -105,7 +105,7 @@ class RecordingPlayback:
         """Do nothing: the file is open only while it is read."""
 
     def _look(self, watched: bool) -> None:
-        """Hold the place when the last page has closed, and begin there, or anew, with the curves that led there."""
+        """Hold the place when the last page has closed, and begin there, or again, with the curves that led there."""
         place_s = self.position_s
         self._watched = watched
         self._seek(0.0 if watched and place_s >= self.length_s else place_s)

@@ -74,7 +74,7 @@ class DocumentRequest(_Frame, tag="document", frozen=True):
 
 
 class PartRequest(_Frame, tag="part", frozen=True):
-    """A question for the curves of a part of a recording [s], in so many spans; every sample for 0."""
+    """A question for the curves of a part of a recording [s], in this number of spans; every sample for 0."""
 
     id: _Id
     from_s: float

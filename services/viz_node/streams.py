@@ -161,7 +161,7 @@ class LinkLoss:
         self._before: dict[str, tuple[float, float]] = {}
 
     def added(self, fields: Fields) -> Fields:
-        """Return the fields with `forward_loss` and `backward_loss`: NaN where nothing came, or the counts began anew.
+        """Return the fields with `forward_loss` and `backward_loss`: NaN where nothing came, or the counts began again.
 
         A message is counted as dropped when it should have been delivered, some time after it came: the share is at
         most 1. Raises KeyError, TypeError or AttributeError for fields that are no link/status.
@@ -213,7 +213,7 @@ class Batch:
         times = (np.array(self._times_ns, dtype=np.int64) - t0_ns) * 1e-9
         with np.errstate(over="ignore"):
             columns = np.vstack([times[np.newaxis, :], np.array(self._rows).T]).astype("<f4")
-        # what has no place in float 32 is none of the quantities that are shown
+        # what has no place in float 32 is not one of the quantities that are shown
         columns[np.isinf(columns)] = _NONE
         taken = {
             "n": len(self._rows),

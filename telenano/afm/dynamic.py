@@ -89,7 +89,7 @@ def advance(
     steps: int,
     normals: npt.NDArray[np.float64],
 ) -> tuple[DynamicState, Reading]:
-    """Go on by `steps` steps, while base and surface move evenly to base_m and surface_m [m].
+    """Continue by `steps` steps, while base and surface move evenly to base_m and surface_m [m].
 
     Args:
         plant: The cantilever over its sample.

@@ -23,7 +23,7 @@ from telenano.numerics.compiler import always_compiled
 # the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
 # some 100 us: what shares the processor has to come in between
 _AHEAD_S, _SLICE_STEPS = 0.9e-3, 4500
-# simulated at once, however late the process is: a machine that is too slow falls behind, and goes on
+# simulated at once, however late the process is: a machine that is too slow falls behind, and continues
 _MOST_S = 2e-3
 _LEAST_PERIODS = 8
 # a tip that is not driven has no phase to be met: it comes to rest at any step
@@ -193,7 +193,7 @@ def _gone_on(
 
 
 def _kicks(inputs: PlantInputs, calls: int, periods: int) -> npt.NDArray[np.float64]:
-    """Return the thermal impulses of so many periods; the plant was built for 1 K."""
+    """Return the thermal impulses of this number of periods; the plant was built for 1 K."""
     if inputs.temperature_k <= 0.0:
         return NO_NOISE
     source = np.random.Philox(key=inputs.seed, counter=[0, 0, calls, _KICKS])

@@ -1,11 +1,11 @@
 """Feeling a measured channel: a table makes the force of the hand out of a frequency shift, a current, an amplitude.
 
-What is felt then is no force on the tip, and the rig says so wherever it shows it. The rows of a table go from far to
+What is felt then is no force on the tip, and the rig states it wherever it shows it. The rows of a table go from far to
 near. Value and force are monotone in it, because a hand on a reversed slope would be driven instead of held back. A
 frequency shift is not monotone over the height: it has a minimum. So a table holds on one branch, from its first row
 to its last, and the tip is retracted when it leaves the branch: by a value beyond the last row, by one that is no
-number, or by one that goes back by more than `tolerance` while the base goes on. A change in x or y begins that
-comparison anew, because the value changes with the place.
+number, or by one that goes back by more than `tolerance` while the base continues. A change in x or y begins that
+comparison again, because the value changes with the place.
 """
 
 import math
@@ -118,7 +118,7 @@ class FeltState(NamedTuple):
 
 
 class FeltInputs(NamedTuple):
-    """Value of the channel [SI unit], base [m], place of the tip, and whether it is retracted, which begins anew."""
+    """Value of the channel [SI unit], base [m], place of the tip, and whether it is retracted, which begins again."""
 
     value: float
     base_m: float

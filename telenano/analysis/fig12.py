@@ -38,7 +38,7 @@ _WORDS = {"meniscus": ("meniscus forms", "meniscus breaks"), "in_contact": ("con
 # The distances from its point [pt] and the directions [degree] in which a label is tried.
 _LABEL_PT = (22.0, 30.0, 40.0, 56.0, 72.0, 90.0, 120.0)
 _LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0, -60.0, 60.0, -120.0, 120.0, -15.0, 15.0)
-# So many letters of a title are as wide as the figure.
+# This number of letters of a title are as wide as the figure.
 _TITLE_WIDTH = 88
 
 
@@ -215,7 +215,7 @@ def _under_the_hand(states: TipStates) -> Flags:
 
 
 def retracting(separation_m: Series, in_contact: Flags) -> Flags:
-    """Return for each sample whether the tip is on its way from the sample.
+    """Return for each sample whether the tip is moving away from the sample.
 
     Args:
         separation_m: The distance h [m], shape (n,). Samples without one (NaN) part a path from the next.

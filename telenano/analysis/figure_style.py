@@ -1,7 +1,7 @@
 """How figures look and in which formats they are written: on a screen, or in the column of a journal.
 
-Colours are told apart by readers with deuteranopia and protanopia (CIEDE2000 of at least 20 between the verdicts), and
-in grey: what matters differs in lightness as well, and lines differ in their style.
+Colours are distinguished by readers with deuteranopia and protanopia (CIEDE2000 of at least 20 between the verdicts),
+and in grey: what matters differs in lightness as well, and lines differ in their style.
 """
 
 import io

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from telenano.recording.tolerance import Tolerances, first_difference
 from telenano.wire import WireError, decode_header
 
-# So many in a row are alike where the two are in step: one message and its duplicate are not enough.
+# This number of in a row are alike where the two are in step: one message and its duplicate are not enough.
 _IN_STEP = 8
 
 

@@ -1,6 +1,6 @@
 """What interrupted the loop of a session: processes that ended, holds of the tip and of commands, a hand let go.
 
-A tip is held, and a hand let go, where no command came within the deadline of its guard. Both go on by themselves as
+A tip is held, and a hand let go, where no command came within the deadline of its guard. Both continue by themselves as
 soon as commands come again, so that no mode of a device shows it any more when the hold of the hand is over. The law
 is not to blame for what moves then: `telenano.analysis.holds` judges it by what it did before.
 """

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
-# a normal number is within so many standard deviations 95 times in 100
+# a normal number is within this number of standard deviations 95 times in 100
 DEVIATIONS = 1.959964
 
 

@@ -29,7 +29,7 @@ def cut_off(
         recording: The recording that is judged.
         session_s: session_s of every haptic/state [s].
         running: The indices of the samples in the session.
-        length_s: The time from the start of the programme to the last of them [s].
+        length_s: The time from the start of the force profile to the last of them [s].
     """
     hand = next(channel.src for channel in recording.channels if channel.channel_topic == "haptic/state")
     if hand in replayed_sources(recording):

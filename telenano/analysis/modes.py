@@ -171,7 +171,7 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
 def _level(left: Series, turn: float) -> float:
     """Return the power that a line of noise has at a turn [rad in the stretch]: of white noise its variance.
 
-    It is the median of the octave about it, which lines do not raise, and goes on as 1/f below the fourth bin
+    It is the median of the octave about it, which lines do not raise, and continues as 1/f below the fourth bin
     where it rises towards it.
     """
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(len(left)) + 0.5) / len(left))

@@ -70,9 +70,9 @@ _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
 _RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
-# The percentiles of the loop's age are taken of so many parts of a session, of so many answers each.
+# The percentiles of the loop's age are taken of this number of parts of a session, of this number of answers each.
 _AGE_PARTS, _LEAST_AGES = 10, 100
-# Below so many samples a share of a stage says nothing.
+# Below this number of samples a share of a stage says nothing.
 _LEAST_FOLLOWED = 50
 _ALARMS = ("warning", "error")
 # part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
@@ -287,7 +287,7 @@ def _deadline_s(document: Scenario) -> float:
 
 
 def _transit_s(hand: Mapping[str, Series]) -> float:
-    """Return how long a command is on its way at the most, there and back [s]: 99 times in 100."""
+    """Return how long a command is in transit at the most, there and back [s]: 99 times in 100."""
     ages_ns = (hand["answered_at_ns"] - hand["answered_t_ns"])[hand["answered_t_ns"] > 0]
     return 1e-9 * float(np.percentile(ages_ns, 99.0)) if ages_ns.size else LONGEST_STEP_S
 
@@ -337,8 +337,8 @@ def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
 def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:
     """Return start [s], end [s] and force [N] of each stretch of constant force up to an end [s].
 
-    Only a hand that is a force has them in its programme: what an arm or a person presses with is known from what was
-    recorded alone.
+    Only a hand that is a force has them in its force profile: what an arm or a person presses with is known from what
+    was recorded alone.
 
     Raises:
         ConfigError: A key of the scenario cannot be read; the message names it.

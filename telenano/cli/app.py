@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-# The priority is below that of the nodes, whose loops go on while the stop is on its way.
+# The priority is below that of the nodes, whose loops continue while the stop is in transit.
 _URGENT = 1
 
 

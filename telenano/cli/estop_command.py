@@ -73,7 +73,7 @@ def run_estop(request: EstopRequest) -> int:
 
 
 def _print(line: str) -> None:
-    """Print a line; a stop goes on, and has its exit code, where that is not possible."""
+    """Print a line; a stop continues, and has its exit code, where that is not possible."""
     try:
         sys.stdout.write(line + "\n")
         sys.stdout.flush()

@@ -53,7 +53,7 @@ class LineView(AbstractContextManager["LineView"]):
             self.show("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
 
     def show(self, text: str) -> None:
-        """Print a line; a session goes on where its output cannot be written."""
+        """Print a line; a session continues where its output cannot be written."""
         if self._quiet:
             return
         with contextlib.suppress(OSError):
@@ -93,7 +93,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._update(Group(*([self._last] if self._last else []), Text(text)))
 
     def _update(self, picture: Group) -> None:
-        # The terminal may be gone, but the session goes on.
+        # The terminal may be gone, but the session continues.
         with contextlib.suppress(OSError):
             self._live.update(picture, refresh=True)
 

@@ -203,7 +203,7 @@ def send_controls(
                 if isinstance(message, SessionEvent) and (client.on_event(message) or client.is_place(message)):
                     answers[message.src] = message
                     on_answer(message)
-        # the next command comes from a process that counts anew
+        # the next command comes from a process that counts again
         publish_end(publisher, console)
     names = ", ".join(dict.fromkeys(command.name for command in commands))
     if client.void:

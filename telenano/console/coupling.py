@@ -1,4 +1,4 @@
-"""`telenano session couple`: hand and tip of a running rig coupled anew, so that the tip is where the hand says.
+"""`telenano session couple`: hand and tip of a running rig coupled again, so that the tip is where the hand says.
 
 A law sends the tip to x_ref = alpha_p x + offset. What the hand does while the tip follows and the hand does not, as in
 a stall, goes into the offset, so that neither jumps. Only over a retracted tip it is zero, in every law (docs/laws.md).
@@ -27,7 +27,7 @@ from telenano.wire.nodes import TIP, name_of
 TOPICS = ("haptic/state", "afm/state", "teleop/backward")
 # A hand that presses harder [N] would be let go of while it presses.
 PRESSING_N = 0.5
-# The hand is at rest when it has stayed within this way [m] for so long.
+# The hand is at rest when it has stayed within this way [m] for this time.
 _REST_M, _REST_S, _REST_PATIENCE_S = 1e-3, 0.3, 10.0
 _LOOK_S, _PATIENCE_S, _RETRACT_S = 0.1, 5.0, 20.0
 _LATCHED = "emergency stop"
@@ -82,7 +82,7 @@ def couple_anew(
     issued_ns: int | None = None,
     by: str | None = None,
 ) -> str:
-    """Couple hand and tip of a running rig anew, and return a sentence of where they are.
+    """Couple hand and tip of a running rig again, and return a sentence of where they are.
 
     Args:
         site_file: The site file of the rig.
@@ -166,7 +166,7 @@ class _States:
 
     @property
     def follows(self) -> bool:
-        """Whether the tip follows; where the instrument is out of sight, its half of the law says so."""
+        """Whether the tip follows; where the instrument is out of sight, its half of the law reports it."""
         return bool(self.tip.active)
 
     @property
@@ -188,7 +188,7 @@ class _States:
             raise RigError(f"not coupled: waited {patience_s:g} s for {what}")
 
     def objection(self) -> str:
-        """Return why hand and tip cannot be coupled anew now; empty if they can."""
+        """Return why hand and tip cannot be coupled again now; empty if they can."""
         hand, press_n = self.hand, abs(to_paper_axis(self.hand.operator_force_n))
         if hand.estop or (self._afm is not None and self._afm.mode == "estop"):
             return "a device is in emergency stop, which `telenano session arm` releases"

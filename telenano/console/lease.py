@@ -15,14 +15,14 @@ import msgspec
 
 from telenano.wire.errors import RefusedError
 
-# A holder of whom nothing was heard for so long has lost the hand, and the tip is withdrawn if it was pressed.
+# A holder of whom nothing was heard for this time has lost the hand, and the tip is withdrawn if it was pressed.
 VANISHED_NS = 1_000_000_000
-# A holder says so often that it is there [s].
+# A holder reports at this interval that it is there [s].
 BEAT_S = 0.25
-# Who asks for the hand, and of whom nothing was heard for so long, does not ask any more.
+# Who asks for the hand, and of whom nothing was heard for this time, does not ask any more.
 ASKED_NS = 3 * VANISHED_NS
 _MOST_ASKING = 16
-# The name of a person has so many letters at most.
+# The name of a person has this number of letters at most.
 MOST_LETTERS = 48
 # Commands that only end a motion, or move nothing, need no lease.
 FREE_COMMANDS = ("estop", "stop", "mark")

@@ -30,7 +30,7 @@ class Stream:
 class Listener:
     """Connection to one publisher: what comes through it was received at that publisher's site.
 
-    A `publisher` without a site stands for many, each of which is received at its own. The streams are by topic and
+    A `publisher` without a site represents many, each of which is received at its own. The streams are by topic and
     source.
     """
 

@@ -48,9 +48,10 @@ class Capabilities(NamedTuple):
     # 1: along the paper's axis; 3: with the lateral x and y of the master frame, whose workspace is in lateral_m
     axes: int = 1
     lateral_m: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
-    # The rate of the servo that drives it [Hz]; 0.0 stands for that of the node.
+    # The rate of the servo that drives it [Hz]; 0.0 represents that of the node.
     rate_hz: float = 0.0
-    # Physical damping b [N s/m] and moving mass [kg], 0.0 where they are not known; a chosen model says so in identity.
+    # Physical damping b [N s/m] and moving mass [kg], 0.0 where they are not known; a chosen model states it in
+    # identity.
     damping_n_s_per_m: float = 0.0
     mass_kg: float = 0.0
     # From a sample to the moment at which the force that answers it acts [s]: D of the bounds in `coupling`.
@@ -135,7 +136,7 @@ class HapticDevice(Protocol):
     """A device with one arm and one force sensor. All methods belong to the thread of the loop.
 
     state: of a simulated one, all that its readings depend on besides what it is sent, as a NamedTuple of plain values,
-    arrays and NamedTuples. The node keeps it in its journal, and sets it to go on from there.
+    arrays and NamedTuples. The node keeps it in its journal, and sets it to continue from there.
     """
 
     state: Any
@@ -161,10 +162,10 @@ class HapticDevice(Protocol):
     def write(self, command: DriveCommand) -> None:
         """Write the command of this period, without waiting.
 
-        A device that is lost raises nothing: its report says so.
+        A device that is lost raises nothing: its report states it.
 
         Raises:
-            DeviceError: The device is not open, or the mode is none of its own.
+            DeviceError: The device is not open, or the mode is not one of its own.
         """
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:

@@ -88,11 +88,11 @@ class OwnLine(NamedTuple):
 class OwnScan(Protocol):
     """The scan of an instrument that regulates and rasters by itself: what too slow a wire leaves to it.
 
-    A driver that has one says so by an attribute `own_scan`.
+    A driver that has one declares it by an attribute `own_scan`.
     """
 
     def want_image(self, image: OwnImage | None) -> None:
-        """Begin an image, or go on with the one that is wanted already; None ends it, with the tip withdrawn."""
+        """Begin an image, or continue with the one that is wanted already; None ends it, with the tip withdrawn."""
 
     def take_line(self) -> OwnLine | None:
         """Return the next line that is whole, once; None where there is none."""
@@ -141,14 +141,14 @@ class Simulation(Protocol):
         """Return whether there is work that nothing has to wait for, between two exchanges."""
 
     def settle(self) -> bool:
-        """Go on by a part of what is known of the motion before the next exchange; return whether there is more."""
+        """Continue by a part of what is known of the motion before the next exchange; return whether there is more."""
 
 
 class AfmDriver(Protocol):
     """One AFM: a base that can be moved, a deflection that can be read.
 
     state: of a simulated one, all that its samples depend on besides what it is sent, as a NamedTuple of plain values,
-    arrays and NamedTuples. The node keeps it in its journal, and sets it to go on from there.
+    arrays and NamedTuples. The node keeps it in its journal, and sets it to continue from there.
     """
 
     state: Any
@@ -196,7 +196,7 @@ class AfmDriver(Protocol):
     def exchange(self, base_m: float) -> AfmSample:
         """Apply a base position [m] and return the newest that the device measured, without waiting.
 
-        A device that is lost raises nothing: its report says so, and the sample is the last one.
+        A device that is lost raises nothing: its report states it, and the sample is the last one.
 
         Raises:
             ValueError: The position is not finite.

@@ -136,12 +136,12 @@ class EnergyAccount(NamedTuple):
     granted_j: float
 
 
-# time without a message after which a half starts anew, instead of bridging it by many steps [periods]
+# time without a message after which a half starts again, instead of bridging it by many steps [periods]
 LONGEST_BRIDGED_PERIODS = 50
 
 
 def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
-    """Return the longest pause of signals, in periods, after which a slave half does not start anew."""
+    """Return the longest pause of signals, in periods, after which a slave half does not start again."""
     return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
 
 
@@ -200,18 +200,18 @@ class Law:
 
     The slave half steps on each signal, and, where `local_loop` is set, also each time that the instrument has stepped
     by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
-    goes on with the measured force while nothing arrives. dt of both is whole periods, as `paced` counts them, so that
-    the half's time is the hand's: at least one on a signal, none between signals for a half that is not behind. A half
-    that only follows a reference steps by one period a call, whatever dt is. With a local loop
-    `slave_send` accounts for steps that the instrument has carried out, so its dt is the sum of theirs. Where a signal
-    comes before the instrument has answered the one before, that one is answered with dt = 0 and the state dropped.
+    continues with the measured force while nothing arrives. dt of both is whole periods, as `paced` counts them, so
+    that the half's time is the hand's: at least one on a signal, none between signals for a half that is not behind. A
+    half that only follows a reference steps by one period a call, whatever dt is. With a local loop `slave_send`
+    accounts for steps that the instrument has carried out, so its dt is the sum of theirs. Where a signal comes before
+    the instrument has answered the one before, that one is answered with dt = 0 and the state dropped.
 
     `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
 
     `link_loop`: whether a force or motion of the tip acts on the hand as it comes back, so that the loop through line
     and instrument has a gain, and a slow instrument makes it swing. A law whose hand meets a model of the contact, or
     whose hand moves no tip, has none; a loop at the instrument alone is `local_loop`, and its settings state the
-    stiffness that it bears. `passive`: whether the law states that its two ports together give out no more than its
+    stiffness that it tolerates. `passive`: whether the law states that its two ports together give out no more than its
     accounts say that it was granted, over any line. `must_know`: the settings of its section that have to be those of
     the instrument or the sample, because the law computes with them and cannot measure them.
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 _PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15}
 _QUANTITIES = {"N": "force", "Hz": "frequency_shift", "A": "current", "m": "amplitude", "rad": "phase"}
-# A unit stands for a quantity and a factor to its SI unit.
+# A unit represents a quantity and a factor to its SI unit.
 UNITS: dict[str, tuple[str, float]] = {
     **{prefix + unit: (name, scale) for unit, name in _QUANTITIES.items() for prefix, scale in _PREFIXES.items()},
     **{prefix + "V": ("voltage", scale) for prefix, scale in _PREFIXES.items()},

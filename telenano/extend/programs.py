@@ -146,7 +146,7 @@ def way_to_surface(
     if phase == TRAVEL:
         return Way(APPROACH if inputs.place == first else TRAVEL, 0.0, clear_m, first)
     if touches:
-        # the base goes on from where it is
+        # the base continues from where it is
         return Way(ARRIVED, 0.0, inputs.base_m, first)
     return Way(APPROACH, elapsed_s + dt, inputs.base_m + step_m, first)
 
@@ -210,7 +210,7 @@ class Program(ABC, Generic[S, P, T]):
 
     settings: the model of its section, with units, bounds and defaults; title: what the page calls it; about: one line
     for a person; label: its name in sentences, where it differs from the one in the table; can_pause: it can stand
-    where it is, and go on; leaves_tip: the stage stays where the program ends, for a hand that goes on from there;
+    where it is, and continue; leaves_tip: the stage stays where the program ends, for a hand that continues from there;
     moves_across: it needs an instrument that moves the tip over the sample.
     """
 

@@ -121,7 +121,7 @@ def _offset_that_keeps(params: VirtualImpedanceParams, state: MasterState, posit
 
 @compiled
 def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes; position and velocity of the hand go on."""
+    """Keep the tip's reference constant when alpha_p changes; position and velocity of the hand continue."""
     offset = state.tip_offset_m + (old.position_scale - new.position_scale) * state.position_m
     return MasterState(state.position_m, state.velocity_m_per_s, offset)
 

@@ -108,7 +108,7 @@ class MassConfig(ScaledConfig):
 def stiffness_limit_n_per_m(
     config: ScaledConfig, damping_n_s_per_m: float, period_s: float, most_periods: int = 1
 ) -> float:
-    """Return the stiffest sample K [N/m] that a base bears which goes against the measured force through a damper.
+    """Return the stiffest sample K [N/m] that a base tolerates which goes against the measured force through a damper.
 
     The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
     1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond more.
@@ -138,9 +138,9 @@ def bounded(value: float, most: float) -> float:
 
 @compiled
 def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> float:
-    """Return from where a base goes on [m]: where it will be when it has done all that was asked, up to reference_m.
+    """Return from where a base continues [m]: where it will be when it has done all that was asked, up to reference_m.
 
-    A base that did not go where it was sent, because it was held or its speed was limited, goes on from where it is:
+    A base that did not go where it was sent, because it was held or its speed was limited, continues from where it is:
     what is still missing of the commands that it has carried out is no longer due. What it has not carried out yet is
     no such lead, because a late instrument still will.
     """
@@ -152,7 +152,7 @@ def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> flo
 
 @compiled
 def has_arrived(params: MassParams, reference_m: float, tip: TipMeasurement) -> bool:
-    """Return whether a base is near where it was sent [m]: until then its motion is none of the law's."""
+    """Return whether a base is near where it was sent [m]: until then its motion is not one of the law's."""
     missing = reference_m - (tip.base_position_m + tip.outstanding_m)
     return abs(missing) <= max(params.position_scale * ARRIVED_M, 2.0 * FOLLOWED_M)
 
@@ -241,7 +241,7 @@ def port_at(device_m: float) -> HandPort:
 def begun_again(port: HandPort, all_j: float, anew: bool) -> HandPort:
     """Forget what the hand has left over, and what was not sent of all that there was to send [J], as it is not paid.
 
-    What was sent and is not paid stays so; anew, after an arming, it is granted.
+    What was sent and is not paid stays so; again, after an arming, it is granted.
     """
     owed_j = max(port.sent_j - all_j - port.credit_j, 0.0)
     return HandPort(port.device_m, 0.0 if anew else -owed_j, port.sent_j, port.granted_j + (owed_j if anew else 0.0))

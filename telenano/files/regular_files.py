@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 
 class NotRegularError(OSError):
-    """What stands at a path is a pipe, socket or device; `strerror` says so in words."""
+    """What stands at a path is a pipe, socket or device; `strerror` reports it in words."""
 
 
 def open_regular(path: Path) -> BinaryIO:

@@ -10,7 +10,8 @@ import yaml
 
 # a scenario with every key has 8 kB; the parser takes some seconds for this much
 LARGEST_BYTES = 1 << 18
-# A text may stand for so many values when each alias is written out, because validation and printing walk through them.
+# A text may stand for this number of values when each alias is written out, because validation and printing walk
+# through them.
 _MOST_VALUES = 100_000
 # No number of a quantity has more digits than this, and Python takes the square of their count to read one.
 _LONGEST_NUMBER = 100
@@ -54,7 +55,7 @@ _Loader.add_implicit_resolver(
 
 
 def yaml_value(text: str) -> Any:
-    """Return what a YAML text stands for.
+    """Return what a YAML text represents.
 
     Raises:
         YamlError: The text is not YAML.

@@ -1,4 +1,4 @@
-"""The simulated operator: a hand that follows a force profile, or an impedance on its way along an intended path.
+"""The simulated operator: a hand that follows a force profile, or an impedance moving along an intended path.
 
 Force profile: F_m(t) piecewise linear through the given points, zero before the first, the last value held after.
 

@@ -80,7 +80,7 @@ ARMS: dict[ArmName, ArmConstants] = {
 
 
 class ImpedanceConfig(Settings):
-    """A hand with mass, damper and spring on its way along an intended path."""
+    """A hand with mass, damper and spring moving along an intended path."""
 
     kind: Literal["impedance"] = Field(description="Selects this model of the hand")
     path: Course[PathPoint] = Field(

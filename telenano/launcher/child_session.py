@@ -16,7 +16,7 @@ def run_session(
     """Run a command to its end.
 
     Ctrl-C and SIGTERM at this process end the session as Ctrl-C at its own terminal does: the devices are made safe and
-    the recording is complete before the interruption goes on.
+    the recording is complete before the interruption continues.
 
     Args:
         command: The command and its arguments.

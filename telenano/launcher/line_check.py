@@ -10,7 +10,7 @@ FULL_BIT_PER_S = 2_000_000
 LEAST_BIT_PER_S = 500_000
 # So long after all else is ready no more trains are waited for.
 _PATIENCE_NS = 3_000_000_000
-# A line that is narrow is looked at for so long, because what else crosses it at the start makes it seem so.
+# A line that is narrow is looked at for this time, because what else crosses it at the start makes it seem so.
 _DOUBT_NS = 10_000_000_000
 # So much of what the line carries has to be in use again.
 _RECOVERED = 0.7

@@ -116,7 +116,7 @@ def _locked(path: Path) -> int | None:
 
 
 def _opened(path: Path) -> int:
-    """Open a file that any user may have made: in a folder of all users the kernel refuses to make it anew."""
+    """Open a file that any user may have made: in a folder of all users the kernel refuses to make it again."""
     with contextlib.suppress(FileNotFoundError):
         return os.open(path, _OPEN)
     with contextlib.suppress(FileExistsError):

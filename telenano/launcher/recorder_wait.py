@@ -36,7 +36,7 @@ def has_last(recorder: NodeHealth, ends_ns: Mapping[str, int]) -> bool:
 
 
 class RecorderWait:
-    """Determines whether the recorder of a rig that goes on has what was sent in a session, within a limit.
+    """Determines whether the recorder of a rig that continues has what was sent in a session, within a limit.
 
     The command to begin a new file reaches it before what still waits of the session, which would then be in the file
     after the session's.

@@ -84,7 +84,7 @@ class RigNode(Node):
 
     @property
     def failure(self) -> str:
-        """Why the rig cannot go on; empty while it can."""
+        """Why the rig cannot continue; empty while it can."""
         return self.supervisor.failure or self._failure
 
     @abstractmethod

@@ -114,7 +114,7 @@ def run_rig(
         plan: The planned rig.
         observe: Called with the node of the launcher whenever there may be something new to show.
         show: Called with each line for the user.
-        beside: What further processes inherit, by node. They run with the rig, which goes on without them.
+        beside: What further processes inherit, by node. They run with the rig, which continues without them.
         held: Descriptors that every process inherits: the name and the processors of the rig (`own_rig`).
     """
     beside = {**(beside or {}), **_end_of_relay(plan)}
@@ -268,7 +268,7 @@ def own_log(path: Path) -> Iterator[IO[str]]:
 def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> Outcome:
     """Return the outcome with the recording of both sites; what is missing of it, and how to have it, is said.
 
-    A session whose fetch fails keeps the own recording, and a later fetch goes on.
+    A session whose fetch fails keeps the own recording, and a later fetch continues.
     """
     if not (plan.fetches and outcome.ran and outcome.recordings):
         return outcome

@@ -19,7 +19,7 @@ from telenano.wire.received import Received
 
 # A rig that stops waits so long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
 _STOP_ANSWER_NS = 2_000_000_000
-# A refused command is repeated for so long.
+# A refused command is repeated for this time.
 _REFUSAL_RETRY_NS = 5_000_000_000
 
 END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
@@ -58,7 +58,7 @@ class SessionNode(RigNode):
             wait_s: The longest time to wait until they are ready [s]; None is without a limit.
             recording: The recording of a recorder that runs elsewhere; None where the own one records.
             far: The recording of the other site's recorder, beside the own one; None where there is none.
-            on_far: Called with the files of the session there whenever they are known anew.
+            on_far: Called with the files of the session there whenever they are known again.
         """
         optional = (recording.recorder,) if recording is not None else ()
         seen = (*optional, *others)

@@ -14,7 +14,7 @@ Report = Callable[..., None]
 
 
 class Supervisor:
-    """The nodes that are children of this process; `failure`: why the rig cannot go on, empty while it can."""
+    """The nodes that are children of this process; `failure`: why the rig cannot continue, empty while it can."""
 
     def __init__(
         self,
@@ -31,7 +31,7 @@ class Supervisor:
             nodes: The nodes in the order of their start.
             children: Starts and ends processes.
             watchdog: Finds nodes that hang; without it only processes that end are started again.
-            beside: Further processes without which the rig goes on, such as the operator's page.
+            beside: Further processes without which the rig continues, such as the operator's page.
         """
         self.nodes = tuple(nodes)
         self.failure = ""

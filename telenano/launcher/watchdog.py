@@ -2,7 +2,7 @@
 
 A node that hangs and one that was not let run are both silent. What tells them apart is the processor time that they
 take: a loop that never comes back to its messages takes all that it gets, a process that is stopped, or that waits for
-a processor, takes none. Only the first is ended; the others are only reported, and go on where they stood still.
+a processor, takes none. Only the first is ended; the others are only reported, and continue where they stood still.
 
 The limit that the nodes of the loop set themselves (`telenano/runtime/loop/hang_guard.py`) cannot replace it: recorder
 and page have none, and a node that is stopped or starved takes no processor time and so never reaches one.
@@ -156,7 +156,7 @@ class Watchdog:
         return found
 
     def _look(self, watched: _Watched, now_ns: int) -> None:
-        """Take a sample, and add the time since the last one to what the process was busy for, or begin anew."""
+        """Take a sample, and add the time since the last one to what the process was busy for, or begin again."""
         before, elapsed_s = watched.sample, (now_ns - watched.looked_ns) * 1e-9
         watched.looked_ns = now_ns
         try:

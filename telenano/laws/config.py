@@ -109,14 +109,14 @@ class _OwnSections(Settings):
         return self.lateral.to_params()
 
     def stiffness_limit_n_per_m(self, late: int = 0, *, even: bool = True) -> float | None:
-        """Return the stiffest sample [N/m] that the slave half bears; None where it closes no loop of its own.
+        """Return the stiffest sample [N/m] that the slave half tolerates; None where it closes no loop of its own.
 
         Args:
             late: The periods by which the instrument answers late: the loop is an integrator with that dead time,
                 stable up to sin(pi / (4 late + 2)) of what one without is.
             even: Whether the line brings every signal after the same time. Else a step in a gap and the one of the next
                 signal may both go against one force, so that forces are 0 to n = late + 1 steps old in any order: an
-                integrator bears (3/2 + 1/(2 (n + 1))) / (2 (n + 1)) then (L. Berezansky, E. Braverman, Advances in
+                integrator tolerates (3/2 + 1/(2 (n + 1))) / (2 (n + 1)) then (L. Berezansky, E. Braverman, Advances in
                 Difference Equations 2009, 104310).
 
         Laws of packages state theirs as this project's do: `stiffness_limit_n_per_m(period_s)` of their settings.
@@ -154,7 +154,7 @@ class _OwnSections(Settings):
 
     @property
     def local_loop(self) -> bool:
-        """Whether the slave half goes on between signals, on the instrument's clock."""
+        """Whether the slave half continues between signals, on the instrument's clock."""
         return KNOWN_LAWS[self.law].local_loop or self.clamp_params().enabled
 
     def master_timing(self) -> TimingParams:
@@ -162,7 +162,7 @@ class _OwnSections(Settings):
         return TimingParams(round(1e9 * self.period_s), LONGEST_BRIDGED_PERIODS, 0)
 
     def slave_timing(self) -> TimingParams:
-        """Return the constants of the timing of the slave half: while a signal counts, it may go on by itself."""
+        """Return the constants of the timing of the slave half: while a signal counts, it may continue by itself."""
         silence_s = self.law_config().silence_limit_s
         longest, local_ns = longest_pause_periods(silence_s, self.period_s), round(1e9 * silence_s)
         return TimingParams(round(1e9 * self.period_s), longest, local_ns if self.local_loop else 0)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from telenano.numerics.compiler import inlined
 
-# `periods_to` returns this where the sequence of samples begins, or begins anew.
+# `periods_to` returns this where the sequence of samples begins, or begins again.
 ANEW = -1
 # a sample moves the grid by this share of what it is off, because even the first one may have been late
 _SHARE = 64

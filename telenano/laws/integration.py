@@ -8,7 +8,7 @@ The master half works in ticks of the hand. It sends at each sample, and receive
 
     state      event                            decision                                          next
     idle       sample, n >= 1 periods           send by n                                         due
-    idle       sample that begins anew          send by 1, and count energy from there            due
+    idle       sample that begins again          send by 1, and count energy from there            due
     idle       sample of 0 periods, or repeated command the last reference again                  idle
     idle       answer                           none: it is kept for the next tick                idle
     due        answer                           receive by the n that was sent, command           idle
@@ -22,7 +22,7 @@ The slave half works in commands to the instrument, which says of each state whi
     any        signal, n periods of the hand    receive by what the half is behind, command       waiting
     waiting    signal less than a period after  none, where the half has a loop of its own: the   waiting
                the last step                    answer to the last command is that to this one
-    any        signal that begins anew          start, or start anew, then as n = 1               waiting
+    any        signal that begins again          start, or start again, then as n = 1               waiting
     waiting    signal                           before that: answer with the newest sample        settled, and on
     waiting    state with the newest command    account for all commands; answer if to a signal;  settled, or
                if late and no signal comes: then as in settled                             waiting
@@ -50,7 +50,7 @@ from telenano.numerics.compiler import inlined
 # The slave half does one of these on a state of the instrument, or when none has come.
 NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, GO_ON = 0, 1, 2, 3, 4
 _NEVER_NS = -1
-# the place among the steps of commands where those that are no longer told apart are added up
+# the place among the steps of commands where those that are no longer distinguished are added up
 _LAST = 7
 # whole periods of silence where no signal was ever received: more than any law waits
 _ENDLESS = 2**40
@@ -60,7 +60,7 @@ class TimingParams(NamedTuple):
     """Constants of the timing of a half.
 
     period_ns, of the hand [ns]; longest_periods, the longest pause of its samples that is bridged; local_ns, how long
-    the last signal counts for a half that goes on with the instrument's own steps [ns], 0 for one that does not.
+    the last signal counts for a half that continues with the instrument's own steps [ns], 0 for one that does not.
     """
 
     period_ns: int
@@ -77,7 +77,7 @@ class Heard(NamedTuple):
 
 @inlined
 def nothing_heard() -> Heard:
-    """Return what a half has heard before the first signal, and after a pause that makes it wait anew."""
+    """Return what a half has heard before the first signal, and after a pause that makes it wait again."""
     return Heard(_NEVER_NS, _NEVER_NS)
 
 
@@ -90,7 +90,7 @@ class MasterTiming(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """What follows from a sample of the hand: whether it begins anew, periods to send by, whether to command again."""
+    """What follows from a sample of the hand: whether it begins again, periods to send by, whether to command again."""
 
     begins: bool
     periods: int
@@ -117,13 +117,13 @@ def master_settled(timing: MasterTiming) -> MasterTiming:
 
 @inlined
 def master_silenced(timing: MasterTiming) -> MasterTiming:
-    """Return the timing of a half that waits anew for the other half."""
+    """Return the timing of a half that waits again for the other half."""
     return MasterTiming(timing.hand, nothing_heard(), timing.due)
 
 
 @inlined
 def master_stalled(timing: MasterTiming) -> MasterTiming:
-    """Return the timing after a pause of the process: no command is due, and the other half is waited for anew."""
+    """Return the timing after a pause of the process: no command is due, and the other half is waited for again."""
     return MasterTiming(timing.hand, nothing_heard(), 0)
 
 
@@ -134,7 +134,7 @@ def master_sampled(
     """Return what follows from a sample of the hand, stamped sampled_ns [ns].
 
     A sample that the device only repeats is none: the law does not step, and the next one bridges the gap. To join the
-    old position anew would leave tip and hand apart by the way in between, for the rest of the session.
+    old position again would leave tip and hand apart by the way in between, for the rest of the session.
 
     Args:
         timing: The timing before the sample.
@@ -150,7 +150,7 @@ def master_sampled(
     if periods == 0:
         # The sample before was late, and its step was that of both: another step would be a period too many.
         return MasterTiming(hand, timing.heard, timing.due), Sampled(False, 0, not commanded)
-    # After a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an off
+    # After a pause the law continues from its own state: a hand that was restarted is off, and a law stays with an off
     # hand, while one that was only held up finds its reference where it was.
     periods = 1 if begins else periods
     return MasterTiming(hand, timing.heard, periods), Sampled(begins, periods, False)
@@ -223,13 +223,13 @@ def slave_begin() -> SlaveTiming:
 
 @inlined
 def slave_silenced(timing: SlaveTiming) -> SlaveTiming:
-    """Return the timing of a half that waits anew for the other half."""
+    """Return the timing of a half that waits again for the other half."""
     return SlaveTiming(timing.hand, nothing_heard(), timing.pacing, timing.commands)
 
 
 @inlined
 def slave_stalled(timing: SlaveTiming) -> SlaveTiming:
-    """Return the timing after a pause of the process: nothing is owed, and the other half is waited for anew."""
+    """Return the timing after a pause of the process: nothing is owed, and the other half is waited for again."""
     return SlaveTiming(timing.hand, nothing_heard(), timing.pacing, _carried_out(timing.commands, 0)[0])
 
 
@@ -237,7 +237,7 @@ def slave_stalled(timing: SlaveTiming) -> SlaveTiming:
 def slave_signalled(
     timing: SlaveTiming, params: TimingParams, received_ns: int, hand_ns: int, understood: bool
 ) -> tuple[SlaveTiming, bool]:
-    """Return the timing at a signal that came at received_ns [ns], and whether the half begins anew.
+    """Return the timing at a signal that came at received_ns [ns], and whether the half begins again.
 
     Args:
         timing: The timing before the signal.
@@ -317,7 +317,7 @@ def slave_measured(
         now_ns: The time now [ns].
         number: The number of the command that was carried out.
         held: Whether the half stands still while the law changes.
-        follows: Whether the newest signal and the instrument are active, so that a half with a local loop goes on.
+        follows: Whether the newest signal and the instrument are active, so that a half with a local loop continues.
     """
     c, heard = timing.commands, timing.heard
     later = c.newest - number

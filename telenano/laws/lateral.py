@@ -20,7 +20,7 @@ fixtures are moved, and the law keeps what it promises along its axis. The stage
 bounded by speed and by the guard's lateral limit.
 
 What the spring to the middle has taken, k e^2 / 2, is kept for that spring. A particle that pushes the hand back would
-otherwise spend it, nothing would bring a hand back that was let go, and by rate the tip would go on for ever.
+otherwise spend it, nothing would bring a hand back that was let go, and by rate the tip would continue for ever.
 """
 
 import math
@@ -36,15 +36,15 @@ NO_NEWS, MET, LOST = 0, 1, 2
 _HAND_ACCELERATION_M_PER_S2 = 20.0
 # The fixtures bring the tip to its place in mode rate with this time constant, by no more than this displacement.
 _GUIDED_S, _MOST_GUIDED_M = 1.0, 5e-3
-# A particle is met after so many steps above the noise; it is lost below this share of the plateau.
+# A particle is met after this number of steps above the noise; it is lost below this share of the plateau.
 _MET_STEPS, _LOST_SHARE, _DEVIATIONS = 3, 0.3, 3.0
 # The noise is that of some 50 steps, the plateau that of this way.
 _NOISE_SHARE, _PLATEAU_WAY_M = 0.02, 7e-9
-# The place of the reference over the sample is taken anew when the tip has stood for so long.
+# The place of the reference over the sample is taken again when the tip has stood for this time.
 _STILL_S = 1.0
 # A signal brings no more way than that of so long a time, and the stage is asked for no more than that ahead of it.
 _LONGEST_WAY_S, _LEAD_S, _LEAD_M = 0.02, 0.1, 1e-9
-# The stage belongs to the hand until it has stood for so long.
+# The stage belongs to the hand until it has stood for this time.
 _IDLE_S = 0.2
 
 

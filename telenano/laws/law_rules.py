@@ -1,7 +1,7 @@
 """The rules that a law keeps, each checked: for the laws of this project in its tests, for others by `law check`.
 
 They are what the rig relies on whatever the law: no jump where it takes over, a hold of a spring, numbers at the
-corners of every range. Passivity and the delay that a law bears are no rules: `telenano study` measures them.
+corners of every range. Passivity and the delay that a law tolerates are no rules: `telenano study` measures them.
 """
 
 import copy
@@ -193,7 +193,7 @@ class _Bench:
         self.shown_n: list[float] = []
 
     def retuned(self, **settings: float) -> "_Bench":
-        """Return a bench that goes on from here with other settings of the law at both halves."""
+        """Return a bench that continues from here with other settings of the law at both halves."""
         other, params = copy.copy(self), _params(self.law.name, self.period_s, **settings)
         other.master = self.law.retune(self.params, params, self.master)
         other.slave = self.law.slave_retune(self.params, params, self.slave)

@@ -26,7 +26,7 @@ that has moved, costs accuracy and not the tip. The guard is a damper to the env
 The guard does not limit how hard the tip pulls, so the work of the tip is paid as well. The hand sends what it has
 worked at its device, A = sum F_m dx_m, and the tip takes no more than E_0 and A as it was heard last:
 
-    sum F_s dx_s <= E_0 + max A,   where F d + K d^2 / 2 is paid for a step d, with the stiffest K that the guard bears.
+    sum F_s dx_s <= E_0 + max A,   where F d + K d^2 / 2 is paid for a step d, with K the stiffest that the guard bears.
 
 The hand takes back of A no more than the master stores, and by this account hand and tip together get at most E_0 and
 that, however the hand pulls and whatever holds the tip. docs/laws.md has two orders that are beyond it.
@@ -183,7 +183,7 @@ class ModelMediatedConfig(MassConfig):
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the guard of the slave bears."""
+        """Return the stiffest sample [N/m] that the guard of the slave tolerates."""
         return stiffness_limit_n_per_m(self, self.guard_damping_n_s_per_m, period_s)
 
 
@@ -343,7 +343,7 @@ def master_receive(
     if not (coupled and hand.following):
         mass = let_go(p, mass, hand, signal)
         if fit.known and is_retracted(p, signal):
-            # After arming anew the tip may meet another surface.
+            # After arming again the tip may meet another surface.
             fit, drift = unknown(params.fit), no_drift(0.0, 0.0, _FASTEST_NM_PER_S)
         state = MasterState(
             mass=mass,
@@ -446,7 +446,7 @@ def slave_receive(
         base = start + min(signal.position_m - start, p.position_scale * reach)
         way = (base - tip.base_position_m) / p.position_scale
         paid, _ = paid_stretch(force / k, way, k, max(state.port.energy_j, 0.0))
-        # Back through the air is free, and the way to where an arming has sent the base is none of the law's.
+        # Back through the air is free, and the way to where an arming has sent the base is not one of the law's.
         if paid != way and (tip.in_contact or way > 0.0) and has_arrived(p, state.position_m, tip):
             base = tip.base_position_m + p.position_scale * paid
     return SlaveState(base, state.port, state.received_j, state.granted_j, coupled), SlaveReference(base, True)

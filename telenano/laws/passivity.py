@@ -40,7 +40,7 @@ cap and no force spike; the strongest it can do is to stand still.
   the force costs the channel nothing; it is always allowed, and the force counts as zero over it.
 - The base's damper is measured and not assumed: what the spring lost over the base's way and the sample did not get.
   It is negative where a sample is too stiff for the loop, and then the store pays; a base whose store is overdrawn
-  presses no further. The base goes on from where it is: messages of a burst that it has not followed yet move it no
+  presses no further. The base continues from where it is: messages of a burst that it has not followed yet move it no
   further than one of them.
 - The slave never presses harder than the hand does, by the last signal, and a margin: F_c <= max(F_m, 0) + F_0 (the
   force clamp, which can be switched off). Without that, a channel that has run out of energy would hold hand and tip
@@ -52,15 +52,16 @@ cap and no force spike; the strongest it can do is to stand still.
 - A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
   the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back. That
   energy, F_s^2 / 2 K_c, is granted in the account.
-- A device that is off for a moment, because its guard misses a command, stands, and the coupling goes on: to join hand
-  and tip anew would leave them apart by what they moved, and over jitter and loss that happens all the time.
-- E_0 is granted at the start, and anew to a tip that has to be armed. While the tip is retracted each side has E_0, no
+- A device that is off for a moment, because its guard misses a command, stands, and the coupling continues: to join
+hand
+  and tip again would leave them apart by what they moved, and over jitter and loss that happens all the time.
+- E_0 is granted at the start, and again to a tip that has to be armed. While the tip is retracted each side has E_0, no
   more and no less, so that what follows an arming does not depend on what was before.
 - S is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
 
 The counters only grow, so all this holds under constant and varying delay, loss, reordering and repetition alike: what
 has not arrived cannot be spent. Loss and jitter cost motion, not stability: while nothing arrives the reference stands,
-and the coupling goes on against the force that the instrument measures.
+and the coupling continues against the force that the instrument measures.
 """
 
 import math
@@ -195,7 +196,7 @@ class PassivityConfig(MassConfig):
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample K that the loop of coupling and base bears [N/m].
+        """Return the stiffest sample K that the loop of coupling and base tolerates [N/m].
 
         A period takes the base to relaxed (1 + K_e / K_c) of the way to its rest, K_e = alpha_f alpha_p K: at 2 the
         sample gets all the energy that the coupling gives, and beyond it more.

@@ -210,7 +210,7 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
 
     A step that would fit worse is not taken and the next one is more careful, so the misfit of what is remembered never
     rises by a step. A contact that still holds at a position ends further out: x_c stays below it, but no further than
-    the range of the pull, because a shape that is none of ours (a straight line) would drive it away without end.
+    the range of the pull, because a shape that is not one of ours (a straight line) would drive it away without end.
     """
     fit = remembered(params, fit, position_nm, force)
     surface, samples = fit.surface, fit.samples

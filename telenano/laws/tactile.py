@@ -145,7 +145,7 @@ def master_send(
 def master_receive(
     params: TactileParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Return where the surface takes the hand; without a tip that follows the hand is let go, and begins anew."""
+    """Return where the surface takes the hand; without a tip that follows the hand is let go, and begins again."""
     coupled = signal.active and signal.silence_s <= params.silence_limit_s
     if not (coupled and hand.following):
         return _untouched(hand), MasterReference(hand.position_m, 0.0, 0.0, coupled)
@@ -189,7 +189,7 @@ def slave_send(
 
 @compiled
 def retune(old: TactileParams, new: TactileParams, state: MasterState) -> MasterState:
-    """Go on where the hand is: a changed scale counts from the point of the first touch."""
+    """Continue where the hand is: a changed scale counts from the point of the first touch."""
     return state
 
 

@@ -14,7 +14,7 @@ Sources: G. Niemeyer and J.-J. E. Slotine, "Stable adaptive teleoperation", IEEE
 
 A hand whose device is off for a moment, because its guard misses a command, stands: it is driven by a screw that does
 not turn back. For the line that is the port v = 0, F_e = -sqrt(2 b) w, which reflects all waves, u = -w, and needs no
-power. So the line goes on through such gaps, of up to the silence limit, and what is on its way is not lost.
+power. So the line continues through such gaps, of up to the silence limit, and what is in transit is not lost.
 
 A line that is taken up for the first time while the tip presses begins under the force F_0 that it finds: both halves
 take F - F_0 for F, and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law comes into
@@ -130,7 +130,7 @@ class WaveConfig(MassConfig):
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the slave half bears, which makes long steps after late signals."""
+        """Return the stiffest sample [N/m] that the slave half tolerates, which makes long steps after late signals."""
         return stiffness_limit_n_per_m(self, self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
 
 
@@ -207,7 +207,7 @@ def drawn(inbox: Inbox, share: float, impedance_n_s_per_m: float, period_s: floa
 
 @compiled
 def emptied(position_m: float, energy_j: float) -> Inbox:
-    """Start counting at a signal: what it stands for counts as taken."""
+    """Start counting at a signal: what it represents counts as taken."""
     return Inbox(position_m, position_m, energy_j, energy_j)
 
 

@@ -238,7 +238,7 @@ class Outage(Settings):
 
 
 class Impairment(Settings):
-    """Everything that can happen to a message on its way in one direction."""
+    """Everything that can happen to a message in transit in one direction."""
 
     delay_s: Seconds = Field(default=0.0, description="fixed delay [s]")
     jitter: Jitter = Field(default=Jitter(), description="random part of the delay")
@@ -437,7 +437,7 @@ def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings
     """Return the settings with dotted keys changed, as a run-time request carries them.
 
     `profile` drops everything but the seed and starts from the named profile; the other keys of the same request are
-    laid over it. The text `none` stands for a missing value. `forward.topics.afm/state.delay_s` addresses a topic.
+    laid over it. The text `none` represents a missing value. `forward.topics.afm/state.delay_s` addresses a topic.
 
     Raises:
         ConfigError: A key is wrong, which the message names; the settings given stay as they were.

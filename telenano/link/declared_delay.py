@@ -28,7 +28,7 @@ class DeclaredDelay(msgspec.Struct, array_like=True):
     newest_arrival_ns: int = -1
 
     def changed_by(self, release: Release) -> bool:
-        """Return whether a message about to be sent has another delay than readers know; it is `current` from then on.
+        """Return whether a message about to be sent has another delay than readers know; it is `current` after that.
 
         One that was overtaken, or the later of two copies, is of no use to a reader and changes nothing.
         """
@@ -42,7 +42,7 @@ class DeclaredDelay(msgspec.Struct, array_like=True):
         try:
             hand_t_ns = decode_header(release.topic, release.payload)[1].get("hand_t_ns")
         except WireError:
-            # The message was corrupted on its way, and its readers reject it.
+            # The message was corrupted in transit, and its readers reject it.
             return False
         if type(hand_t_ns) is not int or hand_t_ns < 0:
             return False

@@ -91,7 +91,7 @@ class DirectionEngine:
     ) -> Sequence[Release]:
         """Accept a message that arrived at now_ns [ns] and return all that is due now, in order.
 
-        Nothing impairs, holds or delays a message that goes on `at_once`.
+        Nothing impairs, holds or delays a message that continues `at_once`.
         """
         if now_ns < self._now_ns:
             now_ns = self._now_ns
@@ -142,7 +142,7 @@ class DirectionEngine:
         return taken
 
     def stats(self) -> DirectionStats:
-        """Return the live figures; the delays begin anew with each call."""
+        """Return the live figures; the delays begin again with each call."""
         return self._figures.take(sum(len(queue) for queue in self._queues), len(self._heap))
 
     def files_of(self, settings: LinkSettings) -> dict[str, Files]:
@@ -157,7 +157,7 @@ class DirectionEngine:
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         """Apply settings to the messages that arrive from now on; the second half, which cannot fail.
 
-        Messages in flight keep their fate. A model whose own settings stay the same goes on as if nothing had
+        Messages in flight keep their fate. A model whose own settings stay the same continues as if nothing had
         happened; one that is new or changed begins its course (outage schedule, trace, slots) now.
         """
         now_ns = self._now_ns = max(self._now_ns, now_ns)
@@ -213,7 +213,7 @@ class DirectionEngine:
         )
 
     def restore(self, state: DirectionState, settings: LinkSettings, find: FindInput) -> None:
-        """Go on from a state, which had these settings.
+        """Continue from a state, which had these settings.
 
         Raises:
             ConfigError: A file cannot be used.

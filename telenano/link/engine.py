@@ -55,7 +55,7 @@ class LinkEngine:
         return LinkState(self._changed_settings, self.forward.capture(), self.backward.capture())
 
     def restore(self, state: LinkState, find: FindInput) -> None:
-        """Go on from a state; `find` returns the payloads of what is in flight.
+        """Continue from a state; `find` returns the payloads of what is in flight.
 
         Raises:
             ConfigError: A file cannot be used.

@@ -64,7 +64,7 @@ class MessageCount:
 
 
 class SharedModels(NamedTuple):
-    """What the topics under the same settings share; None stands for a model that does nothing."""
+    """What the topics under the same settings share; None represents a model that does nothing."""
 
     settings: Impairment
     files: Files
@@ -79,7 +79,7 @@ class SharedModels(NamedTuple):
 
 
 class TopicPipeline(NamedTuple):
-    """The models that a topic goes through; None stands for a model that does nothing."""
+    """The models that a topic goes through; None represents a model that does nothing."""
 
     topic: str
     shared: SharedModels
@@ -207,7 +207,7 @@ class Pipeline:
         self._adopt(settings, files, now_ns)
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
-        """Build the blocks anew where their definition differs; models that begin now have their origin at now_ns."""
+        """Build the blocks again where their definition differs; models that begin now have their origin at now_ns."""
         if settings.seed != self._seed:
             self._streams.clear()
             self._models.clear()
@@ -238,7 +238,7 @@ class Pipeline:
         )
 
     def restore(self, state: PipelineState, settings: LinkSettings, files: dict[str, Files]) -> None:
-        """Go on from a state, with the topics open that were; those have to be opened again afterwards.
+        """Continue from a state, with the topics open that were; those have to be opened again afterwards.
 
         Raises:
             KeyError: The state is not one of a pipeline with these settings and topics; ValueError and TypeError mean

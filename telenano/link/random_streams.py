@@ -31,7 +31,7 @@ class RandomStream:
         return self._draw()
 
     def advance_to(self, drawn: int) -> None:
-        """Draw until so many numbers have been drawn in all; ValueError if more have been already."""
+        """Draw until this number of numbers have been drawn in all; ValueError if more have been already."""
         if drawn < self.drawn:
             raise ValueError(f"drawn is {drawn}, {self.drawn} numbers have been drawn already")
         for _ in range(drawn - self.drawn):

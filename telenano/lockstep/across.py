@@ -145,7 +145,7 @@ def across_sampled(
         hand: The sample along the axis of the law.
         known: Whether the newest answer still counts.
         tick: The number of the sample.
-        session_s: Time of the programme of the operator [s].
+        session_s: Time of the force profile of the operator [s].
         dt: The time between two samples [s].
         own_n: Force of a person who steers [N].
     """

@@ -2,7 +2,7 @@
 
 Numba compiles the loop of `lockstep` once for each pair of law and instrument and keeps the result on disk. The choice
 is made while compiling, so it costs nothing at run time; without the compiler the same names look the step up in plain
-Python. Steps handed over as arguments would be compiled anew by every process.
+Python. Steps handed over as arguments would be compiled again by every process.
 """
 
 from collections.abc import Callable

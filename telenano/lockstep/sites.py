@@ -324,7 +324,7 @@ def _instrument_stepped(
 
 @inlined
 def driven(i: Instrument, lateral: Lateral) -> Instrument:
-    """Return the instrument that is elsewhere over the sample, or goes on from there."""
+    """Return the instrument that is elsewhere over the sample, or continues from there."""
     return Instrument(
         state=i.state,
         stepped_ns=i.stepped_ns,

@@ -7,8 +7,9 @@ study, whose one call makes millions of others. Both forms give the same bits, a
 imported first.
 
 Compiled forms are `numba.njit` with numba's cache on disk. Numba notices a change of the file that a function is in,
-but not of the functions that it calls from other files, so its cache would go on running an old model after an edit. It
-is therefore in a folder that is named by the digest of every source that may hold a step (`source_digest`, ADR 0010).
+but not of the functions that it calls from other files, so its cache would continue running an old model after an edit.
+It is therefore in a folder that is named by the digest of every source that may hold a step (`source_digest`, ADR
+0010).
 """
 
 import importlib.util
@@ -133,7 +134,7 @@ def always_compiled(function: F) -> F:
 def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., Any]:
     """Return a function of (params, *inputs) that calls the step which `choose` gives for the type of params.
 
-    Compiled code makes the choice while it is compiled; steps handed over as arguments would be compiled anew by every
+    Compiled code makes the choice while it is compiled; steps handed over as arguments would be compiled again by every
     process.
     """
 
@@ -191,7 +192,7 @@ def _compiler() -> Callable[[Callable[..., object], bool], object]:
 
     @typeof_impl.register(FunctionType)
     def _typeof_step(function: FunctionType, context: object) -> object:
-        # A function that compiled code names: one that is not marked has no compiled form, and numba says so.
+        # A function that compiled code names: one that is not marked has no compiled form, and numba reports it.
         return types.Dispatcher(cast(Any, _form_of(function, _INNER))) if is_step(function) else None
 
     def compile_and_keep(function: Callable[..., object], python_calls: bool) -> object:

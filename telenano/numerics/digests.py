@@ -52,7 +52,7 @@ def stamp(module: str) -> str:
 
 
 def digest_covers(module: str, classes: Iterable[str]) -> bool:
-    """Return whether its stamp stands for the code of a module, given classes of others, as this process imported it.
+    """Return whether its stamp represents the code of a module, given classes of others, as this process imported it.
 
     It does not where one is neither of SOURCES nor of an installed package with steps, nor where a source was edited
     after this process began: what was imported may be older than its file.
@@ -73,7 +73,7 @@ def cache_folder() -> Path:
     folder = cache_directory() / f"numba-{source_digest()}"
     with contextlib.suppress(OSError):
         if not folder.exists():
-            # Numba makes folders in it that others may write, if the user's umask says so.
+            # Numba makes folders in it that others may write, if the user's umask allows it.
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             remove_unused(folder.parent)
         os.utime(folder)

@@ -63,7 +63,7 @@ def decay(ratio: float) -> float:
 def approach(ratio: float) -> float:
     """Return 1 - exp(-ratio), the double nearest to it: the share of a first-order step; ratio [1], >= 0."""
     exact = Decimal(ratio)
-    # The difference from 1 loses so many digits, so as many more are computed.
+    # The difference from 1 loses this number of digits, so as many more are computed.
     lost = max(0, -exact.adjusted()) if exact.is_finite() else 0
     with localcontext(Context(prec=_DIGITS + lost, Emin=MIN_EMIN, Emax=MAX_EMAX)):
         return float(1 - (-exact).exp())

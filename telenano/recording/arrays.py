@@ -23,12 +23,12 @@ _RECORD_FIELDS = ("log_ns", "publish_ns")
 _FAST_HZ = 100.0
 # So many samples in a row that are so much older than the newest come from a player that was set back.
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
-# so many messages are put into arrays at once
+# this number of messages are put into arrays at once
 _AT_ONCE = 8192
 _SCALARS, _NUMBERS = frozenset((bool, int, float, str, type(None))), frozenset((int, float))
 # Reasons for which a message is of a model that is not known here.
 _UNKNOWN = frozenset(("topic", "newer_version"))
-# a launcher reports a session when the device has answered that its programme runs
+# a launcher reports a session when the device has answered that its force profile runs
 _START_REPORT_NS = 2_000_000_000
 
 
@@ -206,15 +206,15 @@ def _array(recording: RecordingSource, channel_topic: str, field: str, values: l
 def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     """Return the indices of the last run of the operator's force profile.
 
-    It begins where the time of the programme falls while the time of sending goes on, or where a player was set back.
-    A message that stands behind later ones, or is repeated, is in none.
+    It begins where the time of the force profile falls while the time of sending continues, or where a player was set
+    back. A message that stands behind later ones, or is repeated, is in none.
 
     Args:
-        session_s: session_s of `haptic/state` [s], negative while no programme runs, shape (n,).
+        session_s: session_s of `haptic/state` [s], negative while no force profile runs, shape (n,).
         t_ns: The times of sending [ns], shape (n,).
 
     Returns:
-        The indices, fewer than two when no programme ran.
+        The indices, fewer than two when no force profile ran.
     """
     running = np.flatnonzero(session_s >= 0.0)
     old = t_ns[running] < np.maximum.accumulate(t_ns[running])
@@ -234,21 +234,21 @@ def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
 def last_session(
     session_s: Column, seq: Column, t_ns: Column, starts_ns: Sequence[int] = (), ends_ns: Sequence[int] = ()
 ) -> npt.NDArray[np.intp]:
-    """Return the indices of the last session: the last programme, and those that a restart of the device has cut off.
+    """Return the indices of the last session: the last force profile, and those that a restart has cut off.
 
-    A device whose process died while the programme ran begins it anew when it is commanded to; that is the same
+    A device whose process died while the force profile ran begins it again when it is commanded to; that is the same
     session, unless a launcher has started one since. What the new process sent until then, or until a launcher ended
     the session where nobody commanded it, is of the session too.
 
     Args:
-        session_s: session_s of `haptic/state` [s], negative while no programme runs, shape (n,).
+        session_s: session_s of `haptic/state` [s], negative while no force profile runs, shape (n,).
         seq: The seq of its messages, shape (n,).
         t_ns: The times of sending of its messages [ns], shape (n,).
         starts_ns: The times at which launchers reported that a session runs [ns].
         ends_ns: The times at which launchers reported that a session is over [ns].
 
     Returns:
-        The indices, fewer than two when no programme ran.
+        The indices, fewer than two when no force profile ran.
     """
     session = last_programme(session_s, t_ns)
     if session.size and (last := int(session[-1])) + 1 < len(seq) and _died(last, seq, t_ns):
@@ -265,7 +265,7 @@ def last_session(
 
 
 def _died(last: int, seq: Column, t_ns: Column) -> bool:
-    """Return whether the message after one is the first of a new process: its number begins anew, and its time not."""
+    """Return whether the message after one is the first of a new process: its number begins again, and its time not."""
     return bool(seq[last + 1] <= seq[last] and t_ns[last + 1] > t_ns[last])
 
 
@@ -275,6 +275,6 @@ def _rising(places: npt.NDArray[np.intp], t_ns: Column) -> npt.NDArray[np.intp]:
 
 
 def _was_cut_off(last: int, first: int, seq: Column, t_ns: Column, starts_ns: Sequence[int]) -> bool:
-    """Return whether a programme ended with its process, and the one that follows is of the same session."""
+    """Return whether a force profile ended with its process, and the one that follows is of the same session."""
     begun_anew = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
     return _died(last, seq, t_ns) and not begun_anew

@@ -60,7 +60,7 @@ def _faults(data: Bytes, layout: Layout, messages: int) -> Iterator[str]:
 
 
 def _checksum_faults(data: Bytes, summary_start: int, footer: int) -> Iterator[str]:
-    """Yield the checksums that are wrong; 0 stands for none."""
+    """Yield the checksums that are wrong; 0 represents none."""
     data_end = summary_start - RECORD_HEAD.size - _CRC_BYTES
     if not 0 < data_end < footer or data[data_end] != Opcode.DATA_END:
         yield "the end of the data section is not where the footer says"

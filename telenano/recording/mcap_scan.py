@@ -41,7 +41,7 @@ MOST_DEFINITIONS = 4096
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
 _END_OF_TIME = 2**64
-# So many bytes of a mapped file are in memory at once.
+# This number of bytes of a mapped file are in memory at once.
 MOST_MAPPED = 16 << 20
 # Reading the parts of a damaged record can raise these.
 UNREADABLE = (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
@@ -285,7 +285,7 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
 
 
 def _attachment_intact(body: bytes) -> bool:
-    """Compare an attachment with the checksum at its end; 0 stands for none."""
+    """Compare an attachment with the checksum at its end; 0 represents none."""
     (crc,) = _CRC.unpack_from(body, len(body) - _CRC.size)
     return crc in (0, zlib.crc32(body[: -_CRC.size]))
 

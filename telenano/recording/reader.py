@@ -48,7 +48,7 @@ from telenano.wire.nodes import site_of
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once.
 _PLANNED_END = "split"
-# A piece has one chunk, or no more than so much in several [bytes]; its lead may have so many where it has one.
+# A piece has one chunk, or no more than so much in several [bytes]; its lead may have this number where it has one.
 _LARGEST_PIECE, _LEAD = 16 << 20, 2
 # groups of messages with odd times that are named
 _MOST_NAMED = 5

@@ -157,7 +157,7 @@ class SenderOrder:
         self.ready.popleft()
 
     def read_ahead(self, least: int, count: int = _READ_AHEAD) -> bool:
-        """Read a number of messages on unless so many are ready; return whether there may be more to read."""
+        """Read on unless this number of messages are ready; return whether there may be more to read."""
         if len(self.ready) >= least or self._exhausted:
             return False
         self._read_on(count)

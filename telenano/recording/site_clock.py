@@ -34,11 +34,11 @@ _NS = 1_000_000_000
 _STATUS, _NETWORK, _ANSWER = "link/status", "link/network", "clock/pong"
 # Of a recording of more than a minute and a half two seconds are read every one and a half minutes, or more seldom.
 _WHOLE_NS, _WINDOW_NS, _STEP_OF_WINDOWS_NS, _MOST_WINDOWS = 90 * _NS, 2 * _NS, 90 * _NS, 64
-# The tip's samples of so long a time are examined in so many windows.
+# The tip's samples of so long a time are examined in this number of windows.
 _CAUSALITY_NS, _MOST_EXAMINED = 2 * _NS, 8
 # messages on clocks that are kept, of some thousand in a recording, and parts that are read besides the windows
 _MOST_LOOKED, _MOST_SOUGHT = 100_000, 256
-# Of what is read one line is tried for so long at first.
+# Of what is read one line is tried for this time at first.
 _PIECE_NS = 4 * _NS
 # A report belongs to the exchange that it agrees with to this [ns], because stamps are whole ns.
 _SAME_NS = 2_000
@@ -48,7 +48,7 @@ _STEP_NS = _NS // 1000
 _EARLY_NS = 1_000_000
 # No two clocks are further apart than this [s]: some 300 years.
 _LONGEST_S = 1e10
-# This stands for a delay of which nothing is known [ns].
+# This represents a delay of which nothing is known [ns].
 _LONG_NS = 2**60
 
 

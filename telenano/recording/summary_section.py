@@ -2,7 +2,7 @@
 
 It is given only where the numbers agree: on each channel that was received at its publisher, the first and the last
 number, the count in the statistics and the gaps that the recorder has recorded. Where a process was started again its
-numbers begin anew, and the place is sought by halves. A file from which a part is missing, with odd times, or whose
+numbers begin again, and the place is sought by halves. A file from which a part is missing, with odd times, or whose
 index is damaged or names a part twice has to be read as a whole.
 """
 
@@ -196,7 +196,7 @@ class _Summary:
         )
 
     def _restarts(self, number: int, count: int, begin: _Stamp, end: _Stamp, gaps: Iterable[tuple[int, int]]) -> int:
-        """Return how often the numbers of a channel begin anew; _DisagreementError where a step is not accounted for.
+        """Return how often the numbers of a channel begin again; _DisagreementError where a step is not accounted for.
 
         Chunks are unpacked only where the numbers grow by something else than the messages between them.
         """
@@ -287,7 +287,7 @@ ChannelIndexes = dict[int, bytes]
 def layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes] | None:
     """Return the structure of a closed file by its index, and where the messages of a channel are.
 
-    None stands for a file that has to be read as a whole. What lies between the chunks is not looked at, and the
+    None represents a file that has to be read as a whole. What lies between the chunks is not looked at, and the
     checksum of a chunk is in its head.
     """
     try:

@@ -204,7 +204,7 @@ class RecordingWriter:
             raise self._failure(error) from error
 
     def _failure(self, error: OSError) -> RecordingError:
-        """Close the file, which cannot be written, and return the error that says so."""
+        """Close the file, which cannot be written, and return the error that reports it."""
         # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
         self.abandon()
         return RecordingError(f"{self.path}: cannot be written: {error.strerror or error}")

@@ -28,9 +28,9 @@ STATUS_PERIOD_NS = 100_000_000
 TRAIN = "line.train"
 # seconds of exchanges of time stamps in view, one a report
 _CLOCK_WINDOW = 64
-# So many rows of ground truth make a message worth sending.
+# This number of rows of ground truth make a message worth sending.
 _FATES_AT_ONCE = 32
-# So many rows fit into a message, with a margin.
+# This number of rows fit into a message, with a margin.
 _MOST_FATES = 1000
 
 
@@ -156,7 +156,7 @@ class DelayNode(Node):
         message = received.message
         is_stop = type(message) is SessionControl and message.command == "estop"
         if type(message) is SessionControl and message.command == "start" and message.id != self._session_id:
-            # The hand's programme begins with the first of the repetitions, at this side of the link.
+            # The hand's force profile begins with the first of the repetitions, at this side of the link.
             self._session_id = message.id
             self.engine.begin_session(received.received_ns)
         for way in self._ways:

@@ -11,7 +11,7 @@ class Option:
 
     Attributes:
         flags: Names of the option, the first of which is used in messages.
-        metavar: What stands for its value in the help.
+        metavar: What represents its value in the help.
         read: What makes the value of the text that was given. Raises ConfigError naming the option.
         many: Whether the option may be repeated; `read` is given all texts then.
         written: The default as a person would write it.

@@ -81,7 +81,7 @@ def _installed() -> dict[str, dict[str, Plugin]]:
         for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
             dist = entry.dist
             if dist and id(dist) not in packages:
-                read = dist.metadata  # parsed anew at every look
+                read = dist.metadata  # parsed again at every look
                 other = _other_version(read.get_all("Requires-Dist") or (), own)
                 packages[id(dist)] = read["Name"], read["Version"], other
             package, its_version, problem = packages.get(id(dist), ("unknown", "unknown", ""))
@@ -153,7 +153,7 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, 
 
 
 def fault_of_import(error: BaseException) -> str:
-    """Return in words what the import of a package raised; raise a signal at a command, which is none of it."""
+    """Return in words what the import of a package raised; raise a signal at a command, which is not one of it."""
     if isinstance(error, SystemExit):
         return f"its import ends the whole program (SystemExit: {error})"
     if not isinstance(error, KeyboardInterrupt):

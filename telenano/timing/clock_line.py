@@ -23,7 +23,8 @@ Bound = tuple[int, int]
 MOST_DRIFT = 2e-3
 # A drift that brings the lines apart by no more than this [ns] is not shown.
 LEAST_GAIN_NS = 500_000.0
-# Of so many points on each side, chance brings the lines apart by about what the points scatter; of more, by less.
+# Of this number of points on each side, chance brings the lines apart by about what the points scatter; of more, by
+# less.
 _FEW = 8
 
 
@@ -31,7 +32,7 @@ class ClockLine(NamedTuple):
     """What the other clock is ahead: ahead_ns [ns] at origin_ns by this clock [ns], growing by drift [s/s].
 
     round_trip_ns: distance of the two lines [ns], below zero where no line lies between the bounds; chance_ns: how far
-    chance may bring lines apart through so many points with their scatter [ns].
+    chance may bring lines apart through this number of points with their scatter [ns].
     """
 
     origin_ns: int

@@ -22,7 +22,7 @@ from telenano.wire.messages import LinkClock
 # Two clocks that are not set drift apart by less between two exchanges of a second.
 STEP_NS = 10_000_000
 BLOCK_NS = 1_000_000_000
-# Parts of so many seconds show a change of the rate.
+# Parts of this number of seconds show a change of the rate.
 _LEAST_PART = 4
 _TURN_NS = 100_000_000
 
@@ -93,7 +93,7 @@ class OffsetFilter:
     def record(self, exchange: Exchange) -> None:
         """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
 
-        An offset that no delay explains is that of another clock: the other site was started anew after its wall clock
+        An offset that no delay explains is that of another clock: the other site was started again after its wall clock
         was set. What is known of the clock before is then forgotten.
         """
         if exchange.round_trip_ns < 0:
@@ -137,7 +137,7 @@ class OffsetFilter:
         return OffsetState(self._newest_ns, self._drift, list(self.blocks))
 
     def restore(self, state: "OffsetState") -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         self._newest_ns, self._drift = state.newest_ns, state.drift
         self.blocks.extend(state.blocks)
 

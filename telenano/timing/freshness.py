@@ -103,7 +103,7 @@ class Freshness:
         return FreshnessState(self.turn_ns, self._oldest_ns, *delays, self._judged_ns)
 
     def restore(self, state: FreshnessState) -> None:
-        """Go on from a state."""
+        """Continue from a state."""
         self.turn_ns, self._oldest_ns, self._forward, self._backward, self._between_ns, self._judged_ns = state
         self._note_newest()
 

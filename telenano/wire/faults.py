@@ -28,7 +28,7 @@ is_source = re.compile(SOURCE_PATTERN.removesuffix("$")).fullmatch
 _MOST_SHOWN_BYTES = 256
 # This stands in the place of a part whose fault was reported.
 _WRONG: Any = object()
-# A sentence has at most so many characters of a value, and of a key, which may be the sender's text.
+# A sentence has at most this number of characters of a value, and of a key, which may be the sender's text.
 _MOST_SHOWN = 80
 _MOST_KEY = 100
 

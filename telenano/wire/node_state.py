@@ -33,7 +33,7 @@ class Stateful(Protocol):
         """Return the state, None for a node that has none to restore. ValueError says why it has none now."""
 
     def restore(self, state: Any, find: FindInput) -> None:
-        """Go on from a state; `find` returns the payloads of messages that the state only names."""
+        """Continue from a state; `find` returns the payloads of messages that the state only names."""
 
 
 class Part(NamedTuple):

@@ -1,7 +1,8 @@
 """Count the words that CONTRIBUTING.md has a plainer one for: `python tests/contract/plain_words.py [KIND …]`.
 
-With a kind (identifier, message, prose) it lists where each of them is. The table names each word and what is written instead. A word marked `*` may stand in no identifier and in no message;
-every one is counted in comments, docstrings and documents. Tests, and files that are generated, are not looked at.
+With a kind (identifier, message, prose) it lists where each of them is. The table names each word and what is written
+instead. A word marked `*` may stand in no identifier and in no message; every one is counted in comments, docstrings
+and documents. Tests, and files that are generated, are not looked at.
 """
 
 import ast

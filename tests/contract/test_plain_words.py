@@ -20,7 +20,8 @@ def test_no_more_of_them_are_written(known: list[plain_words.Word]) -> None:
     found = Counter(one.kind for one in plain_words.findings(known))
     most = plain_words.ceilings()
     assert most.keys() == {"identifier", "message", "prose"}
-    assert {kind: found[kind] for kind in most} == most, "a lower number replaces the one in pyproject.toml"
+    risen = {kind: found[kind] for kind in most if found[kind] > most[kind]}
+    assert not risen, f"`python tests/contract/plain_words.py {' '.join(risen)}` lists them"
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,7 @@ MACHINE = Clock(time.monotonic_ns, lambda deadline_ns: time.sleep(max(0.0, (dead
 
 
 class Recorder:
-    """The rows of a take as it goes on, each at a whole number of milliseconds of a clock."""
+    """The rows of a take as it continues, each at a whole number of milliseconds of a clock."""
 
     def __init__(self, steps: tuple[Step, ...], clock: Clock, guide: Guide) -> None:
         self.rows: list[tuple[Any, ...]] = []
@@ -217,7 +217,7 @@ class Recorder:
         self._number, self._begun_ns = 0, clock.now_ns()
 
     def wanted(self, number: int, idle: Callable[[], None]) -> bool:
-        """Ask whether a step is wanted; the time of the question is none of the motion.
+        """Ask whether a step is wanted; the time of the question is not one of the motion.
 
         Args:
             number: Of the step.
@@ -234,7 +234,7 @@ class Recorder:
         self._guide.say(self.step)
 
     def wait(self, periods: int = 1) -> None:
-        """Wait until so many milliseconds after the last of these times."""
+        """Wait until this number of milliseconds after the last of these times."""
         self._guide.poll()
         self.ticks += periods
         due_ns = self._begun_ns + round(self.ticks * PERIOD_S * 1e9)

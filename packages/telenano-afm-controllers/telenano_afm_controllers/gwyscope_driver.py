@@ -21,9 +21,9 @@ from telenano_afm_controllers.request_driver import RequestDriver
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
 _FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
-# so many distinct samples give the server's tick, and so many reads at most are spent on them
+# this number of distinct samples give the server's tick, and this number of reads at most are spent on them
 _TICKS, _READS = 4, 200
-# A server whose samples stand for so long does not run its loop.
+# A server whose samples stand for this time does not run its loop.
 _CLOCK_STANDS_S = 0.05
 _SLOWEST_TICK_S = 1.0
 _SHIPPED_TICK_S = 3e-3
@@ -166,7 +166,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
 
 
 def _items(frame: bytes) -> dict[str, Any]:
-    """Return the texts, numbers and flags of an answer; an array stands for none of these."""
+    """Return the texts, numbers and flags of an answer; an array represents none of these."""
     return {key: value for key, value in gwyscope_wire.decode(frame).items() if isinstance(value, str | int | float)}
 
 

@@ -2,9 +2,9 @@
 
     "GS" NUL, size (uint32, little-endian), then items: key NUL, one letter for the type, value
 
-Letters: b one byte, i int32, d float64, s text NUL, D uint32 count and so many float64. A server reads an item by the
-type that it expects, and ends where another one comes, so the type of a Python value decides: bool b, int i, float d,
-str s, array D. Source: NenoVision/GwyScope-Fork-Stabilizer, server 4.1.19, and gwyfile 0.3.0.
+Letters: b one byte, i int32, d float64, s text NUL, D uint32 count and this number of float64. A server reads an item
+by the type that it expects, and ends where another one comes, so the type of a Python value decides: bool b, int i,
+float d, str s, array D. Source: NenoVision/GwyScope-Fork-Stabilizer, server 4.1.19, and gwyfile 0.3.0.
 """
 
 import struct

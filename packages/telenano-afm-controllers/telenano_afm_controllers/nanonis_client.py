@@ -12,9 +12,9 @@ from telenano_afm_controllers.request_answer import Incoming, WireError
 
 _READ_BYTES = 65536
 _POLL_S = 0.05
-# An answer is waited for so long [s], and z to come to rest, or the z-controller to be off.
+# An answer is waited for this time [s], and z to come to rest, or the z-controller to be off.
 _ANSWER_S, _REST_WITHIN_S = 5.0, 60.0
-# z that moves by less between so many looks is at rest: an approach goes faster [m]
+# z that moves by less between this number of looks is at rest: an approach goes faster [m]
 _RESTS, _REST_M = 6, 2e-9
 
 

@@ -30,8 +30,8 @@ _STATES = {1: "is off", 2: "is on", 3: "holds", 4: "is being switched off", 6: "
 # a withdrawal takes the range over the rate; more than this many questions about it are not asked
 _MOST_ASKED = 5000
 _STATUS_EVERY = 10
-# After an approach z rests when it moves by less [m] in so many looks, with the signal this near to the set-point;
-# lines are asked for no more often than that.
+# After an approach z rests when it moves by less [m] in this number of looks, with the signal this near to the
+# set-point; lines are asked for no more often than that.
 _RESTS, _REST_M, _NEAR_SHARE, _LOOK_NS = 6, 2e-9, 0.25, 50_000_000
 # a request and its answer over a network and through the vendor's software
 _LOST_NS = 250_000_000
@@ -40,7 +40,7 @@ _SHIPPED_TAP_S = 20e-3
 _LOG_HEADER = struct.Struct(">IfQH")
 _LOG_LIST, _LOG_DATA = 2, 4
 _MOST_CHANNELS = 24
-# so many reads of a tick find the end of what has come, or it has none
+# this number of reads of a tick find the end of what has come, or it has none
 _MOST_RECEIVED = 64
 
 Answers = Generator[bytes, bytes, list[Any]]
@@ -87,7 +87,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         return self
 
     def want_image(self, image: OwnImage | None) -> None:
-        """Begin an image, or go on with it; None ends it, with the tip withdrawn."""
+        """Begin an image, or continue with it; None ends it, with the tip withdrawn."""
         if image is None or self._image is None:
             self._lines.clear()
             self._taken = None

@@ -5,8 +5,8 @@
 An answer repeats the command, and its body has the return arguments and then an error block: status (uint32), length of
 the text (int32), text. Letters of the layouts here: H uint16, i int32, I uint32, f float32, d float64, s text (int32
 length, bytes), S array of texts (int32 bytes in all, int32 count, texts), n with a letter, such as nf: int32 count and
-so many numbers, M matrix (int32 rows, int32 columns, float32 by rows). A text or an array is as long as it says, so
-each is compared with the length of its message.
+this number of numbers, M matrix (int32 rows, int32 columns, float32 by rows). A text or an array is as long as it says,
+so each is compared with the length of its message.
 """
 
 import re
@@ -225,7 +225,7 @@ def _unpacked(letter: str, body: bytes, at: int) -> tuple[Any, int]:
 
 
 def _within(at: int, rows: int, columns: int, size: int, body: bytes) -> int:
-    """Return where so many values end; WireError where there are fewer bytes, or a count is none."""
+    """Return where this number of values end; WireError where there are fewer bytes, or a count is none."""
     end = at + rows * columns * size
     if rows < 0 or columns < 0 or end > len(body) or (size == 0 and rows > _MOST_NAMES):
         raise WireError(f"{rows} x {columns} values do not fit into a body of {len(body)} bytes")

@@ -9,7 +9,7 @@ LARGEST_BYTES = 64 * 2**20
 
 
 class WireError(TelenanoError, ValueError):
-    """Bytes that are no message of the protocol: the connection has to be made anew."""
+    """Bytes that are no message of the protocol: the connection has to be made again."""
 
 
 # Returns the length of the first message of a stream [bytes], 0 while it has not come whole; raises WireError.

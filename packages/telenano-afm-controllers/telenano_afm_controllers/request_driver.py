@@ -1,6 +1,6 @@
 """What the drivers of AFM controllers have in common: a conversation that is a generator.
 
-A driver is written as the talk that it has with its controller, from the first question to a cycle that goes on for
+A driver is written as the talk that it has with its controller, from the first question to a cycle that continues for
 ever. A tick gives it the answer that has come and sends the request that it then has.
 """
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from telenano_afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf, text_curves
 from telenano_afm_files.recorded import Array, Curves, Recorded, Way, constants_of, factor_to_force
 
-# Of a segment so many points are kept at most; a finer curve is interpolated to them.
+# Of a segment this number of points are kept at most; a finer curve is interpolated to them.
 MOST_POINTS = 4096
 _MOST_CURVES = 1 << 18
-# So many curves of a large map give the sensitivity.
+# This number of curves of a large map give the sensitivity.
 _MOST_OF_HARD = 64
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]

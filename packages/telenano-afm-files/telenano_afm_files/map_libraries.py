@@ -20,7 +20,8 @@ _BLOCK = 64
 _MOST_UNPACKED_BYTES, _MOST_OF_ONE_BYTES = 8 << 30, 1 << 30
 # Curves pack to a third or a half, and an archive may be so large unpacked besides.
 _GREATEST_RATIO, _ORDINARY_BYTES = 32, 64 << 20
-# An entry of an archive has a head of so many bytes at least; what all curves share is copied for each block of them.
+# An entry of an archive has a head of this number of bytes at least; what all curves share is copied for each block of
+# them.
 _LEAST_HEAD, _MOST_SHARED_BYTES = 30, 4 << 20
 
 # the names of constants, and those of afmformats

@@ -33,13 +33,14 @@ FELT_X, FELT_Y, TOUCHED = range(11, 14)
 STATE = 14
 APPROACHES, PUSHES, STANDS, DONE = range(4)
 
-# A contact is a force above this share of the friction; it is lost after so many ticks below, and was not met where the
-# tip is so many d from where the particle should be. A force is felt as a mean over so many ticks.
+# A contact is a force above this share of the friction; it is lost after this number of ticks below, and was not met
+# where the tip is this number of d from where the particle should be. A force is felt as a mean over this number of
+# ticks.
 _CONTACT, _FAINT_TICKS, _MISSED, _FELT_TICKS = 0.3, 60, 0.7, 100.0
-# It goes to so many d behind the particle, and keeps so many d from it on its way.
+# It goes to this number of d behind the particle, and keeps this number of d from it on the way.
 _BEHIND, _KEEPS = 1.35, 1.25
 _MOST_ASIDE = math.cos(math.radians(75.0))
-# The errors of a hand change so many times a second: every so many ticks.
+# The errors of a hand change this number of times a second: every this number of ticks.
 _HELD_TICKS = 20
 
 

@@ -54,7 +54,8 @@ _LONGEST = 1.5
 _LOST_SHARE, _LOST_WAY, _LOST_RAD = 0.3, 0.05, math.radians(75.0)
 # The plateau and the direction of the force are means over this share of d.
 _MEAN_WAY = 0.02
-# Contact is a lateral force of so many standard deviations of what is felt on the way, at least for so many steps.
+# Contact is a lateral force of this number of standard deviations of what is felt on the way, at least for this number
+# of steps.
 _CONTACT_DEVIATIONS, _CONTACT_STEPS = 3.0, 3
 _QUIET_STEPS, _LEAST_N = 10, 1e-11
 # The lines of a sweep go so many d to either side, so that their ends are clear of the particle.
@@ -294,7 +295,7 @@ def _noise_n(state: PushState) -> float:
 
 
 def _ended(plan: PushPlan, state: PushState, size_n: float) -> str:
-    """Return why the push is over; empty where it goes on."""
+    """Return why the push is over; empty where it continues."""
     s, goal = plan.settings, Place(plan.settings.x1_m, plan.settings.y1_m)
     if size_n > s.lateral_limit_n:
         return f"the lateral force is above push.lateral_limit_n = {s.lateral_limit_n:g} N"
@@ -331,7 +332,7 @@ def _onwards(plan: PushPlan, state: PushState, dt: float) -> tuple[PushState, Pl
 
 
 def _swept(plan: PushPlan, state: PushState, bearing: float, step_m: float) -> tuple[PushState, Place]:
-    """Go on along a line across the way, and at its end to the next one."""
+    """Continue along a line across the way, and at its end to the next one."""
     d = plan.distance_m
     along, across = state.line * plan.settings.pitch * d, (-1.0 if state.line % 2 else 1.0) * _HALF_LINE * d
     end = _beyond(_beyond(plan.start, bearing, along), bearing + 0.5 * math.pi, across)

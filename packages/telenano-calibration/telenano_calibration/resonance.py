@@ -62,9 +62,10 @@ _LEAST_JOINED = 0.15
 _MOST_JOINED = 2.5
 # in standard errors
 _MOST_INFLUENCE = 4.0
-# A narrower band has so many widths of the peak at least.
+# A narrower band has this number of widths of the peak at least.
 _BAND_WIDTHS = 4.0
-# The peak is so many times its width at half its height on both sides, and has so many blocks, as has each side.
+# The peak is this number of times its width at half its height on both sides, and has this number of blocks, as has
+# each side.
 _PEAK_WIDTHS = 2.0
 _BLOCKS = 20
 Shape = Callable[[float, float, float], Array]
@@ -277,7 +278,7 @@ def _fit_in_band(
 
 
 def _deviance_of(averages: float) -> float:
-    """Return the mean of r - 1 - log r of means r of so many exponential numbers, each of mean 1."""
+    """Return the mean of r - 1 - log r of means r of this number of exponential numbers, each of mean 1."""
     return float(math.log(averages) - special.digamma(averages))
 
 

@@ -14,7 +14,7 @@ from telenano.devices import InstrumentCalibration
 from telenano.extend.instruments import AfmDriver, DeviceError
 from telenano_calibration.line_fit import CalibrationError, LineFit, fit_line, mean_of
 
-# The tip touches when the deflection departs by more than so many times the noise of the free cantilever.
+# The tip touches when the deflection departs by more than this number of times the noise of the free cantilever.
 _DEPARTURE = 8.0
 _FREE_POINTS = 8
 # Snap-in and adhesion come first, and are no line.

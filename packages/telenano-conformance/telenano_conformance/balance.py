@@ -43,11 +43,11 @@ TOLERANCE_J = 1e-5
 # The silence limit of a law whose settings have none [s].
 SILENCE_LIMIT_S = 0.2
 # The share of the stiffest sample that a law states, up to which samples are drawn: over a line that loses signals a
-# loop against the measured force bears 7/16 of it.
+# loop against the measured force tolerates 7/16 of it.
 _STIFFEST_SHARE = 0.4
 _ARMED_S = 0.1
 _RETRACTED_M = -2e-7
-# A hand whose device is lost is silent for so long before the master half goes on with an inactive one [s].
+# A hand whose device is lost is silent for this time before the master half continues with an inactive one [s].
 _LOST_S = 1.0
 _LONGEST_BRIDGED_PERIODS = 50
 _UNHEARD = -(10**9)
@@ -71,7 +71,7 @@ class Balance:
     reference_j: the least margin where the master's port is counted at the reference of the law instead of the device;
     books_j: the least of the margin less what the law states as dissipated and as left to give out: below zero it
     states more than there is; unstated_j: the most that came out between two moments beyond what came in, was granted,
-    and was stated at the first of them, where the hand stood, as left at the halves and on its way between them (0 or
+    and was stated at the first of them, where the hand stood, as left at the halves and in transit between them (0 or
     negative): a law that stores energy of which it states nothing has it here, and one that makes energy while a
     session dissipates more elsewhere as well; entered_j: E_net in the end; begun_s: when the margin fell below the
     tolerance, None where it did not; losses: where the margin fell to a new least below zero, by the transition before
@@ -461,7 +461,7 @@ class _Run:
         self.backward.put(tick, (self.reign, hand_tick, answer), silent=silent)
 
     def _go_on(self, tick: int, now_s: float) -> None:
-        """Go on without a signal: a half with a loop of its own steps with the instrument, the others stand."""
+        """Continue without a signal: a half with a loop of its own steps with the instrument, the others stand."""
         silent = tick - self.slave_tick
         counts = silent * self.period_s <= silence_limit_s(self.slave_config)
         follows = self.slave_heard.active and self.tip.following and not self.slave_switching and not self.is_lost

@@ -273,7 +273,7 @@ def _events(rng: Random, kind: str, duration_s: float, silence_limit_s: float) -
         name = rng.choice(chosen)
         event = model[name] if pattern == "periodic" else _event(rng, name, 0.0, silence_limit_s)
         if pattern == "periodic" and kind != MIXED:
-            # what was changed is changed back the next time, so that the course is one that can go on for ever
+            # what was changed is changed back the next time, so that the course is one that can continue for ever
             back = len(events) % 2 == 1
             shift_m, tip_m, factor = event.shift_m, event.tip_shift_m, event.factor
             event = _at(event, 0.0, -shift_m, -tip_m, 1.0 / factor) if back else event

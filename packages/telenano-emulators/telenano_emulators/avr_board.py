@@ -17,7 +17,7 @@ RUNNER = SOURCES.parent / "emulator" / "avr328p.c"
 FREQUENCY_HZ = 16_000_000
 CYCLES_A_TICK = FREQUENCY_HZ // 1000
 DEVICE_ID = 0x0102030405060708
-# a turn of the sensor is read in so many steps
+# a turn of the sensor is read in this number of steps
 SENSOR_STEPS = 1024
 SENSOR_MV = 5000
 # The arm moves this far for a turn of the sensor [m].
@@ -83,7 +83,7 @@ class AvrBoard:
         self._functions.board_set_estop(self._board, int(pressed))
 
     def hold(self, *, still: bool) -> None:
-        """Make the program stand still where it is, as one that hangs, or let it go on."""
+        """Make the program stand still where it is, as one that hangs, or let it continue."""
         self._functions.board_hold(self._board, int(still))
 
     def receive(self, received: bytes) -> None:
@@ -115,7 +115,7 @@ class AvrHandle:
         return self.board.sent()
 
     def advance(self) -> None:
-        """Go on by a millisecond: plant, sensor, processor."""
+        """Continue by a millisecond: plant, sensor, processor."""
         before_m, duty = self._plant.motor.position_m, self.board.duty
         command = DriveCommand(MODE_OFF, 0.0, 0.0)
         if duty:

@@ -88,7 +88,7 @@ class EmulatedHandle:
         return self.core.sent()
 
     def advance(self) -> None:
-        """Go on by a millisecond: plant, sample, firmware."""
+        """Continue by a millisecond: plant, sample, firmware."""
         self.time_us += TICK_US
         self._session_ticks = self._session_ticks + 1 if self.core.session_runs else 0
         session_s = self._session_ticks * _TICK_S if self._session_ticks else -1.0

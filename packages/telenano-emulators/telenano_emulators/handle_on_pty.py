@@ -15,7 +15,7 @@ from telenano_emulators.emulated_handle import TICK_US
 
 _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096
-# A process that stalled for longer goes on from now, because a board does not make up for lost time.
+# A process that stalled for longer continues from now, because a board does not make up for lost time.
 _LONGEST_NS = 50 * _TICK_NS
 # The host is gone after so long, because it sends a thousand commands a second.
 _ABANDONED_NS = 200 * _TICK_NS
@@ -30,10 +30,10 @@ class EmulatedBoard(Protocol):
         """Return what it has sent since the last call."""
 
     def advance(self) -> None:
-        """Go on by a millisecond."""
+        """Continue by a millisecond."""
 
     def reset(self, session: int) -> None:
-        """Boot anew; a board that counts its sessions itself takes its own number."""
+        """Boot again; a board that counts its sessions itself takes its own number."""
 
 
 class HandleOnPty:
@@ -77,7 +77,7 @@ class HandleOnPty:
             self._link.unlink()
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Run in real time as long as `goes_on` says so; it is asked once a millisecond."""
+        """Run in real time as long as `goes_on` returns true; it is asked once a millisecond."""
         self._next_ns = time.monotonic_ns()
         while goes_on():
             self._next_ns += _TICK_NS

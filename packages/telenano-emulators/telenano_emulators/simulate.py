@@ -171,5 +171,5 @@ def t7_in_front_of(
 
 
 def _boot() -> int:
-    """Return the number of a session; 0 stands for none."""
+    """Return the number of a session; 0 represents none."""
     return int.from_bytes(os.urandom(2)) or 1

@@ -55,7 +55,7 @@ def analyse(
     """Make the tidy table of an experiment and analyse it: descriptions, tests, effect sizes, thresholds, figures.
 
     The trials that count are those of the main phase that were done, of participants who are not excluded. The command
-    may be given while an experiment goes on, and as often as one likes: everything is made from the journal anew.
+    may be given while an experiment continues, and as often as one likes: everything is made from the journal again.
     """
     with report_errors(as_json):
         from telenano.analysis import figure_options

@@ -78,7 +78,7 @@ class Desk:
         return False
 
     def pause(self) -> None:
-        """Wait until the experimenter goes on."""
+        """Wait until the experimenter continues."""
 
     def finish(self) -> None:
         """Tell the participant that the session is over."""

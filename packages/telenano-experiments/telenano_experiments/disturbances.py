@@ -1,4 +1,4 @@
-"""What disturbed a trial, told apart from what its condition did, by the link's own truth.
+"""What disturbed a trial, distinguished from what its condition did, by the link's own truth.
 
 A process that stood still, an emergency stop, a node that was started again: the trial does not count. A device that
 held because nothing came is another matter: where the link kept back, dropped or delayed what it had received, that is
@@ -14,9 +14,9 @@ import numpy.typing as npt
 from telenano.wire import TOPICS
 
 Times = npt.NDArray[np.float64]
-# A node reports twice a second; one that said nothing for so long was not there.
+# A node reports twice a second; one that said nothing for this time was not there.
 _SILENT_S = 3.0
-# A device holds when nothing came for its deadline, and says so within a period or two.
+# A device holds when nothing came for its deadline, and reports it within a period or two.
 _SHARE = 0.5
 _LOOK_BACK_S = 0.2
 # A hold for one of these reasons means that nothing came in time; others, such as too much force, are outcomes.

@@ -139,7 +139,7 @@ def resume(
     baud: BaudOption = 115200,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on with an experiment after a break or a crash: no trial is lost, and none is done twice."""
+    """Continue with an experiment after a break or a crash: no trial is lost, and none is done twice."""
     with report_errors(as_json, _INTERRUPTED):
         from telenano_experiments.runner import folder_plan
 

@@ -145,7 +145,7 @@ class Disturbed(Settings):
 
 
 class Stop(Settings):
-    """What ends a run before its plan is done; `resume` goes on."""
+    """What ends a run before its plan is done; `resume` continues."""
 
     disturbed_in_a_row: int = Field(default=5, ge=1, description="Attempts that were disturbed, one after the other")
     session_s: float | None = Field(default=None, gt=0.0, description="The longest session of a participant [s]")

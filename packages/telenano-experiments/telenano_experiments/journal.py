@@ -1,6 +1,6 @@
 """The journal of an experiment: JSON lines that are only ever appended, each by one write and forced to the disk.
 
-What an experiment has done is the fold of its records and nothing else, so a run that was killed goes on from them.
+What an experiment has done is the fold of its records and nothing else, so a run that was killed continues from them.
 The records, each with its kind in `record` and the time in `utc`:
 
 - `begun`: digest of the experiment's file, seed, versions, apparatus; once, and `resumed` at each later run;
@@ -153,7 +153,7 @@ class Journal:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold of a value that is none of its own: arrays, their scalars, mappings."""
+    """Return what JSON can hold of a value that is not one of its own: arrays, their scalars, mappings."""
     if isinstance(value, Mapping):
         return dict(value)
     if hasattr(value, "tolist"):

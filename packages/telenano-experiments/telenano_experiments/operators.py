@@ -33,7 +33,7 @@ from telenano_experiments.types import Trial
 # Seconds of completion time of touch_and_hold for a second of the round trip: law wave, spring of 20 N/m, no scatter.
 SLOPE_OF_WAVE = 4.5
 Answers = tuple[Mapping[str, Any], ...]
-# A target goes to the hand as so many corners at most: `set operator=` takes a text of 4096 characters.
+# A target goes to the hand as this number of corners at most: `set operator=` takes a text of 4096 characters.
 _CORNERS = 60
 # How a hand that steers the tip across presses it on the sample: times [s] and forces [N].
 PRESSES = (0.2, 0.6), (0.0, 1.2)

@@ -1,7 +1,7 @@
 """The order of conditions: as written, shuffled, by a Latin square balanced for carry-over, or by all permutations.
 
 A *sequence* is the order in which one participant meets the conditions once. Its number counts over the participants
-and their repetitions, so that every design goes on where the participant before ended it.
+and their repetitions, so that every design continues where the participant before ended it.
 """
 
 import itertools

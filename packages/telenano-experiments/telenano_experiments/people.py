@@ -20,7 +20,7 @@ from telenano.wire import ConfigError, RigError
 from telenano_experiments.journal import Journal, now_utc
 
 NAME = "people.json"
-# The folders of which each participant has one of his own, and those that are made anew from the journal.
+# The folders of which each participant has one of his own, and those that are made again from the journal.
 OF_PARTICIPANTS = ("recordings", "rig")
 DERIVED = ("table", "analysis")
 _SHAPE = re.compile(r"[A-Za-z]{1,4}[-_]?\d{1,6}")
@@ -69,7 +69,7 @@ class People:
             raise ConfigError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def change(self, pseudonym: str, **fields: Any) -> Person:
-        """Note something of a participant, who is added where there is none of that pseudonym.
+        """Note something of a participant, who is added where there is not one of that pseudonym.
 
         Raises:
             ConfigError: The pseudonym or a field is not one, or the file is damaged.

@@ -40,7 +40,7 @@ SHORT_NAMES = {"law": "controller.law", "network": "delay_node.profile"}
 _OF_TASK = "task."
 # The delay of what a participant's page shows, apart from that of the force [s]; it is no key of a scenario.
 PICTURE_DELAY = "picture.delay_s"
-# What a rig that runs takes by `set`, by section; everything else needs it to be started anew.
+# What a rig that runs takes by `set`, by section; everything else needs it to be started again.
 _RUNNING: Mapping[str, tuple[str, ...]] = {
     "controller": ("",),
     "delay_node": ("",),

@@ -23,13 +23,13 @@ _MARGIN_NS = 1_000_000_000
 
 
 class RecordedTrial:
-    """The last run of the operator's programme in a recording.
+    """The last run of the operator's force profile in a recording.
 
     Args:
         path: The recording of one trial.
 
     Raises:
-        RecordingError: The file cannot be read, or no programme ran in it.
+        RecordingError: The file cannot be read, or no force profile ran in it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -215,7 +215,7 @@ def _column(values: Any) -> npt.NDArray[Any]:
 
 
 def _last_run(path: Path, hand: _Rows) -> tuple[int, int]:
-    """Return when the operator's programme last began and ended [ns]."""
+    """Return when the operator's force profile last began and ended [ns]."""
     session_s = hand.column("session_s") if hand.columns else np.empty(0)
     runs = session_s >= 0.0
     before = np.concatenate(([-1.0], session_s[:-1]))

@@ -1,6 +1,6 @@
 """Runs the trials of an experiment over an apparatus, and writes what came of each to the journal.
 
-What is still to be done follows from the plan and the journal alone, so a run that was interrupted anywhere goes on
+What is still to be done follows from the plan and the journal alone, so a run that was interrupted anywhere continues
 with the trial that it was at. An attempt counts when its outcome is in the journal; no trial is lost or done twice.
 """
 
@@ -36,7 +36,7 @@ class Progress(NamedTuple):
         outcomes: The records of the attempts at each trial, by index.
         sessions: The numbers of the sessions that are over.
         erased: Whether the participant's data were erased.
-        excluded: Why the participant does not go on; empty otherwise.
+        excluded: Why the participant does not continue; empty otherwise.
     """
 
     outcomes: Mapping[int, list[Record]]
@@ -174,7 +174,7 @@ class Runner:
 
         Raises:
             ConfigError: A participant may not take part.
-            RigError: The apparatus cannot go on; everything until then is in the journal.
+            RigError: The apparatus cannot continue; everything until then is in the journal.
         """
         is_person, ended = self.plan.experiment.operator.kind == "person", ""
         for participant in participants:
@@ -234,7 +234,7 @@ class Runner:
         return ""
 
     def _practised(self, trials: Sequence[Trial], progress: Progress, following: Trial | None) -> str:
-        """Note once how each practice with a criterion ended; return why the session ends, empty where it goes on."""
+        """Note once how each practice with a criterion ended; return why the session ends, empty where it continues."""
         practice = self.plan.experiment.practice
         noted = {(r["participant"], r["session"], r["block"]) for r in self.journal.of("practice")}
         for trial in trials:
@@ -315,7 +315,7 @@ class Runner:
             self.desk.instruct(trial)
 
     def _after(self, trial: Trial, outcome: TrialOutcome) -> str:
-        """Do what follows a trial; return why the run ends, empty where it goes on."""
+        """Do what follows a trial; return why the run ends, empty where it continues."""
         action, reason = self.desk.action, self.desk.reason
         self._disturbed = self._disturbed + 1 if outcome.status == "disturbed" else 0
         if action == "exclude":

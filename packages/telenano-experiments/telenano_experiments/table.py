@@ -1,6 +1,6 @@
 """The tidy table of an experiment: a row for each attempt at a trial, made from its journal, with a data dictionary.
 
-Every table is made from the journal anew, so a participant who was erased there is in none of them.
+Every table is made from the journal again, so a participant who was erased there is in none of them.
 """
 
 import csv

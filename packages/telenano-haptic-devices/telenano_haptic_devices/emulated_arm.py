@@ -17,7 +17,7 @@ from telenano_haptic_devices.wires import Mechanics
 # half of the workspace, and the step of the encoders [m]
 RADIUS_M, _STEP_M = 0.10, 1e-6
 _SUBSTEP_S = 0.25e-3
-# A process that stood still for longer goes on from now, as the emulated handle does.
+# A process that stood still for longer continues from now, as the emulated handle does.
 _LONGEST_S = 0.05
 
 
@@ -70,18 +70,18 @@ class EmulatedArm:
             self.force_n = force
 
     def let_go(self) -> None:
-        """Take the force away at once, and what is on its way."""
+        """Take the force away at once, and what is in transit."""
         self._late.clear()
         self.force_n = ZERO
 
     def start_session(self, runs: bool) -> None:
-        """Let the hand begin its programme, or end it."""
+        """Let the hand begin its force profile, or end it."""
         if runs != (self.session_s is not None):
             self.session_s = 0.0 if runs else None
 
     def advance(self, duration_s: float) -> None:
-        """Go on by a time [s], in whole steps; what is left is kept for the next call."""
-        # A person goes on with the take, whatever stood still.
+        """Continue by a time [s], in whole steps; what is left is kept for the next call."""
+        # A person continues with the take, whatever stood still.
         self._left_s += duration_s if self.person is not None else min(duration_s, _LONGEST_S)
         while self._left_s >= _SUBSTEP_S:
             self._left_s -= _SUBSTEP_S

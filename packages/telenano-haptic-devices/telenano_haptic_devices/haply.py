@@ -3,7 +3,7 @@
 The service sends one full message when a client connects, and after that exactly one message of states for each one
 that it receives. A state carries neither time nor number, so its age is the time from sending to receipt. It counts for
 the newest message only: what has come before a request, or before another message, was not asked for and is dropped and
-counted, and a service that goes on with it is lost. A reading that is frozen shows only as a place that stands still
+counted, and a service that continues with it is lost. A reading that is frozen shows only as a place that stands still
 under a force that changes; the coupling looks for that.
 
 Frames: the device has +x to the right, +y away from the person and +z up, which is the master frame.
@@ -41,10 +41,10 @@ EMULATED = "telenano emulator"
 SESSION_RUNS, SESSION_RESTS = "org.telenano:session-runs", "org.telenano:servo"
 BUTTONS = ("a", "b", "c")
 _OPEN_S = 3.0
-# The service may take as long for a place as the coupling bears silence.
+# The service may take as long for a place as the coupling tolerates silence.
 _SILENT_S = 0.05
 _CHECK_S = 0.1
-# So many readings more with unasked messages than without are no accident.
+# This number of readings more with unasked messages than without are no accident.
 _MOST_UNASKED = 50
 # A difference of the force that is sent and the one that is rendered which deserves a remark.
 _FORCE_SHARE, _FORCE_N = 0.1, 0.1
@@ -189,7 +189,7 @@ class HaplyWire:
         self._emulated = config.device_info.model == EMULATED
         self._session, self._differs, self._unasked_lately = None, 0, 0
         self._orientation, self._grip_ns = UPRIGHT, 0
-        # A service that was lost and is back goes on with the session of before.
+        # A service that was lost and is back continues with the session of before.
         first = {
             "session": {"configure": {"profile": {"name": SESSION_RUNS if self._runs else SESSION_RESTS}}},
             "inverse3": [{"device_id": self._id, "configure": self._filters, "commands": {"probe_position": {}}}],

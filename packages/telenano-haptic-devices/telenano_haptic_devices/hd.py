@@ -28,8 +28,9 @@ _CALIBRATED, _NEEDS_UPDATE = 0x5000, 0x5001
 _INVALID = 0xFFFFFFFF
 _CONTINUE, _DONE = 1, 0
 _PRIORITY = 65_535
-# The library's scheduler has stopped when it has not called in so many looks of so long, one after the other: 50 ms. A
-# process that stood still as a whole has missed one look. The first call, and one that is not over, may take longer.
+# The library's scheduler has stopped when it has not called in this number of looks of this length, one after the
+# other: 50 ms. A process that stood still as a whole has missed one look. The first call, and one that is not over, may
+# take longer.
 _WAIT_S, _SILENT_LOOKS, _PATIENT_LOOKS = 0.01, 5, 50
 _MM = 1e-3
 _NEARLY = 1.0 - 1e-6

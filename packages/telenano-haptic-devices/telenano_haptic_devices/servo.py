@@ -26,7 +26,7 @@ from telenano.hand import (
     coupling_step,
 )
 
-# An error is a sentence of at most so many bytes.
+# An error is a sentence of at most this number of bytes.
 ERROR_BYTES = 240
 
 

@@ -2,7 +2,7 @@
 
 The node starts this module as a program and writes one line of JSON to its input, which device and where the shared
 memory is; the process answers with a line, what the device can do or why it is not there.
-From then on both talk through shared memory. The force is zero without a word of the node for 50 ms, and the process
+After that both talk through shared memory. The force is zero without a word of the node for 50 ms, and the process
 ends with the node.
 """
 

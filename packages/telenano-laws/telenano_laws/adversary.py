@@ -2,7 +2,7 @@
 
 A draw has a line (delays, jitter, losses in bursts, outages that drop or hold, repeated messages), a sample (a spring
 that pulls, a wall, or tip and sample of the paper with a cantilever of another stiffness, which may drift), a hand (a
-course of forces, or an arm of any stiffness on its way along a path) and, for `bounded_model`, a model that is wrong
+course of forces, or an arm of any stiffness moving along a path) and, for `bounded_model`, a model that is wrong
 from the beginning: first stiffness, memory, rate and lag terms. Everything follows from the number of the draw.
 
 What is judged are the sums of docs/laws.md, "Passivity in discrete time": the force that is held over each step of the
@@ -21,7 +21,7 @@ import numpy as np
 import telenano
 
 LAW = "bounded_model"
-# the stiffest sample that the law bears over a line that loses signals, which are most of those drawn [N/m]
+# the stiffest sample that the law tolerates over a line that loses signals, which are most of those drawn [N/m]
 STIFFEST_N_PER_M = 175.0
 _SHORT_S, _HOUR_S = 20.0, 3600.0
 

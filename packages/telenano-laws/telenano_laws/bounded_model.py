@@ -406,7 +406,7 @@ def master_send(
 def _let_go(
     params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, stood_s: float
 ) -> MasterState:
-    """Leave the mass with the hand, and what the model had stored in the store; after an arming all begins anew."""
+    """Leave the mass with the hand, and what the model had stored in the store; after an arming all begins again."""
     p, store = params.mass, state.store
     if state.rendered:
         y = tip_reference(p, state.mass) / p.position_scale

@@ -1,7 +1,7 @@
-"""A law by the line: what the line does is measured, and the law changes to the first of a list that bears it.
+"""A law by the line: what the line does is measured, and the law changes to the first of a list that tolerates it.
 
 What is measured is what `law/status` of the master's half and `node/health` of both halves say, so it is the line of
-the session itself and no probe. A law bears a line where its stated limit of stiffness (docs/laws.md, "How stiff a
+the session itself and no probe. A law tolerates a line where its stated limit of stiffness (docs/laws.md, "How stiff a
 sample may be") is above the sample over such a line, and where the age of the tip's answers is below the longest one
 for which the law was found to follow. The change itself is the ordinary one, `set law=...`, in which both devices stand
 still for a round trip; so it is asked for only while the hand would not go further than `STOOD_M` in that time.
@@ -23,13 +23,13 @@ _CROSSING = {MASTER: "teleop/backward", SLAVE: "teleop/forward"}
 DWELL_S, WINDOW_S = 10.0, 10.0
 # The way that a hand may lose by standing still [m], half of what counts as a jump.
 STOOD_M = 5e-5
-# The hand coasts to rest beside the round trip that it stands for [s].
+# The hand coasts to rest beside the round trip that it represents [s].
 _COASTING_S = 0.02
 # The line stands still while nothing has come for longer than this [s].
 STALL_S = 0.05
 # A stall is a silence of this length or more, and stalls are counted over so long a time [s].
 SILENT_S, STALLS_S = 0.1, 60.0
-# Signals whose ages differ by no more than so many periods come after the same time.
+# Signals whose ages differ by no more than this number of periods come after the same time.
 _EVEN_PERIODS = 2.0
 
 
@@ -125,7 +125,7 @@ class LineWindow:
         self._counts: dict[str, deque[tuple[float, int, int]]] = {half: deque() for half in _CROSSING}
 
     def forget(self) -> None:
-        """Forget the ages, because a half that begins anew has heard nothing; its line stood still as often."""
+        """Forget the ages, because a half that begins again has heard nothing; its line stood still as often."""
         self._ages.clear()
 
     def add_age(self, time_s: float, age_s: float, silence_s: float) -> None:
@@ -157,7 +157,7 @@ class LineWindow:
             return None
         ages = sorted(age for _, age, _ in self._ages)
         received = sum(counts[-1][1] - counts[0][1] for counts in self._counts.values() if counts)
-        # A node that was started anew counts from nothing.
+        # A node that was started again counts from nothing.
         lost = sum(max(counts[-1][2] - counts[0][2], 0) for counts in self._counts.values() if counts)
         return Line(
             floor_s=ages[0],
@@ -172,7 +172,7 @@ class LineWindow:
 
 
 class Policy:
-    """Decides from the messages of a rig which law its line is to have; it only says so, and sends nothing."""
+    """Decides from the messages of a rig which law its line is to have; it only reports it, and sends nothing."""
 
     def __init__(
         self,
@@ -263,7 +263,7 @@ class Policy:
         return decision
 
     def decided(self, line: Line) -> Decision | None:
-        """Return the first law that bears a line, where it is not the one in force; none where no law does."""
+        """Return the first law that tolerates a line, where it is not the one in force; none where no law does."""
         against: list[str] = []
         for candidate in self.candidates:
             doubts = self.doubts(candidate, line)

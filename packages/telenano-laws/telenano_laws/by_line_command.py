@@ -41,7 +41,7 @@ def by_line(
     duration: DurationOption = None,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
 ) -> None:
-    """Watch the line of a running rig and change to the first law that bears it, until Ctrl-C.
+    """Watch the line of a running rig and change to the first law that tolerates it, until Ctrl-C.
 
     A law is changed at most once in 10 s, while the hand is nearly at rest, and never to one whose stated limit the
     sample is beyond. Each change is a `set law=...` of the session, and leaves a mark with its reason in the recording.

@@ -19,7 +19,7 @@ the guard and this form of the correction are derived here. The impedance b is c
 the literature, moves hand and tip apart while the ends differ.
 
 What nano scale changes: the tip's end is a position source, so its damper b is a share of the measured force taken from
-the base's speed, which bears samples up to 4 b / (alpha_f alpha_p n Ts); and b is felt by the hand beside B_v.
+the base's speed, which tolerates samples up to 4 b / (alpha_f alpha_p n Ts); and b is felt by the hand beside B_v.
 """
 
 import math
@@ -68,7 +68,7 @@ from telenano_laws.ports import (
     worked_at,
 )
 
-# after such a silence no wave is on its way any more, and the base stands [s]
+# after such a silence no wave is in transit any more, and the base stands [s]
 _STANDS_S = 0.02
 # the periods of the longest step that a slave half makes after late signals
 _LONGEST_STEP = 3
@@ -104,7 +104,7 @@ class MatchedWaveConfig(MassConfig):
         return MatchedWaveParams(self.mass_params(period_s, b), b, rate, self.energy_cap_j)
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the base bears against 2 b, over the longest step."""
+        """Return the stiffest sample [N/m] that the base tolerates against 2 b, over the longest step."""
         return virtual_mass.stiffness_limit_n_per_m(self, 2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
 
 
@@ -179,7 +179,7 @@ def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def emptied(position_m: float, energy_j: float) -> Inbox:
-    """Start counting at a signal: what it stands for counts as taken."""
+    """Start counting at a signal: what it represents counts as taken."""
     return Inbox(position_m, position_m, energy_j, energy_j)
 
 

@@ -148,7 +148,7 @@ def paid_base(
         params: The scales.
         position_m: Where the base was sent last [m].
         tip: Where it is, and against what force.
-        way_m: How far it should go on, at the hand's scale [m].
+        way_m: How far it should continue, at the hand's scale [m].
         stiffness_n_per_m: The stiffest sample that is paid for, at the hand's scale [N/m].
         left_j: The energy that may leave [J].
         unpaid_m: How far it goes without energy where no force is against that, at the hand's scale [m].
@@ -178,7 +178,7 @@ def is_heard(signal: PortSignal, silence_limit_s: float) -> bool:
 
 @compiled
 def has_to_be_armed(tip: TipMeasurement) -> bool:
-    """Return whether the tip is retracted in free air, so that what follows begins anew."""
+    """Return whether the tip is retracted in free air, so that what follows begins again."""
     return not tip.following and not tip.in_contact
 
 

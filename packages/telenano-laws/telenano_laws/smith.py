@@ -38,8 +38,8 @@ from telenano.numerics import compiled, decay
 VirtualImpedanceParams = impedance.VirtualImpedanceParams
 is_retracted = virtual_mass.is_retracted
 
-# So many references are kept, one a period. The oldest stands for still older ones, so longer delays are bridged in
-# part.
+# This number of references are kept, one a period. The oldest represents still older ones, so longer delays are bridged
+# in part.
 HISTORY = 1024
 # the newest of them apart, in blocks of so many, because a step copies what it changes
 _BLOCK = 32
@@ -206,7 +206,7 @@ def master_receive(
     then = reference_then(state, signal.round_trip_s, p.period_s)
     estimate = estimated(params, state.estimate, then, signal)
     if is_retracted(p, signal):
-        # After arming anew the tip may meet another sample.
+        # After arming again the tip may meet another sample.
         estimate = _without_memory(params.stiffness_n_per_m)
     wanted = estimate.stiffness_n_per_m if signal.in_contact and coupled else 0.0
     reach = params.rate_n_per_m * periods_in(dt, p.period_s)

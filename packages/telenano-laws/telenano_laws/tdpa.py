@@ -83,7 +83,7 @@ from telenano_laws.ports import (
     worked_at,
 )
 
-# A tip whose account is empty goes on through the air, by so much that meeting the sample costs no more, which is
+# A tip whose account is empty continues through the air, by so much that meeting the sample costs no more, which is
 # granted [J]. Else it could never be brought back to the sample.
 _TOUCH_J = 1e-6
 

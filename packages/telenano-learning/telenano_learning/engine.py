@@ -74,7 +74,7 @@ class Drawn(NamedTuple):
 
 
 def drawn(random: np.random.Generator, steps: int) -> Drawn:
-    """Draw an episode of at most so many steps: radius, friction, cone, drift, errors, goal and noise."""
+    """Draw an episode of at most this number of steps: radius, friction, cone, drift, errors, goal and noise."""
     cone = math.radians(random.uniform(10.0, 20.0))
     shear_pa = KIND.shear_pa * math.exp(0.3 * random.standard_normal())
     kind = KIND._replace(radius_m=KIND.radius_m * random.uniform(0.95, 1.05), shear_pa=shear_pa)

@@ -153,7 +153,7 @@ class PushEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
     """Many environments as one compiled step; row i is a `PushEnv` whose seed is i more.
 
-    An episode that has ended begins anew with the next step, whose action it does not heed.
+    An episode that has ended begins again with the next step, whose action it does not heed.
 
     Args:
         num_envs: How many.
@@ -195,7 +195,7 @@ class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         pushing, episodes, fresh = self._pushing, self._pushing.episodes, self._ended
         before = _named(episodes.told())["achieved_goal"]
-        # a row that has ended is begun anew after the step of the others
+        # a row that has ended is begun again after the step of the others
         episodes.taken[fresh] = 0
         episodes.step(np.ascontiguousarray(actions, np.float64))
         for row in np.flatnonzero(fresh).tolist():

@@ -37,7 +37,7 @@ from telenano_microscopy.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
 
-# The contact, and the way from the sample after it, are thinned to so many points.
+# The contact, and the way from the sample after it, are thinned to this number of points.
 _MOST_POINTS, _MOST_FREE_POINTS = 200, 400
 _LEAST_POINTS = 12
 _GRID = 600

@@ -49,7 +49,7 @@ def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
 
     Raises: numpy.linalg.LinAlgError where the columns do not tell the coefficients apart.
     """
-    # columns of one size: their products must not decide which of them are told apart
+    # columns of one size: their products must not decide which of them are distinguished
     size = np.sqrt((columns**2).sum(axis=0))
     if not (np.isfinite(size).all() and size.all()):
         raise np.linalg.LinAlgError("a column is nothing")

@@ -81,7 +81,7 @@ def run_program(
 
 
 def _aborted(listener: "_Listener", send: Callable[[str], None]) -> AfmProgram:
-    """End the program and return its last report; RigError when the instrument does not answer and goes on."""
+    """End the program and return its last report; RigError when the instrument does not answer and continues."""
     try:
         with held():
             try:

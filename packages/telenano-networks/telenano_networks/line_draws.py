@@ -75,7 +75,7 @@ def _is_fitted(way: DirectionSettings) -> bool:
 
 
 def _held_ns(settings: LinkSettings, arrived_ns: Times, size_bytes: int) -> Times | None:
-    """Return when each message may go on [ns]; None where a stall holds more than the queue takes."""
+    """Return when each message may continue [ns]; None where a stall holds more than the queue takes."""
     ready_ns = arrived_ns.copy()
     outage, queue = settings.forward.outage, settings.forward.queue
     if outage.mean_up_s is None:

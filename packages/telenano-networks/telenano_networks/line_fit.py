@@ -30,9 +30,9 @@ _LEAST_CORRELATION, _MOST_CORRELATION = 0.05, 0.9999
 _LEAST_SHARE = 0.03
 # Nor is there where the time that neighbours give misses the correlations by less (root mean square).
 _LITTLE = 0.03
-# Times in which what lasts may fall to 1/e: from so many periods up to so many of the longest lag.
+# Times in which what lasts may fall to 1/e: from this number of periods up to this number of the longest lag.
 _SHORTEST_TIME, _LONGEST_TIME = 0.3, 10.0
-# The second time is shorter by so many times at least, and one of so many is tried.
+# The second time is shorter by this number of times at least, and one of this number is tried.
 _APART, _SECOND_TIMES = 4.0, 12
 # With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
 _FEWEST_STALLS = 5
@@ -50,11 +50,11 @@ SPREAD = "spread of its logarithm"
 _LAGS_S = (1.0, 10.0, 60.0)
 _FEWEST_LAGS = 5.0
 _COUNTED = 0.995
-# Losses are compared over windows of this length, of so many messages and so many windows at least.
+# Losses are compared over windows of this length, of this number of messages and this number of windows at least.
 _WINDOW_S = 10.0
 _FEWEST_IN_WINDOW = 5
 _FEWEST_WINDOWS = 5
-# Generated and measured are alike within so many deviations of what is generated, or within these differences.
+# Generated and measured are alike within this number of deviations of what is generated, or within these differences.
 _DEVIATIONS = 4.0
 _NEARLY = {"correlation": 0.1, "10-s": 0.01, "deviation": 0.01}
 # Of few windows as many as these are chance.

@@ -23,7 +23,7 @@ from telenano_networks.line_sources import Column, Direction, is_delivery_trace,
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Fewer messages, or a shorter time, say nothing of what happens now and then.
 FEWEST, SHORTEST_S = 300, 30.0
-# A pause in sending is longer than so many periods, and than this.
+# A pause in sending is longer than this number of periods, and than this.
 _PAUSE_PERIODS, _PAUSE_S = 20.0, 1.0
 # Outside of these no median delay of a line lies, and a unit is wrong.
 _SHORTEST_DELAY_S, _LONGEST_DELAY_S = 1e-6, 100.0
@@ -37,9 +37,9 @@ _LOST = "lost"
 _LARGEST_BYTES = 256_000_000
 # Longer times say that a unit is wrong: between two messages, and of a whole log [s].
 _LONGEST_PERIOD_S, _LONGEST_LOG_S = 600.0, 1e8
-# A step of one of two clocks is sought after each of so many parts of a log.
+# A step of one of two clocks is sought after each of this number of parts of a log.
 _PARTS = 20
-# Rows that go back in time more often than in this share, and so many times, are not in the order of sending.
+# Rows that go back in time more often than in this share, and this number of times, are not in the order of sending.
 _MOST_BACK_SHARE, _MOST_BACK = 0.01, 3
 
 

@@ -17,7 +17,8 @@ from telenano_networks.line_sources import Column
 Numbers = npt.NDArray[np.int64]
 # Messages of one go arrive within this share of the period at which they were sent.
 _TOGETHER = 0.2
-# A stall is longer than so many periods, and than so many times the distance from the median to the third quartile.
+# A stall is longer than this number of periods, and than this number of times the distance from the median to the third
+# quartile.
 _PERIODS, _SPREADS = 2.0, 8.0
 _BLOCK_S = 20.0
 # The longest time over which the delay is compared with itself [s].
@@ -92,7 +93,7 @@ class Tally(NamedTuple):
         return np.ones(len(self.seconds), dtype=np.int64)
 
     def draws(self, seed: int, count: int) -> Iterable[Numbers]:
-        """Give the weights of so many resamples of the blocks, with replacement."""
+        """Give the weights of this number of resamples of the blocks, with replacement."""
         draw, size = np.random.default_rng(seed), len(self.seconds)
         for _ in range(count):
             yield np.bincount(draw.integers(size, size=size), minlength=size)

@@ -23,7 +23,7 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
         topic: The topic.
         text: The fields as YAML.
         rate_hz: How often the message is sent [Hz].
-        count: How many messages are sent; None goes on until Ctrl-C.
+        count: How many messages are sent; None continues until Ctrl-C.
 
     Raises:
         ConfigError: A field is wrong, or another publisher would be right; the message names it.

@@ -120,7 +120,7 @@ def udp(
 
 
 class Keeper:
-    """Writes the messages of the link to a recording; one that cannot be written ends, and the link goes on."""
+    """Writes the messages of the link to a recording; one that cannot be written ends, and the link continues."""
 
     def __init__(self, writer: "RecordingWriter") -> None:
         self.path, self.fault = writer.path, ""

@@ -32,7 +32,7 @@ class Ports(Protocol):
 
 
 class Bounds(NamedTuple):
-    """How much may be on its way in each direction, in datagrams and in bytes."""
+    """How much may be in transit in each direction, in datagrams and in bytes."""
 
     datagrams: int = 20_000
     size_bytes: int = 64 << 20
@@ -107,7 +107,7 @@ class UdpLink(DelayNode):
             outlets: The publishers at the slave and at the master.
             ports: What datagrams are sent with, and come from.
             folder: The folder in which the files of the settings are sought.
-            bounds: How much may be on its way in each direction.
+            bounds: How much may be in transit in each direction.
             duration_s: After this time the link ends [s]; None: at a signal.
 
         Raises:
@@ -159,7 +159,7 @@ class UdpLink(DelayNode):
             self.context.request_stop()
 
     def make_safe(self) -> None:
-        """Report the fates that are not reported yet; what is still on its way stays unsent."""
+        """Report the fates that are not reported yet; what is still in transit stays unsent."""
         self._publish_status()
         for way in self._ways:
             self._publish_fates(way)

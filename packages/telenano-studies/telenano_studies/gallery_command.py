@@ -45,5 +45,5 @@ def gallery_command(
 
 
 def _theory(law: dict[str, Any]) -> float | str:
-    """Return the round trip that a law bears by theory [ms], in words where it is no number."""
+    """Return the round trip that a law tolerates by theory [ms], in words where it is no number."""
     return ("any" if law["critical_ms"] is None else float(law["critical_ms"])) if law["linear"] else "not linear"

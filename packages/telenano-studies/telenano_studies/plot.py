@@ -21,7 +21,7 @@ _BRAILLE = 0x2800
 _LABEL_COLUMNS = 12
 # parts of a trace in a picture, two for each of its pixels
 _BINS = 2160
-# So many samples of a trace are kept in memory.
+# This number of samples of a trace are kept in memory.
 _MOST_KEPT = 1 << 20
 
 
@@ -60,7 +60,7 @@ class _Course:
 def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     """Read the fields named TOPIC.FIELD, each topic once and by the index of the recording.
 
-    Of more than a million samples those are kept that a line of so many pixels shows.
+    Of more than a million samples those are kept that a line of this number of pixels shows.
 
     Raises:
         ConfigError: A name is not of that form.
@@ -95,7 +95,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
 
 
 def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:
-    """Return times [s] and values of the least and the greatest value in each of so many even spans of time.
+    """Return times [s] and values of the least and the greatest value in each of this number of even spans of time.
 
     A line through them covers the same pixels as one through all, so that no peak is lost. A short trace comes as it
     is.
@@ -107,7 +107,7 @@ def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:
 
 
 def _extreme_places(times: npt.NDArray[Any], values: Floats, bins: int) -> npt.NDArray[np.intp]:
-    """Return the places of the least and the greatest value in each of so many even spans of ascending times.
+    """Return the places of the least and the greatest value in each of this number of even spans of ascending times.
 
     A span without any number has its first place, so that the line has the gap. The first and the last are among them.
     """

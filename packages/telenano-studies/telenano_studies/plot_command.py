@@ -7,7 +7,7 @@ import typer
 
 from telenano.cli import report_errors
 
-# A drawing has so many columns and rows where there is no terminal.
+# A drawing has this number of columns and rows where there is no terminal.
 _SIZE = (100, 12)
 
 

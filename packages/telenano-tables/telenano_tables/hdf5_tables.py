@@ -58,7 +58,7 @@ def _create_dataset(group: Any, name: str, found: set[type]) -> None:
     elif kind is list:
         options = {"dtype": h5py.vlen_dtype(np.float64)}
     elif type(None) in found:
-        # nan stands for what is not there
+        # nan represents what is not there
         options = {"dtype": np.float64}
     else:
         options = {"dtype": np.dtype(kind), "compression": "gzip", "shuffle": True}

@@ -44,7 +44,7 @@ FOLDER_NAME, MERGED_NAME = "far", "both.mcap"
 BESIDE_KBIT_PER_S = 1000.0
 _WINDOW_BYTES = 1 << 20
 _POLL_MS = 50
-# The other end may be silent for so long before it is asked again, and before the fetch is given up.
+# The other end may be silent for this time before it is asked again, and before the fetch is given up.
 _ASK_AGAIN_NS, PATIENCE_NS = 2_000_000_000, 15_000_000_000
 # This much of a disk stays free.
 _SPARE_BYTES = 64 << 20
@@ -81,7 +81,7 @@ class PartialFile:
     """A file that is being fetched: what it has is right, and what comes is checked before it is added."""
 
     def __init__(self, folder: Path, name: str) -> None:
-        """Go on with what an earlier attempt left; OSError where the folder cannot be written."""
+        """Continue with what an earlier attempt left; OSError where the folder cannot be written."""
         self.name = name
         self.target = folder / name
         self._part = folder / f"{name}.part"
@@ -160,7 +160,7 @@ def fetch(
     Args:
         book: The addresses of the rig.
         names: The names of the parts.
-        folder: The folder for them. A part that is not whole yet ends in `.part`, and a later call goes on with it.
+        folder: The folder for them. A part that is not whole yet ends in `.part`, and a later call continues with it.
         kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
         progress: Called with the name, the bytes that are here and those of the whole file.
 

@@ -27,7 +27,7 @@ def fetch(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
+    """Fetch what the slave's site recorded of a session, and merge it with DIR; continues where it was ended."""
     with report_errors(as_json):
         names = None if files is None else checked_names(files, "--file")
         own, faults = own_recordings(folder)

@@ -53,7 +53,7 @@ class PieceSender:
                 half_open.pop_all()
         except OSError as error:
             raise RefusedError(f"{name} cannot be read: {error.strerror}") from error
-        # What is being sent goes on where a command is refused.
+        # What is being sent continues where a command is refused.
         self.close()
         self._file, self._head = file, head
         self._name, self._next, self._end = name, offset, offset + count

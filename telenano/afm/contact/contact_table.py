@@ -8,8 +8,8 @@ from the direct solution, the stiffness linear between its own nodes (near u = 0
 differentiate). The lookup finds its cell from the binary exponent of u. The cohesive branch is closed form.
 
 Beyond the range: below the end of the stable branch the force is zero (surfaces apart). Above the last tabulated
-indentation it goes on along its tangent, which is continuous, monotone and softer than the contact; the last point lies
-beyond every force the device may meet (`build_contact_table`), so the force limit has long tripped there.
+indentation it continues along its tangent, which is continuous, monotone and softer than the contact; the last point
+lies beyond every force the device may meet (`build_contact_table`), so the force limit has long tripped there.
 """
 
 import math

@@ -2,7 +2,7 @@
 
 Every cell is the cubic that has the force and the gradient of `branch_force` at its two ends; its greatest error is
 measured against `branch_force` when the grid is built. Above the grid van der Waals' force falls with 1/h^2; below it
-the force goes on along its tangent. Where a branch begins or ends is given as a passage, with the jump of the force
+the force continues along its tangent. Where a branch begins or ends is given as a passage, with the jump of the force
 there.
 """
 

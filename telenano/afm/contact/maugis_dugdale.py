@@ -10,7 +10,7 @@ With the angle s = arcsec m, m = c/a, and C instead of A, Eq. 9 has only bounded
     D = C^2 cos^2 s - (4/3) lambda C sin s                                                                      (Eq. 10)
 
 so every contact is one angle in (0, pi/2], without the cancellation of large m. At s = pi/2 the contact radius is zero
-and the cohesive branch goes on: a uniform stress sigma0 inside radius c lifts the surface by (4/pi) sigma0 c / E* at
+and the cohesive branch continues: a uniform stress sigma0 inside radius c lifts the surface by (4/pi) sigma0 c / E* at
 r = c, where the gap must be h0 = w / sigma0. Hence
 
     P = -(pi/2) lambda C^2,   D = C^2/2 - (8 / 3 pi) lambda C - 2 / (pi lambda),

@@ -15,7 +15,7 @@ from telenano.wire.errors import RefusedError
 RISE, IMAGE, DONE = range(3)
 # An approach and the settling of the instrument's own z-controller take no longer, besides the first line [s].
 _APPROACH_S = 70.0
-# Controllers of this kind send a line in packets of so many pixels.
+# Controllers of this kind send a line in packets of this number of pixels.
 _PACKET = 16
 
 

@@ -47,7 +47,7 @@ class Reach(NamedTuple):
             return Span(0.0, self.above_m)
         s, (rows, columns) = self.surface, self.surface.height_m.shape
         way = math.hypot((end.x_m - begin.x_m) / s.step_x_m, (end.y_m - begin.y_m) / s.step_y_m)
-        # The surface goes on level beyond the map, so more points than twice its diagonal see nothing new.
+        # The surface continues level beyond the map, so more points than twice its diagonal see nothing new.
         shares = np.linspace(0.0, 1.0, min(math.ceil(2.0 * way), 4 * (rows + columns)) + 2)
         x = (begin.x_m + shares * (end.x_m - begin.x_m) + 0.5 * s.width_m) / s.step_x_m - 0.5
         y = (begin.y_m + shares * (end.y_m - begin.y_m) + 0.5 * s.depth_m) / s.step_y_m - 0.5

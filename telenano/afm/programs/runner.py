@@ -75,7 +75,7 @@ class ProgramRunner:
         return RunnerState(self.name, self.state, self._aborted, self._notice, *made)
 
     def restore(self, state: RunnerState) -> None:
-        """Go on from a state; ValueError or KeyError, if its program is not as it was."""
+        """Continue from a state; ValueError or KeyError, if its program is not as it was."""
         self.name, self.state, self._aborted, self._notice, plan, reached = state
         if plan is not None and reached is not None:
             kind, kind_reached = self._program.kinds()

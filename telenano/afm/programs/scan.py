@@ -248,7 +248,7 @@ def _towards(plan: ScanPlan, line: int, place: Place, dt: float) -> Place:
 def _advance(
     plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float
 ) -> tuple[ScanState, Place, FinishedLine | None]:
-    """Count the sample where the tip is, and go on along the line; at its end turn, and after both ways to the next."""
+    """Count the sample where the tip is, and advance along the line; at its end turn, after both ways take the next."""
     s = plan.settings
     place, left = inputs.place, s.x_m - 0.5 * plan.width_m
     pixel = min(max(int((place.x_m - left) / plan.width_m * s.pixels), 0), s.pixels - 1)

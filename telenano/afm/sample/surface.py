@@ -51,7 +51,7 @@ PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
 def height_at(
     height_m: Heights, step_x_m: float, step_y_m: float, x_m: float, y_m: float
 ) -> tuple[float, float, float]:
-    """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it goes on level.
+    """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it continues level.
 
     Raises:
         ValueError: The point is not finite: compiled code would look it up anywhere in memory.
@@ -116,7 +116,7 @@ def dots(size_m: float, pixels: int, count: int, radius_m: float, height_m: floa
     A dot is half an ellipsoid, height_m [m] tall on a circle of radius_m [m]. The seed alone decides the places.
 
     Raises:
-        ValueError: So many dots find no room.
+        ValueError: This number of dots find no room.
     """
     random = np.random.Generator(np.random.PCG64(seed))
     places: list[tuple[float, float]] = []

@@ -65,7 +65,7 @@ def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
     try:
         is_long = file.stat().st_size >= _LONG_BYTES
     except OSError:
-        # whoever reads it says so
+        # the process that reads it reports it
         return None
     return quick_info(file) if is_long and not full else None
 

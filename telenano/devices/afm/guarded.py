@@ -107,7 +107,7 @@ class Step:
 
 
 def line_fields(line: FinishedLine, lines: int, friction: FrictionConfig) -> dict[str, Any]:
-    """Return afm/scanline for a line of an image of so many lines."""
+    """Return afm/scanline for a line of an image of this number of lines."""
     further = {"dissipated_j": line.dissipated_j, "lateral_force_n": line.lateral_n}
     if line.lateral_n is not None:
         further["torsion_rad"] = line.lateral_n / (friction.lateral_stiffness_n_per_m * friction.tip_height_m)
@@ -167,7 +167,7 @@ class Stage(AfmPart):
 class SimulatedTime(AfmPart):
     """Lets the time of a simulation pass.
 
-    Between two steps it goes on by what is known of the motion, in shares that let others have the processor.
+    Between two steps it continues by what is known of the motion, in shares that let others have the processor.
     """
 
     def __init__(self, simulation: Simulation, node: Node) -> None:
@@ -299,7 +299,7 @@ class GuardedInstrument:
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
         step = Step(allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
-        # A tip that taps goes on until it is away: at rest it would lie on the sample, and push what is beside it.
+        # A tip that taps continues until it is away: at rest it would lie on the sample, and push what is beside it.
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:
             self._vibration.vibrate(0.0)
         step.sample = self._driver.exchange(allowed.base_m)

@@ -170,7 +170,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
     def _take(self, answer: Answer, now_ns: int) -> None:
         """Take the words of an answer; with those of the last request of a cycle there is a sample."""
         if answer.exception:
-            # The device is busy: the cycle begins anew, and only the age decides.
+            # The device is busy: the cycle begins again, and only the age decides.
             self._requests.clear()
             self._words = ()
             return

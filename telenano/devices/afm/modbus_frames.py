@@ -86,7 +86,7 @@ class Answer(NamedTuple):
 
 
 class FramingError(TelenanoError, ValueError):
-    """Bytes that are no answer in Modbus TCP: the connection has to be made anew."""
+    """Bytes that are no answer in Modbus TCP: the connection has to be made again."""
 
 
 class Conversation:
@@ -173,7 +173,7 @@ class Conversation:
         return Answer(tuple(pdu.registers), 0)
 
     def _framed(self, request: ModbusPDU) -> bytes:
-        # 0 stands for no transaction in pymodbus
+        # 0 represents no transaction in pymodbus
         self._transaction = self._transaction % 0xFFFF + 1
         request.transaction_id, request.dev_id = self._transaction, self._device_id
         self._function = request.function_code

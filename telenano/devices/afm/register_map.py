@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from telenano.settings.config import Settings, read_yaml, validate
 
 MAPS = Path(__file__).parent / "maps"
-# A request can ask for so many neighbouring registers.
+# A request can ask for this number of neighbouring registers.
 MOST_REGISTERS = 125
 
 RegisterType = Literal["float32", "int16", "uint16", "int32", "uint32"]

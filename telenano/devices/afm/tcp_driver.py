@@ -1,6 +1,6 @@
 """What the drivers of instruments behind a TCP connection have in common: ticks that never wait.
 
-A loss is a state, which the report tells: the connection is made anew, and the talk with the instrument begins at its
+A loss is a state, which the report tells: the connection is made again, and the talk with the instrument begins at its
 beginning. After that the base stays retracted until the guard of the node has it there as well.
 """
 

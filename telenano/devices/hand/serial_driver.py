@@ -227,7 +227,7 @@ class SerialHandle:
         self._send_command(command)
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Take what has come and return the newest sample; a handle that is lost repeats it, and `report` says so."""
+        """Take what has come and return the newest sample; a handle that is lost repeats it, and `report` states it."""
         self._session_runs = session_time_s >= 0.0
         now_ns = self._now_ns()
         self._poll(now_ns)
@@ -386,7 +386,7 @@ class SerialHandle:
         self._report = HapticReport(status, age_s, bool(flags & wire.HandleFlag.ESTOP_PRESSED), self._text, counts)
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
-        """Say once what goes on for long: samples that are old, frames that are bad (once a second at most)."""
+        """Say once what continues for long: samples that are old, frames that are bad (once a second at most)."""
         if age_s <= _SLOW_PERIODS * self._period_s or status == "lost":
             self._slow_since_ns = 0
         elif self._slow_since_ns == 0:
@@ -440,7 +440,7 @@ def modes_of(hello: wire.HandleHello) -> tuple[int, ...]:
 
 
 def reset_text(before: int | None, session: int) -> str:
-    """Return the report of a device that was started anew, by the numbers of its sessions."""
+    """Return the report of a device that was started again, by the numbers of its sessions."""
     return f"the handle was reset: session {session}, not {before}"
 
 

@@ -139,7 +139,7 @@ class HandleState(NamedTuple):
 
 
 class DeviceFault(NamedTuple):
-    """A fault that the device reports; severity 2 means that it cannot go on."""
+    """A fault that the device reports; severity 2 means that it cannot continue."""
 
     seq: int
     code: int
@@ -180,7 +180,7 @@ def encode_stop(seq: int, session: int) -> bytes:
 
 
 def encode_frame(payload: bytes) -> bytes:
-    """Return a payload as it goes on the line; ValueError if it is longer than a frame may be."""
+    """Return a payload as it continues the line; ValueError if it is longer than a frame may be."""
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload has 1 to {MAX_PAYLOAD} bytes, not {len(payload)}")
     whole = payload + binascii.crc_hqx(payload, _CRC_START).to_bytes(_CRC_BYTES, "little")
@@ -224,7 +224,7 @@ _ANSWERS = {HELLO: _HELLO, CONFIGURED: _CONFIG, STATE: _STATE, FAULT: _FAULT}
 
 
 class FrameReader:
-    """Splits a stream of bytes into payloads; whatever is none is counted by kind, and the next zero begins anew."""
+    """Splits a stream of bytes into payloads; whatever is none is counted by kind, and the next zero begins again."""
 
     def __init__(self) -> None:
         self.errors: dict[Fault, int] = {"cobs": 0, "crc": 0, "length": 0, "type": 0}

@@ -14,7 +14,7 @@ class Corruptor:
         self._draw = draw
 
     def corrupt(self, payload: bytes) -> bytes:
-        """Return the payload with so many different bits flipped, all of them if it has fewer."""
+        """Return the payload with this number of different bits flipped, all of them if it has fewer."""
         available = 8 * len(payload)
         places: set[int] = set()
         while len(places) < min(self._bits, available):

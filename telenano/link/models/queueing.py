@@ -69,9 +69,9 @@ class DeliveryState(NamedTuple):
 
 
 class DeliveryServer:
-    """Sends at recorded opportunities of so many bytes each; what an opportunity leaves unused is lost.
+    """Sends at recorded opportunities of this number of bytes each; what an opportunity leaves unused is lost.
 
-    The trace repeats with its last time as period. A message that does not fit into what is left goes on at the next
+    The trace repeats with its last time as period. A message that does not fit into what is left continues at the next
     opportunity and is delivered with its last byte. Without a byte limit each opportunity carries one message.
     """
 

@@ -41,8 +41,8 @@ _EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWA
 _NEXT = Arrival.NEXT
 # sources that one node keeps sequence statistics of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
-# A connection reports at most so many sources twice a second. The sender and every reader handle each of them, and a
-# thousand would cost a loop of 1 kHz tens of ticks.
+# A connection reports at most this number of sources twice a second. The sender and every reader handle each of them,
+# and a thousand would cost a loop of 1 kHz tens of ticks.
 MOST_REPORTED = 64
 
 
@@ -118,7 +118,7 @@ class Subscriber:
         self.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
         if newest_only:
             # The peer cuts a connection on which nothing came for the time that a ping of this side names, with what
-            # waits in it, so that a process that was stopped goes on with the newest.
+            # waits in it, so that a process that was stopped continues with the newest.
             self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
             self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
             self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))

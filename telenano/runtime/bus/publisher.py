@@ -15,7 +15,7 @@ from telenano.wire.ends import END_TOPIC, end_data
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import Message
 
-# So many messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
+# This number of messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
 # publisher, a half of the controller with 2100 a second.
 SEND_HIGH_WATER_MARK = 22_000
 # a subscriber sends nothing but names of topics
@@ -25,8 +25,8 @@ SNDMORE = int(zmq.SNDMORE)
 # This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
 FIRST_THREAD = 1
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
-# A node that ends goes on sending for so long to a reader that is behind, its recorder above all. It stays within the
-# grace that a supervisor gives.
+# A node that ends continues sending for this time to a reader that is behind, its recorder above all. It stays within
+# the grace that a supervisor gives.
 LINGER_S = 20.0
 
 

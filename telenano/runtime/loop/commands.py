@@ -84,7 +84,7 @@ class CommandClient:
     `failure` says why a required command failed, `tolerated_failures` holds by target the reasons of the others.
     `answers` are those of the last command by node, refusals among them; `ids` has the id of each answered command.
     `void`: the failure is that an emergency stop has made the commands void. `latched` is a node in emergency stop from
-    before, which a person has to release: until then, the command is tried anew.
+    before, which a person has to release: until then, the command is tried again.
     """
 
     def __init__(
@@ -297,7 +297,7 @@ class CommandClient:
         return settled and bool(self.answers)
 
     def _conclude(self, command: Command, now_ns: int) -> bool:
-        """Take the outcome of a command; return whether it is over, and not to be tried anew."""
+        """Take the outcome of a command; return whether it is over, and not to be tried again."""
         failure = self._reason(command)
         if not failure:
             self.ids[command.name] = self._id

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from telenano.timing.clock import NEVER_NS, Clock
 
 Task = Callable[[], object]
-# A task that has waited for so long is run anyway.
+# A task that has waited for this time is run anyway.
 PATIENCE_NS = 20_000_000
 # After so long without an event nothing is known of the next one, and every task is due at once.
 _IDLE_NS = 5_000_000
@@ -159,5 +159,5 @@ class DeferredTasks:
 
 
 def _mean(known_ns: int | None, measured_ns: int) -> int:
-    """Return the mean that goes on from the one known so far, None at first [ns]."""
+    """Return the mean that continues from the one known so far, None at first [ns]."""
     return measured_ns if known_ns is None else known_ns + (measured_ns - known_ns) // _MEAN_SHARE

@@ -19,7 +19,7 @@ class EstopLatch:
     """Counts the emergency stops of one run of a node, and keeps the newest in a file until the node is armed.
 
     A command that begins a motion quotes `quotation`, the run and the count, once there was a stop (ADR 0059). The
-    count alone would not do, because it begins anew with each run.
+    count alone would not do, because it begins again with each run.
     """
 
     def __init__(self, path: Path | None = None) -> None:

@@ -1,4 +1,4 @@
-"""A node that computes without end is ended by the kernel, so that those on its processor go on and it is restarted.
+"""A node that computes without end is ended by the kernel, so that those on its processor continue and it is restarted.
 
 Under SCHED_FIFO nothing of the same priority runs beside a step that never returns: the node of the device could not
 let the hand go, nor retract the tip. No handler of this process could help, which may be within compiled code: the
@@ -17,7 +17,7 @@ LIMIT_S = 1.5
 
 
 class HangGuard(contextlib.AbstractContextManager["HangGuard"]):
-    """A limit of processor time that is set anew at each `renew`; other systems than Unix have none."""
+    """A limit of processor time that is set again at each `renew`; other systems than Unix have none."""
 
     def __enter__(self) -> "HangGuard":
         if hasattr(signal, "SIGPROF"):
@@ -29,7 +29,7 @@ class HangGuard(contextlib.AbstractContextManager["HangGuard"]):
         self._set(0.0)
 
     def renew(self) -> None:
-        """Begin the time anew."""
+        """Begin the time again."""
         self._set(LIMIT_S)
 
     def _set(self, limit_s: float) -> None:

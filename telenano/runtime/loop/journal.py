@@ -14,7 +14,7 @@ from telenano.wire.node_state import pack
 from telenano.wire.received import Received
 
 DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3
-# A message holds so many turns: some 80 kB, and below the limit however many sources there are.
+# A message holds this number of turns: some 80 kB, and below the limit however many sources there are.
 _BATCH = 4096
 # bytes of a state in one message: half of what one may hold; and of a large one, how many a second in the mean
 _STATE_PIECE, _STATE_BYTES_PER_S = 1 << 19, 1 << 20
@@ -37,7 +37,7 @@ class InputJournal:
     """Keeps the turns of a node and gives it `clock`, which shows one time during a turn.
 
     Each batch begins with the state of the node and the numbers of its next outputs, so that a re-run can begin at any
-    of them: the recorder may come late, and a recording may be cut. A state that is larger than a message goes on in
+    of them: the recorder may come late, and a recording may be cut. A state that is larger than a message continues in
     messages without turns, and is captured less often.
     """
 

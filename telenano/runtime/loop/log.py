@@ -9,7 +9,7 @@ from typing import Any
 from telenano.files.printable import printable
 from telenano.timing.clock import Clock
 
-# records of one library: so many at once, then so many a second
+# records of one library: this number at once, then this number a second
 _LIBRARY_BURST, _LIBRARY_PER_S = 20.0, 1.0
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 

@@ -95,7 +95,7 @@ class Node(ABC):
         self.stale = 0
         # It knows the age of the messages and of the hand's samples, and whether this process stalled.
         self.freshness = Freshness(context.key, self.clock.now_ns())
-        # A switch of the device itself has stopped it so many times.
+        # A switch of the device itself has stopped it this number of times.
         self.own_stops = 0
 
     def defer(self, task: Task, within_ns: int = PATIENCE_NS) -> None:
@@ -132,7 +132,7 @@ class Node(ABC):
         return None
 
     def restore(self, state: Any, find: FindInput) -> None:
-        """Go on from a state; `find` returns the payload of an input that the state only names.
+        """Continue from a state; `find` returns the payload of an input that the state only names.
 
         Raises:
             ValueError: It is not a state of this node; LookupError, TypeError and ConfigError mean the same.

@@ -136,7 +136,7 @@ def on_time() -> Iterator[None]:
         yield
     finally:
         os.sched_setscheduler(0, policy, granted)
-        # 0 stands for the slack that it began with
+        # 0 represents the slack that it began with
         libc.prctl(_PR_SET_TIMERSLACK, 0, 0, 0, 0)
 
 
@@ -207,7 +207,7 @@ def use_huge_pages() -> int:
     """Put the heap of this process on huge pages, where the kernel can, and return how many there are.
 
     A node wakes up a thousand times a second, after others have used its processor, and touches its whole working set:
-    with pages of 4 kB the processor looks up thousands of places anew, in a virtual machine in two tables for each.
+    with pages of 4 kB the processor looks up thousands of places again, in a virtual machine in two tables for each.
     """
     if not is_linux():
         return 0

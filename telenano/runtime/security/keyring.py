@@ -33,7 +33,7 @@ _OTHERS = 0o077
 # a certificate as ZeroMQ's tools write and read it (ZPL)
 _CERTIFICATE = "# ZeroMQ CURVE {kind} certificate of the machine {name}\nmetadata\ncurve\n"
 _NAMED = re.compile(rb"certificate of the machine ([^\s]+)")
-# A key that expires within so many days is warned of before a rig is started.
+# A key that expires within this number of days is warned of before a rig is started.
 EXPIRES_SOON_DAYS = 14
 
 Role = Literal["data", "control", "observe", "relay"]

@@ -28,7 +28,7 @@ from telenano.wire.nodes import is_visitor
 _RECONNECT_NS = 2_000_000_000
 _UNREACHED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
-# So many failed handshakes in a row are reported; fewer may be an accident.
+# This number of failed handshakes in a row are reported; fewer may be an accident.
 _REPORTED_FAILURES = 3
 _EVENTS = CONNECTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED | KEY_REFUSED | DISCONNECTED
 # pairs of topic and source cached as permitted; a peer that makes up names must not fill the memory

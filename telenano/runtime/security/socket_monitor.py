@@ -19,7 +19,7 @@ _BATCH = 8
 
 
 class MonitorEvent(NamedTuple):
-    """What happened to a connection; the value is a file descriptor where libzmq says so."""
+    """What happened to a connection; the value is a file descriptor where libzmq reports it."""
 
     kind: int
     value: int

@@ -218,7 +218,7 @@ class StopSignals:
             return
         self._node.interrupt()
         if not self._node.context.stop_requested:
-            # the descriptor ends every wait until it is read, and this loop goes on waiting after a signal
+            # the descriptor ends every wait until it is read, and this loop continues waiting after a signal
             with contextlib.suppress(BlockingIOError):
                 os.read(self.descriptor, 64)
 

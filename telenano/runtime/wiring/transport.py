@@ -38,7 +38,7 @@ _READER_SILENCE_MS = 5000
 _HEARTBEATS = 4
 # four round trips of a satellite link
 _HANDSHAKE_MS = 5000
-# The system accepts so many connections ahead of this process, for which a limit comes too late.
+# The system accepts this number of connections ahead of this process, for which a limit comes too late.
 _BACKLOG = 16
 # Without this limit the next attempt to connect may come minutes after the cable is back.
 _CONNECT_MS = 2000

@@ -35,7 +35,7 @@ def make_take(
         guide: Leads the person.
 
     Raises:
-        ConfigError: The driver is none of a device that takes a force, or faults were asked of a real one.
+        ConfigError: The driver is not one of a device that takes a force, or faults were asked of a real one.
         DeviceError: The device is not ready.
     """
     steps = steps_of(mass_kg, pace)

@@ -1,7 +1,7 @@
 """A simulated impedance device behind the same interface as a real one, with faults that can be put in on purpose.
 
 Its servo is `servo.Servo`, called in virtual time: each `newest` lets dt_s pass. The hand goes a way of its own on all
-three axes, on a spring and a damper, and lets go where a pair of times says so.
+three axes, on a spring and a damper, and lets go within a pair of times.
 """
 
 import math
@@ -23,10 +23,10 @@ class DeviceFaults(NamedTuple):
     axes, signs: which axis of the mechanics each reading is of, and its sign. scale: of the place. force_scale: of the
     force that the drive gives, negative for a wrong sign. noise_m, drift_m_per_s, step_m: of the place. hold_s: how
     long each reading is repeated. late_s: how old readings are. slow: periods of the servo in one. every, stumble: one
-    step in so many takes so many periods. nan_at_s, jump_at_s, frozen_at_s: when; gap_s: silence. reported_force: by
-    which the reported force is multiplied. quaternion: what a wrist says. stuck_buttons, dead_buttons: bits that are
-    always and never set. unplug_is_told: whether a cable that is out ends the samples. extra_delay_s: of the drive,
-    beyond what is declared. deadman_is_ignored: by the servo.
+    step in this number of takes this number of periods. nan_at_s, jump_at_s, frozen_at_s: when; gap_s: silence.
+    reported_force: by which the reported force is multiplied. quaternion: what a wrist says. stuck_buttons,
+    dead_buttons: bits that are always and never set. unplug_is_told: whether a cable that is out ends the samples.
+    extra_delay_s: of the drive, beyond what is declared. deadman_is_ignored: by the servo.
     """
 
     axes: tuple[int, int, int] = (0, 1, 2)

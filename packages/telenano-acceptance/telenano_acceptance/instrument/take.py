@@ -80,7 +80,7 @@ PULLED = "the tip is pulled by half of the limit of the force: its sign may be w
 
 
 class _StoppedError(Exception):
-    """The guard has ended the motion, or it cannot go on."""
+    """The guard has ended the motion, or it cannot continue."""
 
 
 def record_take(driver: AfmDriver, facts: Facts, clock: Clock, guide: Guide = SILENT) -> Take[Facts]:

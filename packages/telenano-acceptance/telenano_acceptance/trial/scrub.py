@@ -22,7 +22,7 @@ _GENERAL: tuple[tuple[str, str], ...] = (
 
 
 def _known() -> dict[str, str]:
-    """Return the texts that name this person, machine or folder, and what stands for each."""
+    """Return the texts that name this person, machine or folder, and what represents each."""
     found = {str(Path.cwd()): "(folder)", str(Path.home()): "(home)"}
     for name in (os.environ.get("HOME", ""), os.environ.get("PWD", "")):
         found.setdefault(name, "(folder)")

@@ -43,7 +43,7 @@ MEMBER, ALONG_X, ALONG_Y, OVERLAP, PARTICLE, DISTANCE, HELD_APEX, HELD_FORCE, AP
 _COLUMNS = 9
 
 LARGEST_STEP = 0.02
-# Particles further apart than so many overlaps do not meet in a step.
+# Particles further apart than this number of overlaps do not meet in a step.
 _REACH_OF_STEP = 4.0
 _BISECTIONS = 60
 # A tip right over a centre pushes nowhere.

@@ -65,7 +65,7 @@ class Apparatus(ABC):
 
         Raises:
             AbortedError: Somebody ended it.
-            RigError: The apparatus cannot go on.
+            RigError: The apparatus cannot continue.
         """
 
     def close(self) -> None:
@@ -151,7 +151,7 @@ def _finite(value: Any) -> Any:
 
 
 def joined(parts: Sequence[TrialData], durations_s: Sequence[float]) -> TrialData:
-    """Return the data of a trial whose intervals ran one after another: times go on, `interval` counts from 0.
+    """Return the data of a trial whose intervals ran one after another: times continue, `interval` counts from 0.
 
     Args:
         parts: The data of each interval, with times from its own beginning.

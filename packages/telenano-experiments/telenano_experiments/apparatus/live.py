@@ -62,11 +62,11 @@ _LISTEN_S = 0.05
 # The hand is at rest below this speed [m/s], for this time [s], and at its start within this distance [m].
 _REST_M_PER_S, _REST_S, _HOME_M, _HOME_S, _REST_MOST_S = 2e-4, 0.1, 2e-4, 6.0, 6.0
 _CLEAN: dict[str, Scalar] = {"profile": "clean"}
-# What is under way when the programme ends still belongs to the trial.
+# What is under way when the force profile ends still belongs to the trial.
 _AFTER_S = 0.3
 # Hand and tip are coupled where the base is as near as this to the place of the hand, at the scale of the law [m].
 _SAME_PLACE_M = 2e-9
-# They are coupled anew so often before the trial is given up.
+# They are coupled again so often before the trial is given up.
 _COUPLINGS = 3
 _NO_MARKS: Mapping[int, int | str] = {}
 
@@ -264,7 +264,7 @@ class Live(Apparatus):
         """Return a rig in a condition, whose hand and tip are coupled as those of a new one are.
 
         A law keeps the places at which it was coupled, and a silence can move them against each other: then the tip is
-        withdrawn and armed anew. Where that fails, a simulated hand gets a new rig, and a person's hand another try.
+        withdrawn and armed again. Where that fails, a simulated hand gets a new rig, and a person's hand another try.
         """
         for left in reversed(range(_COUPLINGS)):
             rig = self._rig_of(trial, document)
@@ -299,7 +299,7 @@ class Live(Apparatus):
         return self._apart_m
 
     def _couple(self) -> None:
-        """Couple hand and tip anew, as `telenano session couple` does; a tip that touches is withdrawn before."""
+        """Couple hand and tip again, as `telenano session couple` does; a tip that touches is withdrawn before."""
         if self._states()["afm/state"].in_contact:
             self._command("stop", TIP)
             self._await_tip(lambda state: not state.in_contact, "that the tip is withdrawn")
@@ -310,7 +310,7 @@ class Live(Apparatus):
         across = section_of(document, "controller", ControllerConfig).lateral
         if "lateral" not in document.get("haptic_node", {}) or across.mode == "direct":
             return
-        # In mode position the way of the tip is that of the hand, which goes on from where it is.
+        # In mode position the way of the tip is that of the hand, which continues from where it is.
         scale = across.position_scale if across.mode == "position" else 0.0
         x_m, y_m = (scale * place_m for place_m in self._states()["haptic/state"].position_m[:2])
 
@@ -369,7 +369,7 @@ class Live(Apparatus):
         self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']} at both halves")
 
     def _condition(self, wanted: Wanted) -> None:
-        """Give the operator its programme, and the link its condition."""
+        """Give the operator its force profile, and the link its condition."""
         if wanted.operator:
             self._command("set", HAND, {"operator": wanted.operator})
         self._command("set", LINK, {**wanted.link})

@@ -43,7 +43,7 @@ class PageHand:
     def pushing(
         self, steers: Callable[[float], Hand], controller: ControllerConfig, stylus: LateralHandConfig | None
     ) -> Iterator[None]:
-        """Push while the block runs and the operator's programme with it.
+        """Push while the block runs and the operator's force profile with it.
 
         Args:
             steers: Makes the hand, from the period [s].

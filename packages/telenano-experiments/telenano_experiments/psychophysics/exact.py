@@ -19,7 +19,7 @@ _EXPONENTIAL = [1.0 / math.factorial(power) for power in range(14)]
 _LOGARITHM = [1.0 / (2 * power + 1) for power in range(12)]
 _ROOT_HALF = 0.7071067811865476
 _LARGEST = 700.0
-# beyond so many standard deviations the share is 0 or 1 for every purpose here
+# beyond this number of standard deviations the share is 0 or 1 for every purpose here
 _FARTHEST = 7.0
 _TERMS = 90
 _DENSITY = 0.3989422804014327

@@ -199,7 +199,7 @@ def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[fl
             rest = rest - float(total(rest * other)) * other
         left = float(total(rest * rest))
         if left <= 1e-9 * size or size == 0.0:
-            # the column is none of its own: of the trend that means that nothing can be said
+            # the column is not one of its own: of the trend that means that nothing can be said
             if column is trend:
                 return ""
             continue

@@ -18,8 +18,8 @@ from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics import compiled
 
 FASTEST_HZ = 150.0
-# The fixed point of a step that makes or breaks contact takes at most so many passes; each leaves a quarter of the
-# error at most.
+# The fixed point of a step that makes or breaks contact takes at most this number of passes; each leaves a quarter of
+# the error at most.
 _PASSES = 30
 
 

@@ -9,7 +9,7 @@ Three groups of variants of a network of telenano/settings/networks that `telena
 - how a round trip is shared: half of everything each way; all that varies and all stalls in one way, the other with
   the least delay alone, as `link fit` does; each stall in both ways at a time.
 - what lies between two messages of the log, which are `--period` apart: the delay of the log's messages stays the same,
-  and between them it goes on as a process whose correlation falls exponentially, as that of the model does; or it is
+  and between them it continues as a process whose correlation falls exponentially, as that of the model does; or it is
   linear, or keeps its value; or a part of it flickers from message to message.
 
 Each line is judged over the contact of Fig. 12 with a hand of constant force. The draws of a seed are shared by all
@@ -145,10 +145,10 @@ def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]
 
 
 def between(time_s: float, period_s: float, seed: int, length_s: float) -> dict[str, np.ndarray[Any, Any]]:
-    """Return normal scores of each tick by the way in which they go on between the messages of a log.
+    """Return normal scores of each tick by the way in which they continue between the messages of a log.
 
-    All have the same correlation at the lag of a period. Those that go on exponentially, in a line or not at all also
-    have the same values there; of those with a part that flickers the rest has twice the time of correlation.
+    All have the same correlation at the lag of a period. Those that continue exponentially, in a line or not at all
+    also have the same values there; of those with a part that flickers the rest has twice the time of correlation.
     """
     ticks = round(length_s / _TICK_S) + 1
     step = max(1, round(period_s / _TICK_S))

@@ -42,7 +42,7 @@ from telenano_studies.loops.theory import (
 # a hand of constant force, or one of the arms of `telenano.hand.operator_config.ARMS`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
-# Newton's method begins on a grid of the region, and ends after so many steps at the latest.
+# Newton's method begins on a grid of the region, and ends after this number of steps at the latest.
 _STARTS, _STEPS = (16, 96), 40
 # The greatest growth rate [1/s] and the highest frequency [Hz] of the roots that are looked for.
 _MOST_PER_S, _HIGHEST_HZ = 40.0, 16.0
@@ -73,7 +73,7 @@ class LinearLoop:
 
     @property
     def margin(self) -> Margin:
-        """The delay that the loop bears in all (T_c), infinite where any; phase and crossover are those without delay.
+        """The delay that the loop tolerates in all (T_c), infinite where any; the rest holds without delay.
 
         The line of `wave` is passive at every constant delay, and so is the loop through it.
         """
@@ -90,7 +90,7 @@ class LinearLoop:
 
     @property
     def critical_link_delay_s(self) -> float:
-        """T_d [s]: the round trip of link and devices that the loop bears as it is sampled.
+        """T_d [s]: the round trip of link and devices that the loop tolerates as it is sampled.
 
         With an arm, which is not sampled, the hold is taken to be worth half a period.
         """

@@ -38,7 +38,7 @@ REACTION_S = 0.2
 PRESSES_N = 1.2
 _LONGEST_S, _TOUCHED_S = 40.0, 1.0
 
-# At the hand this cantilever is 1500 N/m, for which the paper's loop bears 95 ms.
+# At the hand this cantilever is 1500 N/m, for which the paper's loop tolerates 95 ms.
 _STIFFNESS_N_PER_M = 10.0
 
 

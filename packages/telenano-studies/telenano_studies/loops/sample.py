@@ -19,7 +19,7 @@ HOLD_S = 4.0
 
 
 def drawn_cells(number: int, seed: int) -> list[Cell]:
-    """Draw so many different cells: a seed gives the same ones on every machine.
+    """Draw this number of different cells: a seed gives the same ones on every machine.
 
     One cell in two has its law tuned for its delay (`tuning`); the clamp is off, on, or as the law has it.
     """

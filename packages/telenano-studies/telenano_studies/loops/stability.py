@@ -1,4 +1,4 @@
-"""Stability maps: which delay each law bears, on a grid and to a fraction of a sample, beside what theory predicts."""
+"""Stability maps: which delay each law tolerates, on a grid and to a fraction of a sample, beside the theory."""
 
 import itertools
 import math

@@ -1,7 +1,7 @@
-"""Many cells: on every core or on a Dask cluster, with a journal that an interrupted sweep goes on from.
+"""Many cells: on every core or on a Dask cluster, with a journal that an interrupted sweep continues from.
 
 The journal holds a line of JSON for each finished cell. Its key includes a digest of all model sources, so a changed
-model is computed anew while everything else is taken from the file.
+model is computed again while everything else is taken from the file.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from telenano_studies.loops.cells import Cell, CellResult, run_cell
 JOURNAL_NAME = "journal.jsonl"
 # cells handed over together: one takes about 20 ms, a message to a process or a machine a good part of that
 _BATCH = 8
-# A cluster without a worker for so long [s] is said to have none, and one without a result, where it has the work of
+# A cluster without a worker for this time [s] is said to have none, and one without a result, where it has the work of
 # others, to be busy with that.
 _WORKER_S = 5.0
 _CONTINUES = "the journal keeps the finished cells, and the same command continues once one answers there"

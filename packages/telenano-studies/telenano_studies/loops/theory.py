@@ -9,8 +9,8 @@ and the delay margin is the phase margin over the crossover frequency, T_c = phi
 **The sample period.** The law integrates with the force held over a period Ts, so the loop that really runs is the
 exact discretisation of L at T = 0, with the delay counted in whole samples. Its own margin, T_d = phi_d / omega_d of
 the sampled loop, is how much delay the link may add. The hold is worth half a period: T_d = T_c - Ts/2 to first order
-in omega_c Ts, so what a link may add is 0.5 ms less than the continuous loop bears at 1 kHz. T_d + Ts/2 of the sampled
-loop is therefore what compares with T_c.
+in omega_c Ts, so what a link may add is 0.5 ms less than the continuous loop tolerates at 1 kHz. T_d + Ts/2 of the
+sampled loop is therefore what compares with T_c.
 
 **Two-ports.** A teleoperator is written in hybrid form at the hand's scale, (F_m, -v_s) = H (v_m, F_s), with
 F_s -> alpha_f F_s and v_s -> v_s / alpha_p. Llewellyn: it stays stable between any passive hand and any passive
@@ -30,7 +30,7 @@ from pydantic import BaseModel
 Complex = npt.NDArray[np.complex128]
 Series = npt.NDArray[np.float64]
 
-# Crossovers are sought between these frequencies [rad/s], on so many points a decade.
+# Crossovers are sought between these frequencies [rad/s], on this number of points a decade.
 _LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S, _GRID = 1e-4, 1e6, 40
 
 

@@ -1,9 +1,9 @@
 """Parameters of a law for a delay, by one stated rule, so that what is compared is the law and not its tuning.
 
-The rule: on the given sample, with a hand of constant force, the law's loop bears twice the delay that the link has at
-its longest. For the two laws whose loop passes the link (virtual impedance, position-force) that sets the damping B_v;
-where inertia does not matter it is B_v = 4 G T / pi, G the gain of the loop. No less than the default is taken. The
-others close no linear loop through the link, and keep their defaults at every delay.
+The rule: on the given sample, with a hand of constant force, the law's loop tolerates twice the delay that the link has
+at its longest. For the two laws whose loop passes the link (virtual impedance, position-force) that sets the damping
+B_v; where inertia does not matter it is B_v = 4 G T / pi, G the gain of the loop. No less than the default is taken.
+The others close no linear loop through the link, and keep their defaults at every delay.
 """
 
 import functools

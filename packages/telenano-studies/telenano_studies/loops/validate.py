@@ -217,12 +217,12 @@ def _held_up_s(path: Path) -> float:
 
 
 def longest_stall_s(path: Path) -> float:
-    """Return for how long a process of a recorded session was held up at the longest while the programme ran [s]."""
+    """Return the longest time that a process of a recorded session was held up while the force profile ran [s]."""
     recording = Recording(path)
     events = [event.fields() for event in recording.messages(("session/event",))]
     hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
     running = hand["t_ns"][last_programme(hand["session_s"], hand["t_ns"])]
-    # A rig that could not be started has no programme, and all of its time counts.
+    # A rig that could not be started has no force profile, and all of its time counts.
     start_ns = int(running[0]) if running.size else 0
     of_programme = [event["data"] for event in events if event["t_ns"] >= start_ns]
     stalls_s = [float(data["stalled_s"]) for data in of_programme if "stalled_s" in data]

@@ -124,7 +124,7 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
     """Draw delay against conditions, a panel a law: the verdict of each cell, the edge found, the edge of theory."""
     from matplotlib.colors import to_rgb
 
-    # Each verdict has one colour, because shades of it could not be told apart.
+    # Each verdict has one colour, because shades of it could not be distinguished.
     laws = _by_law(results)
     figure, axes = _panels(len(laws), 1.0 + 0.42 * max(len(rows) for rows in laws.values()))
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):

@@ -1,6 +1,6 @@
 """Which keys are in force at an end, and how both ends come to the same ones.
 
-The master's end offers a public key, the slave's answers with its own: from then on the slave can open what comes under
+The master's end offers a public key, the slave's answers with its own: after that the slave can open what comes under
 the pair, and once its answer is there the master seals with it. The slave goes over when the first such datagram has
 come. What is under way with the keys before is opened for a moment longer. No pair of public keys is used twice: with
 the same key the numbers would begin again.

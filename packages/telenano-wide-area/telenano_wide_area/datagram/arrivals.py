@@ -70,7 +70,7 @@ class ArrivalRecord:
         return self._window.newest + 1, self._arrived_of_keys
 
     def begin(self, window: ReplayWindow) -> None:
-        """Go on with the numbers of new keys, whose accepted ones are in `window`; what is open of the old is lost."""
+        """Continue with the numbers of new keys, whose accepted ones are in `window`; open ones of the old are lost."""
         if self._arrived_of_keys:
             self._settle_up_to(self._window.newest + 1)
         self._base = self.sent

@@ -48,7 +48,7 @@ from telenano_wide_area.settings import DatagramSettings
 _BATCH = 64
 _MAINTAIN_NS = 50_000_000
 _REPORT_NS = 500_000_000
-# Due work waits for so long for a turn in which nothing has arrived; a node that is asked in every turn has many of
+# Due work waits for this time for a turn in which nothing has arrived; a node that is asked in every turn has many of
 # those.
 _PUT_OFF_NS = 20_000_000
 # A process that took no turn for the first time stood still. What waited for it says nothing of the line until it has
@@ -57,7 +57,8 @@ _STOOD_STILL_NS, _BEHIND_NS = 2 * _MAINTAIN_NS, 2_000_000_000
 # After so long without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent, to
 # find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
-# Datagrams are blocked if none arrives and the other end says over TCP that it has sent so many since the newest.
+# Datagrams are blocked if none arrives and the other end says over TCP that it has sent this number of since the
+# newest.
 _BLOCKED = 5
 _BETWEEN = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
 # The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
@@ -558,7 +559,7 @@ class DatagramEnd:
         return events
 
     def apply_permissions(self) -> None:
-        """Forget the keys when the other machine is no longer allowed, and go on over TCP, which refuses it as well."""
+        """Forget the keys when the other machine is no longer allowed, and continue over TCP, which refuses it too."""
         if self._is_allowed() or not self._agreement.peer_public:
             return
         now = self._clock.monotonic_ns()

@@ -17,7 +17,7 @@ from telenano.timing import STEP_NS, Bound, Exchange, fitted
 
 # A queue stands if it does for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
-# Of so many of them that had so many delays, the calmest quarter says how much the delay varies by itself.
+# Of so many of them that had this number of delays, the calmest quarter says how much the delay varies by itself.
 _VARIATIONS, _FEWEST_SEEN = 16, 3
 # Least delays are kept for spans of equal length, of which there are so many; a span grows from the first to the last
 # length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
@@ -49,7 +49,7 @@ class Line:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: the other clock was set, or belongs to another process."""
+        """Begin again: the other clock was set, or belongs to another process."""
         self._zero: tuple[int, int, int] | None = None
         self._spans: list[Least] = []
         self._span_ns = _FIRST_SPAN_NS

@@ -12,8 +12,8 @@ from telenano_wide_area.datagram.rate import WARN_QUEUE_NS, Delivery, RateContro
 from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES
 from telenano_wide_area.settings import DatagramSettings
 
-# However full the line is, and whatever the other end says of it, so many samples are sent in a second: a reader takes
-# a silence of 50 ms for a loss.
+# However full the line is, and whatever the other end says of it, this number of samples are sent in a second: a reader
+# takes a silence of 50 ms for a loss.
 LEAST_HZ = 50.0
 # Over a full line a report of the law goes along with a sample, and no more often than this [ns].
 _REPORTS_NS = 100_000_000
@@ -21,11 +21,11 @@ _REPORTED = "law/status"
 # Over a full line a datagram says what was heard from the other end no more often than this [ns]: some ten times within
 # the time over which a queue is judged.
 _WHOLE_REPORT_NS = 9_000_000
-# A train: so many datagrams of so many bytes of padding, back to back.
+# A train: this number of datagrams of this number of bytes of padding, back to back.
 TRAIN_DATAGRAMS, _PADDING_BYTES = 40, 400
 # No more than one train in this time, whoever asks for it [ns].
 _TRAIN_PAUSE_NS = 700_000_000
-# A queue is told of that stands for the first time, and again after the second [ns].
+# A queue is reported that lasts the first time, and again after the second [ns].
 _STANDS_NS, _REMIND_NS = 2_000_000_000, 60_000_000_000
 # Means follow what is sent over some 0.3 s, at twenty updates a second.
 _NEWEST_SHARE = 0.15

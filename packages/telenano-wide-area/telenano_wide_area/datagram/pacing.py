@@ -14,7 +14,7 @@ NETWORK_BYTES = 48
 RESERVE_BYTES = 1500
 # reports of losses that count: some two seconds at two a second
 _REPORTS = 4
-# The whole budget may be saved up for so long.
+# The whole budget may be saved up for this time.
 _BURST_S = 0.02
 # Of a smaller rate no more may be saved up than a datagram needs, and what comes in meanwhile from sample to sample.
 _EVEN_S = 0.002
@@ -80,7 +80,7 @@ class Repeats:
         return joined
 
     def adapt(self, expected: int, arrived: int, *, full: bool = False) -> None:
-        """Choose the count by what the other end says: of so many expected since the keys changed, so many arrived.
+        """Choose the count by what the other end says: how many arrived of those expected since the keys changed.
 
         Over a line that is full nothing is repeated: there it is the repetitions that are lost.
         """

@@ -27,7 +27,7 @@ from typing import Literal, NamedTuple
 
 # From this on a queue may stand [ns].
 FULL_NS = 4_000_000
-# A queue that stands for so long is a fault to tell of [ns].
+# A queue that lasts this time is a fault to tell of [ns].
 WARN_QUEUE_NS = 10_000_000
 # What is sent of what was delivered, so that the queue drains; less by so much for each nanosecond above FULL_NS.
 _SHARE, _LEAST_SHARE, _SHARE_PER_NS = 0.85, 0.5, 5e-9
@@ -42,18 +42,18 @@ _TRIED_NS, _LAG_NS = 250_000_000, 100_000_000
 _TOO_LITTLE, _TOO_MUCH, _TOO_MUCH_NS = 0.5, 1.5, 12_000_000
 # A line was not full of what it carried if it delivers so many times that while less is sent.
 _MORE = 1.2
-# What is sent now is carried if this share of it is delivered; after so many reductions the rest is lost anyway.
+# What is sent now is carried if this share of it is delivered; after this number of reductions the rest is lost anyway.
 _CARRIED, _MOST_STEPS = 0.9, 3
-# A delay that was excused is a queue again from so many times of it and so much more, or after the first time; where
-# none has stood for the second, none is excused any more [ns].
+# A delay that was excused is a queue again from this number of times of it and so much more, or after the first time;
+# where none has stood for the second, none is excused any more [ns].
 _EXCUSED, _EXCUSED_NS, _EXCUSED_FOR_NS, _GONE_NS = 1.5, 6_000_000, 10_000_000_000, 1_000_000_000
-# Of a delay that varies, so many times the variation is no queue; from the second on a queue may seem to have gone by
-# chance [ns].
+# Of a delay that varies, this number of times the variation is no queue; from the second on a queue may seem to have
+# gone by chance [ns].
 _VARIATION, _VARIES_NS = 2, 14_000_000
-# Where a delay is excused, the rate becomes so many times what was delivered, and so much greater at each look, until
-# it is so many times what is sent.
+# Where a delay is excused, the rate becomes this number of times what was delivered, and so much greater at each look,
+# until it is this number of times what is sent.
 _RESTORED, _EXCUSED_GROWTH, _UNREACHED = 1.25, 1.05, 1.5
-# A queue that comes back so soon, at less than this share of what was carried before it, goes on with the trial.
+# A queue that comes back so soon, at less than this share of what was carried before it, continues with the trial.
 _SOON_NS, _WELL_BELOW = 5_000_000_000, 0.9
 _MUCH_LOST = 0.10
 _LOSS_PERIOD_NS = 500_000_000
@@ -103,7 +103,7 @@ class Delivery:
         self._marks: deque[tuple[int, int, int]] = deque()
 
     def record(self, heard_ns: int, expected: int, arrived: int) -> None:
-        """Record that of so many `expected` so many had `arrived` when the newest came [ns]."""
+        """Record that of this number of `expected` this number of had `arrived` when the newest came [ns]."""
         if self._marks and (expected < self._marks[-1][1] or heard_ns < self._marks[-1][0] - _SPAN_NS):
             # The other end, or its clock, is a new one.
             self._marks.clear()

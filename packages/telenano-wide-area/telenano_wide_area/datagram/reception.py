@@ -15,11 +15,11 @@ from telenano.timing import NEVER_NS
 from telenano.wire import LOOP_DEADLINE_S, WireError, read_header
 from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 
-# After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
+# After so long a silence the other way is used, and datagrams have to come for this time before they are relied upon.
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
-# TCP is subscribed to after a silence of half the deadline of a sample and so many mean times between datagrams, and at
-# the latest after a share of the deadline, before which no reader acts on the silence.
+# TCP is subscribed to after a silence of half the deadline of a sample and this number of mean times between datagrams,
+# and at the latest after a share of the deadline, before which no reader acts on the silence.
 DEADLINE_NS, _GAPS, _LATEST_SHARE = round(LOOP_DEADLINE_S * 1e9), 2.0, 0.9
 # All samples over TCP need so many bits of a line that has room for others as well.
 _BITS_EACH = 8_000.0
@@ -95,7 +95,7 @@ class Reception:
         return now_ns - self.arrived_ns
 
     def is_silent(self, now_ns: int) -> bool:
-        """Return whether no datagram has come for so long that the other way is used."""
+        """Return whether no datagram has come for this time that the other way is used."""
         return now_ns - self.arrived_ns > SILENCE_NS
 
     def record(self, now_ns: int) -> None:
@@ -134,7 +134,7 @@ class Reception:
         self._stream_at_ns = now_ns + FIRST_NS
 
     def forget(self) -> None:
-        """Rely on datagrams only when they have come anew."""
+        """Rely on datagrams only when they have come again."""
         self._tried_since_ns = None
 
     def subscribe_early(self, now_ns: int) -> None:

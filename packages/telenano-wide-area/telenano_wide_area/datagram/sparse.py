@@ -26,8 +26,8 @@ from telenano.wire import Received
 SPARSE = (b"sparse/", b"sparse2/")
 # the frames of a message and when it was received [ns]
 Taken = tuple[Sequence[bytes], int]
-# A reader takes a sample over TCP when no datagram has come for so long. With two pauses, for one connection while the
-# other waits, that is within a deadline of 50 ms.
+# A reader takes a sample over TCP when no datagram has come for this time. With two pauses, for one connection while
+# the other waits, that is within a deadline of 50 ms.
 WANTED_NS = 20_000_000
 CALM_NS = 12_000_000
 # Of a line that is known to be narrow the calm ones take this share, and are no further apart than the second [ns].

@@ -1,6 +1,6 @@
 """A connection between a site and its relay: who dials proves its key, then both seal what they say.
 
-The relay begins with a challenge. Whoever dials sends its public key, and from then on each side sends frames: a length
+The relay begins with a challenge. Whoever dials sends its public key, and after that each side sends frames: a length
 of two bytes and what was sealed, bound to the challenge, the direction and the place of the frame. A frame can neither
 be said again nor be left out. Where the relay joins two connections, the bytes of CURVE follow the last frame as they
 are.
@@ -29,7 +29,7 @@ from telenano_wide_area.sealed import RejectedError
 
 # Who has not shown its key after so long is let go.
 HELLO_S = 5.0
-# A connection on which nothing is acknowledged for so long is given up; the nodes give theirs up sooner.
+# A connection on which nothing is acknowledged for this time is given up; the nodes give theirs up sooner.
 _UNACKNOWLEDGED_MS = 10_000
 _LENGTH = struct.Struct("!H")
 _NUMBER = struct.Struct("!?Q")
@@ -154,7 +154,7 @@ async def _carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, bud
 
 
 class Budget:
-    """A token bucket: so many a second, and a burst of them at once."""
+    """A token bucket: this number of a second, and a burst of them at once."""
 
     def __init__(self, per_s: float, burst: float, now_s: float) -> None:
         self._per_s, self._burst = per_s, burst

@@ -2,7 +2,7 @@
 
 The end asks the relay for a place, and is then joined with the end of the other machine that asked for it in turn. The
 relay tells each the address at which it sees the other. Both try that address at once, which opens the way through most
-routers (hole punching): whoever gets an answer of the other end to its own ping sends there from then on, and goes back
+routers (hole punching): whoever gets an answer of the other end to its own ping sends there after that, and goes back
 to the relay as soon as the answers stay away. The samples go through the relay until then, and nothing waits for a try.
 """
 
@@ -31,7 +31,7 @@ TAG_BYTES = 4
 # keeps the way through the routers open and finds out when the relay has forgotten.
 _ASK_NS, _CALM_ASK_NS = 200_000_000, 2_000_000_000
 _SILENCE_NS = 150_000_000
-# Pings come at the first interval for so long after something changed, and on the direct way; then at the second.
+# Pings come at the first interval for this time after something changed, and on the direct way; then at the second.
 _PING_NS, _CALM_PING_NS = 100_000_000, 5_000_000_000
 _EAGER_NS = 5_000_000_000
 # On a silent direct way answers may stay away for the first time, on one that brings samples for the second.

@@ -23,8 +23,8 @@ DEFAULT_PORT = 5750
 # Strangers: connections that have not shown a key yet, in all and from one address. A class of ten rigs behind one
 # address makes some 500 connections when it begins.
 _MOST_STRANGERS, _MOST_FROM_ADDRESS = 1024, 512
-# Connections of one address that show no listed key: a burst and so many a second. A listed key gives its one back, and
-# beyond that a connection has to claim one before its proof is looked at.
+# Connections of one address that show no listed key: a burst and this number of a second. A listed key gives its one
+# back, and beyond that a connection has to claim one before its proof is looked at.
 _BURST, _PER_S = 600.0, 20.0
 # What is refused to one address or key for one reason is logged so often at the most [s].
 _REMIND_S = 60.0
@@ -32,7 +32,7 @@ _MOST_ADDRESSES = 4096
 # Connections that a site may have joined at once, and that may wait for the other site.
 _MOST_STREAMS, _MOST_WAITING = 128, 64
 _MOST_SITES = 64
-# The other site has so long to dial; a site that says nothing for so long is gone.
+# The other site has so long to dial; a site that says nothing for this time is gone.
 _JOIN_S, _SITE_SILENCE_S = 4.0, 15.0
 _TIDY_S = 0.5
 _REFUSALS = {

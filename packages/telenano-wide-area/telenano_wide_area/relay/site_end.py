@@ -22,7 +22,7 @@ _PING_S, _SILENCE_S = 4.0, 12.0
 _AGAIN_S, _AGAIN_MOST_S = 0.5, 5.0
 _REPLACED_S = 20.0
 _REMIND_S = 60.0
-# A node that does not listen yet is tried for so long; whoever waits for it gives up a little later.
+# A node that does not listen yet is tried for this time; whoever waits for it gives up a little later.
 _NODE_S, _NODE_AGAIN_S = 3.0, 0.1
 # A node here that waits for one there gives up after 5 s and connects again: its connection is closed before that.
 _JOIN_S = 4.5
