@@ -35,7 +35,7 @@ def test_every_law_is_shown_at_every_delay(document: dict[str, object]) -> None:
 def test_the_shipped_data_are_those_of_today(document: dict[str, object], law: str, delay_ms: float) -> None:
     (about,) = (one for one in document["laws"] if one["law"] == law)
     found, there = shown(cell_of(law, delay_ms)), about["cells"][DELAYS_MS.index(delay_ms)]
-    for name in ("verdict", "force", "energy"):
+    for name in ("verdict", "reason", "force", "energy"):
         assert found[name] == there[name], AGAIN
     assert set(found) == set(there)
     if about["linear"]:
