@@ -154,7 +154,7 @@ site: setup ## Build the documents as a site in out/site.
 	@test -d out/experiment/analysis || { \
 	  $(BIN)/telenano experiment run delay_and_law --apparatus lockstep --out out/experiment && \
 	  $(BIN)/telenano experiment analyse out/experiment; }
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/python tests/doubles/site_pages.py out/site
 	@echo "out/site/index.html; to search in it: python3 -m http.server -d out/site"
 
 # the pictures of the gallery and of the tutorial, each by the command beside it; look at them before you commit them

@@ -1,17 +1,21 @@
-"""What `make site` adds to the pages of docs/: notebooks with their results, the gallery of delay, the other documents.
+"""Build the documents as a site: `python tests/doubles/site_pages.py FOLDER`.
 
-MkDocs calls the functions that begin with `on_` (mkdocs.yml, `hooks`).
+Zensical reads pages and the navigation of mkdocs.yml from a folder that is written here: docs/, the other documents of
+the repository, the notebooks with their results, and the gallery of delay. A cell that fails, and a link or picture
+that is not there, end the build.
 """
 
 import json
 import re
+import shutil
+import subprocess
+import sys
+import tempfile
 from functools import cache
 from pathlib import Path
 from posixpath import dirname, join, normpath, relpath
-from typing import Any
 
 import nbformat
-from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
 from nbconvert.preprocessors import ExecutePreprocessor
 from telenano_studies.pages.gallery import FOLDER, fragment_of
@@ -43,38 +47,55 @@ _PRIVATE = Config({"KernelManager": {"transport": "ipc"}})
 _LONGEST_CELL_S = 900
 
 
-def on_files(files: Files, config: Any, **_: Any) -> Files:
-    """Add the documents beside docs/, and execute the notebooks; a cell that fails ends the build."""
-    for name, path in _OTHERS.items():
-        files.append(File.generated(config, f"{_PREFIX}{name}", content=path.read_text(encoding="utf-8")))
-    for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
-        page = notebook.src_uri.removesuffix(".ipynb")
-        text, figures = executed(Path(str(notebook.abs_src_path)))
-        files.append(File.generated(config, f"{page}.md", content=text))
+def build(out: Path) -> None:
+    """Build the site into a folder, which is replaced.
+
+    Raises:
+        subprocess.CalledProcessError: A page has a link or a picture that is not there.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        source = Path(name)
+        write_pages(source / "docs")
+        navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+        # the modules of the reference are those of the repository
+        settings = navigation.replace("paths: [.]", f"paths: [{json.dumps(str(ROOT))}]")
+        (source / "mkdocs.yml").write_text(settings, encoding="utf-8")
+        subprocess.run([sys.executable, "-m", "zensical", "build", "--strict", "--clean"], cwd=source, check=True)
+        for page in (source / "site").rglob("*.html"):
+            text = page.read_text(encoding="utf-8")
+            if _SLIDER in text:
+                gallery = json.loads((FOLDER / "gallery.json").read_text(encoding="utf-8"))
+                page.write_text(text.replace(_SLIDER, fragment_of(gallery)), encoding="utf-8")
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(source / "site", out)
+
+
+def write_pages(folder: Path) -> None:
+    """Write every page of the site as Markdown, with its pictures, into a folder."""
+    shutil.copytree(ROOT / "docs", folder)
+    for notebook in sorted(folder.rglob("*.ipynb")):
+        text, figures = executed(notebook)
+        notebook.with_suffix(".md").write_text(text, encoding="utf-8")
         for name, content in figures.items():
-            files.append(File.generated(config, f"{dirname(page)}/{name}", content=content))
-    return files
+            (notebook.parent / name).write_bytes(content)
+    for page in sorted(folder.rglob("*.md")):
+        uri = str(page.relative_to(folder))
+        page.write_text(page_of(page.read_text(encoding="utf-8"), uri), encoding="utf-8")
+    for name, path in _OTHERS.items():
+        page = folder / _PREFIX / name
+        page.parent.mkdir(parents=True, exist_ok=True)
+        page.write_text(page_of(path.read_text(encoding="utf-8"), f"{_PREFIX}{name}"), encoding="utf-8")
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Make the links of the repository links of the site, and give wide pages the room of the table of contents."""
-    uri = page.file.src_uri
-    if uri in _WIDE:
-        page.meta["hide"] = _WIDE[uri]
+def page_of(markdown: str, uri: str) -> str:
+    """Return a document as the site has it: links to its own pages, wide pages without a table of contents."""
+    head = f"---\nhide: [{', '.join(_WIDE[uri])}]\n---\n" if uri in _WIDE else ""
     if uri == "unstable.md":
         markdown = _STILL.sub(_SLIDER, markdown)
-    return "".join(
+    return head + "".join(
         part if number % 2 else _LINK.sub(lambda found: linked(found, uri), part)
         for number, part in enumerate(_FENCE.split(markdown))
     )
-
-
-def on_page_content(html: str, **_: Any) -> str:
-    """Put the gallery of delay where a page has its mark."""
-    if _SLIDER not in html:
-        return html
-    document = json.loads((FOLDER / "gallery.json").read_text(encoding="utf-8"))
-    return html.replace(_SLIDER, fragment_of(document))
 
 
 def linked(found: re.Match[str], uri: str) -> str:
@@ -118,3 +139,7 @@ def executed(path: Path) -> tuple[str, dict[str, bytes]]:
     link = f"This is {file}, with what it printed. `pip install -e '.[notebooks]'` brings Jupyter."
     head, _, rest = text.lstrip().partition("\n\n")
     return f"{head}\n\n{link}\n\n{rest}", dict(resources["outputs"])
+
+
+if __name__ == "__main__":
+    build(Path(sys.argv[1]))

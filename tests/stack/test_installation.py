@@ -145,7 +145,7 @@ ALONE = {
     "dask": "-c import dask.distributed",
     "peers": "-c import zenoh, iceoryx2",
     "notebooks": "-c import hatchling, ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",
-    "site": "-c import mkdocs, material, mkdocstrings",
+    "site": "-c import mkdocstrings, zensical",
     # all that the tests need: the environment in which they run
     "dev": "",
 }
