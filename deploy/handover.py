@@ -1,8 +1,8 @@
 """Run a command in the session's container, and leave what a session wrote in ./out, as files of its owner.
 
 The containers of a rig share sockets and recordings as user 10001, who may write nothing else on their machine. So this
-starts as root, begins a writer that becomes the owner of ./out, and becomes user 10001 itself before anything else runs.
-The writer takes open files from it, one at a time, each with the name that it shall have.
+starts as root, begins a writer that becomes the owner of ./out, and becomes user 10001 itself before anything else
+runs. The writer takes open files from it, one at a time, each with the name that it shall have.
 """
 
 import json
@@ -90,28 +90,42 @@ def run_session(command: list[str], writer: socket.socket) -> int:
     # A person at a terminal reads it as it is written, and may answer.
     pipe = None if sys.stdout.isatty() else subprocess.PIPE
     process = children.start([sys.executable, str(ENTRYPOINT), *command], stdout=pipe, text=True, errors="replace")
-    signal.signal(signal.SIGTERM, lambda number, frame: process.send_signal(number))
-    # Ctrl-C at a terminal reaches the command by itself, and another one would end its report.
-    at_terminal = sys.stdin.isatty()
-    signal.signal(signal.SIGINT, signal.SIG_IGN if at_terminal else lambda number, frame: process.send_signal(number))
-    for line in process.stdout or ():
-        print(in_out(line, sorted(set(sessions.glob("*")) - before)), end="", flush=True)
-    code = process.wait()
+    ended: list[int] = []
+
+    def end(number: int, frame: object) -> None:
+        ended.append(number)
+        # Ctrl-C at a terminal reaches the command by itself, and another one would end its report.
+        if number == signal.SIGTERM or not sys.stdin.isatty():
+            process.send_signal(number)
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end)
+    with process:
+        for line in process.stdout or ():
+            tell(in_out(line, sorted(set(sessions.glob("*")) - before)))
+    code = process.returncode
     code = code if code >= 0 else 128 - code
     for folder in sorted(set(sessions.glob("*")) - before):
         try:
             names = hand_over(folder, writer)
         except OSError as error:
-            print(
+            tell(
                 f"./out/{folder.name} cannot be written: {error.strerror or error}; the session is in the volume of "
-                f"recordings, in sessions/{folder.name}: docs/deployment.md says how to copy it",
-                flush=True,
+                f"recordings, in sessions/{folder.name}: docs/deployment.md says how to copy it\n"
             )
             code = code or EXIT_FAILED
         else:
-            print(f"./out/{folder.name} has {', '.join(names)}", flush=True)
-    print(page_line(RUNTIME), flush=True)
+            tell(f"./out/{folder.name} has {', '.join(names)}\n")
+    if not ended:
+        # A rig that is stopped as a whole has no page any more.
+        tell(f"{page_line(RUNTIME)}\n")
     return code
+
+
+def tell(text: str) -> None:
+    """Write to the log at once."""
+    sys.stdout.write(text)
+    sys.stdout.flush()
 
 
 def page_line(runtime: Path) -> str:
@@ -162,10 +176,10 @@ def files_of(folder: Path) -> Iterator[tuple[str, IO[bytes]]]:
         if path.name != "summary.json":
             yield str(place / path.name), path.open("rb")
             continue
-        changed = tempfile.TemporaryFile()
-        changed.write(in_out(path.read_text(encoding="utf-8"), [folder]).encode())
-        changed.seek(0)
-        yield str(place / path.name), changed
+        with tempfile.TemporaryFile() as changed:
+            changed.write(in_out(path.read_text(encoding="utf-8"), [folder]).encode())
+            changed.seek(0)
+            yield str(place / path.name), changed
         for file, name in recordings_of(path).items():
             if file.is_file():
                 yield str(place / name), file.open("rb")
