@@ -7,7 +7,7 @@ PYTHON ?= $(or $(firstword $(foreach python,/usr/bin/python3 python3,\
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/fig12
-# the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in docker-compose.yml
+# the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in compose.yaml
 # Each image with its lock, and the packages of the project that go in as well.
 IMAGES := haptic_node:node:telenano-haptic-devices controller:node:telenano-wide-area delay_node:node:telenano-wide-area \
   afm_node:node:telenano-afm-controllers recorder:node session:rig:telenano-afm-controllers,telenano-wide-area viz_node:rig \
@@ -190,7 +190,7 @@ image-locks: setup ## Renew the locks of the images alone.
 	printf 'build\ncyclonedx-bom\ntwine\n' | $(COMPILE) - --constraint requirements.lock -o deploy/locks/release.lock
 
 images: ## Build the container images of deploy/.
-	cd deploy && $(COMPOSE) --profile study build
+	$(COMPOSE) --profile study build
 
 # $(call image_lock,LOCK,EXTRAS,FURTHER)
 packages_of = $(sort $(foreach image,$(IMAGES),$(if $(filter $(1),$(word 2,$(subst :, ,$(image)))),\

@@ -3,7 +3,7 @@
     python benchmarks/compose.py [--rounds N] [--json]
 
 Runs the session of Fig. 12 in turn on the bare machine as it comes, on the bare machine without real time, and under
-`deploy/docker-compose.yml` with the images as they are (`make images`), and takes the medians over the rounds. The
+`compose.yaml` with the images as they are (`make images`), and takes the medians over the rounds. The
 engine reports in `node/health` whether it grants real time; where it does not, the second row is the fair baseline.
 """
 
@@ -20,7 +20,7 @@ from typing import Any
 
 from telenano.signals import children
 
-DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
+ROOT = Path(__file__).resolve().parents[1]
 PROJECT = f"telenano-bench-{os.getpid()}"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")
 ORDINARY = ("--set", "realtime.scheduler=normal", "--set", "realtime.memory_lock=off")
@@ -31,7 +31,7 @@ def compose_command() -> list[str]:
     """Give compose v2 where there is one, else docker-compose."""
     has_v2 = children.run(["docker", "compose", "version"], capture_output=True).returncode == 0
     command = ["docker", "compose"] if has_v2 else ["docker-compose"]
-    return [*command, "-p", PROJECT, "-f", "docker-compose.yml"]
+    return [*command, "-p", PROJECT, "-f", "compose.yaml"]
 
 
 def bare(*options: str) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def composed() -> dict[str, Any]:
 
     def run(*arguments: str) -> str:
         done = children.run(
-            [*compose, *arguments], cwd=DEPLOY, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            [*compose, *arguments], cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
         return done.stdout
 

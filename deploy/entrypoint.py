@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import socket
 import sys
 import time
 from pathlib import Path
@@ -17,11 +18,15 @@ from telenano.settings.config import ENVIRONMENT_PREFIX, layered
 from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.errors import ConfigError
-from telenano.wire.nodes import module_of
+from telenano.wire.nodes import PAGE, module_of
 
 # the cache that the build filled; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")
 IN_FORCE = Path("/tmp/scenario.yaml")
+# where the page is served, by the network of the machine
+LOOPBACK = "127.0.0.1"
+LAST_PORT = 65535
+PAGE_PORT = "TELENANO__VIZ_NODE__PORT"
 NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCENARIO"
 
 
@@ -46,6 +51,8 @@ def main(command: list[str]) -> None:
 
 def node_command(node: str) -> list[str]:
     """Return the command line of a node and write its scenario; ConfigError when there is none, or no node."""
+    if node == PAGE:
+        check_port(os.environ.get(PAGE_PORT, ""))
     name, _, site = node.partition("@")
     if not site:
         raise ConfigError(f"{NODE} is {node!r}: give a command, or the node to run as node@site")
@@ -54,6 +61,24 @@ def node_command(node: str) -> list[str]:
     write_in_force(scenario)
     files = ["--site-file", site_file, "--scenario", str(IN_FORCE)]
     return [sys.executable, "-m", module_of(name), *files, "--site", site]
+
+
+def check_port(text: str) -> None:
+    """Raise ConfigError where the page cannot have its port of this machine, by the variable that sets the port."""
+    # What is no number of a port is reported with the setting.
+    if not text.isdecimal() or int(text) > LAST_PORT:
+        return
+    with socket.socket() as probe:
+        # as the server of the page does, for which a connection that was just closed is no other server
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, int(text)))
+            probe.listen()
+        except OSError as error:
+            raise ConfigError(
+                f"no page: port {text} of {LOOPBACK}: {error.strerror}: set VIEW_PORT to another one, in .env or as in "
+                "`VIEW_PORT=8651 docker compose up`; the rig runs without its page"
+            ) from error
 
 
 def write_in_force(scenario: Path) -> None:

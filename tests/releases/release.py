@@ -40,7 +40,7 @@ WANTED_IN_SOURCE = (
     "pyproject.toml",
     "requirements.lock",
     "deploy/Dockerfile",
-    "deploy/docker-compose.yml",
+    "compose.yaml",
     "Makefile",
     "tests/conftest.py",
     "services/viz_node/web/package-lock.json",

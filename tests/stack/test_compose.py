@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import time
@@ -23,7 +24,9 @@ from telenano.cli.output import closing_lines
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import Recording
 
-DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
+ROOT = Path(__file__).resolve().parents[2]
+# whose copy of the project it is, where a test may give it away
+OWNER = 12345 if os.geteuid() == 0 else os.getuid()
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")
 VIEW = "viz_node"
 PROJECT = f"telenano-test-{os.getpid()}"
@@ -37,7 +40,7 @@ CRITICAL_MS, LATEST_SHARE = 51.0, 0.5
 
 
 def run(
-    *command: str, timeout: float = PATIENCE_S, check: bool = True, rate_hz: str = ""
+    *command: str, timeout: float = PATIENCE_S, check: bool = True, rate_hz: str = "", folder: Path = ROOT
 ) -> subprocess.CompletedProcess[str]:
     # what the caller's environment sets for scenarios is not for these tests
     environment = {name: value for name, value in os.environ.items() if not name.startswith("TELENANO")}
@@ -45,7 +48,7 @@ def run(
     if rate_hz:
         environment["TELENANO__REALTIME__RATE_HZ"] = rate_hz
     done = subprocess.run(
-        command, cwd=DEPLOY, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout
+        command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout
     )
     assert done.returncode == 0 or not check, f"{' '.join(command)}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
     return done
@@ -90,12 +93,15 @@ class Kill(NamedTuple):
 class Composed:
     """The rig of the compose file under a project name of its own."""
 
-    def __init__(self, command: list[str]) -> None:
-        self.command = [*command, "-p", PROJECT, "-f", "docker-compose.yml"]
+    def __init__(self, command: list[str], folder: Path) -> None:
+        # As a person calls it, but for the name: another rig of this machine may have that of the folder.
+        self.command = [*command, "-p", PROJECT]
+        self.folder = folder
         self.rate_hz = ""
 
     def compose(self, *arguments: str, timeout: float = PATIENCE_S, check: bool = True) -> str:
-        return run(*self.command, *arguments, timeout=timeout, check=check, rate_hz=self.rate_hz).stdout
+        options: dict[str, Any] = {"timeout": timeout, "check": check, "rate_hz": self.rate_hz, "folder": self.folder}
+        return run(*self.command, *arguments, **options).stdout
 
     def container(self, service: str) -> str:
         return run("docker", "ps", "-aq", *self.label(service)).stdout.split()[0]
@@ -141,9 +147,20 @@ class Composed:
             time.sleep(0.5)
 
 
+def cloned(folder: Path) -> Path:
+    """Copy the files of the project that git knows, as a clone has them, and give them to their owner."""
+    names = run("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.split("\0")
+    for name in filter(lambda name: (ROOT / name).is_file(), names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, folder / name)
+    for path in (folder, *folder.rglob("*")):
+        os.chown(path, OWNER, -1)
+    return folder
+
+
 @pytest.fixture(scope="module")
-def rig() -> Iterator[Composed]:
-    composed = Composed(compose_command())
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Composed]:
+    composed = Composed(compose_command(), cloned(tmp_path_factory.mktemp("clone")))
     try:
         composed.compose("build", timeout=BUILD_S)
         composed.compose("up", "-d")
@@ -216,10 +233,10 @@ def test_the_page_is_on_loopback_and_shows_the_rig(rig: Composed) -> None:
     rig.wait_until(lambda: rig.healthy(VIEW), "health of the page")
     # as docs/deployment.md says
     addresses = rig.compose("exec", "-T", VIEW, "sh", "-c", "cat /run/telenano/*.addresses").splitlines()
-    base, _, token = next(line for line in addresses if line.startswith("operator: ")).split()[1].partition("/#")
+    operator = next(line for line in addresses if line.startswith("operator: "))
+    assert operator in rig.logs(VIEW)
+    base, _, token = operator.split()[1].partition("/#")
     assert base == f"http://127.0.0.1:{VIEW_PORT}"
-    assert f"view: {base}/" in rig.logs(VIEW)
-    assert token not in rig.logs(VIEW)
     with urllib.request.urlopen(base, timeout=PATIENCE_S) as answer:
         assert b"<title>telenano" in answer.read()
     found: set[str] = set()
@@ -256,6 +273,37 @@ def test_closing_lines_and_nodes_are_in_the_logs(rig: Composed, first: tuple[dic
     output = rig.logs("afm_node")
     assert "afm_node@slave: ready" in output
     assert "armed: the tip " in output
+
+
+def test_a_session_is_whole_in_out_and_belongs_to_the_owner_of_the_project(
+    rig: Composed, first: tuple[dict[str, Any], Path]
+) -> None:
+    summary, folder = first
+    newest = max((folder / "sessions").glob("fig12-*")).name
+    out = rig.folder / "out" / newest
+    assert {"fig12.png", "session.mcap", "summary.json"} <= {path.name for path in out.iterdir()}
+    found = [rig.folder / "out", *(rig.folder / "out").rglob("*")]
+    assert {path.stat().st_uid for path in found} == {OWNER}
+    recorded = folder / Path(summary["recording"]["file"]).name
+    assert (out / "session.mcap").read_bytes() == recorded.read_bytes()
+    here = json.loads((out / "summary.json").read_text())
+    assert here["recording"].pop("file") == f"out/{newest}/session.mcap"
+    assert here == {**summary, "recording": {k: v for k, v in summary["recording"].items() if k != "file"}}
+    log = rig.logs("session")
+    assert f"./out/{newest} has " in log
+    assert f"view out/{newest}/session.mcap" in log
+    assert f"page: http://127.0.0.1:{VIEW_PORT}/#" in log
+
+
+def test_a_port_that_is_taken_is_reported_by_the_variable_that_sets_it(rig: Composed) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        given = ["-e", "TELENANO_NODE=viz_node@master", "-e", f"TELENANO__VIZ_NODE__PORT={other.getsockname()[1]}"]
+        done = run("docker", "run", "--rm", "--network", "host", *given, "telenano-viz_node", check=False)
+    assert done.returncode == 2
+    assert "Address already in use: set VIEW_PORT to another one" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_what_is_not_granted_is_warned_of(rig: Composed) -> None:

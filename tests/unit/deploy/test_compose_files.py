@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import socket
 import tomllib
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -23,11 +24,12 @@ from telenano.wire.nodes import PAGE, START_ORDER, site_of
 
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"
-WHOLE, MASTER, SLAVE = (DEPLOY / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml"))
+WHOLE = ROOT / "compose.yaml"
+MASTER, SLAVE, RELAY = (DEPLOY / f"compose.{name}.yml" for name in ("master", "slave", "relay"))
 DEVICES = DEPLOY / "compose.devices.yml"
 # of a node of the rig: the page has none of its rights, see its own test
 VIEW = "viz_node"
-NOT_NODES = {"session", "study", "keys", VIEW}
+NOT_NODES = {"session", "study", "keys", "relay", VIEW}
 # What installs, and what is not to be had everywhere, is no part of any environment.
 TOOLS = {"gwyddion": "gwyddionpy-converter", "uv": "uv"}
 # The locks of the images, and the variables of the Makefile that have their extras.
@@ -62,7 +64,7 @@ def effective(path: Path) -> dict[str, dict[str, Any]]:
     services = {}
     for name, service in compose(path)["services"].items():
         base = (
-            effective(DEPLOY / service["extends"]["file"])[service["extends"]["service"]]
+            effective(path.parent / service["extends"]["file"])[service["extends"]["service"]]
             if "extends" in service
             else {}
         )
@@ -152,18 +154,31 @@ def test_one_service_for_each_node() -> None:
     assert sorted(nodes(SLAVE)) == sorted([*(n for n in START_ORDER if site_of(n) == "slave"), "recorder@slave"])
 
 
-@pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE, RELAY], ids=lambda path: path.name)
 def test_containers_have_no_more_than_they_need(path: Path) -> None:
     for name, service in effective(path).items():
         assert service["read_only"] is True, name
         assert service["cap_drop"] == ["ALL"], name
+        # What hands the files of a session over becomes the user of the others before anything of the project runs.
+        hands_over = name == "session"
+        assert (service.get("user") == "0:0") is hands_over, name
+        assert (service.get("entrypoint") == ["python", "-P", "/opt/handover.py"]) is hands_over, name
+        granted = (
+            ["CHOWN", "KILL", "SETGID", "SETUID"]
+            if hands_over
+            else ["SYS_NICE"]
+            if "TELENANO_NODE" in service["environment"] and name != VIEW
+            else []
+        )
+        assert service.get("cap_add", []) == granted, name
+        assert ("./out:/out" in service["volumes"]) is hands_over, name
         assert service["security_opt"] == ["no-new-privileges:true"], name
         assert service["init"] is True, name
-        assert not set(service) & {"privileged", "user", "pid", "ipc", "devices"}, name
+        assert not set(service) & {"privileged", "pid", "ipc", "devices"}, name
         assert "docker.sock" not in str(service["volumes"]), name
         # the recorder of two machines listens to the far nodes too
         networked = "ports" in service or (path == MASTER and name == "recorder")
-        network = "host" if name == VIEW else "bridge" if networked else "none"
+        network = "host" if name in (VIEW, "relay") else "bridge" if networked else "none"
         assert service["network_mode"] == network, name
 
 
@@ -201,7 +216,9 @@ def test_the_page_is_reached_from_this_machine_only_and_is_checked(path: Path) -
     service = effective(path)[VIEW]
     # the node of its environment, which the entry point runs, and which is checked as the image checks any node
     assert service["environment"]["TELENANO_NODE"] == PAGE
-    assert {"command", "healthcheck", "ports", "tty"} & set(service) == set()
+    assert {"command", "healthcheck", "ports"} & set(service) == set()
+    # a terminal, on which the page prints its addresses
+    assert service["tty"] is True
     settings = {key for key in service["environment"] if key.startswith("TELENANO__VIZ_NODE__")}
     assert settings == {"TELENANO__VIZ_NODE__PORT"}, "with a host it would not bind 127.0.0.1"
     assert re.fullmatch(r"on-failure:[1-9]", service["restart"])
@@ -366,6 +383,22 @@ def test_wrong_node_and_scenario_are_reported(
     monkeypatch.setenv("TELENANO_SCENARIO", str(tmp_path / "none.yaml"))
     with pytest.raises(ConfigError, match=r"none\.yaml: cannot be read"):
         entrypoint.node_command("controller@slave")
+
+
+def test_a_port_that_is_taken_names_the_variable_that_sets_it(entrypoint: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_SCENARIO", str(ROOT / "none.yaml"))
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        monkeypatch.setenv("TELENANO__VIZ_NODE__PORT", str(port))
+        with pytest.raises(ConfigError, match=f"port {port} of 127.0.0.1: Address already in use: set VIEW_PORT"):
+            entrypoint.node_command(PAGE)
+        # no other node has a port of the machine
+        with pytest.raises(ConfigError, match=r"none\.yaml"):
+            entrypoint.node_command("afm_node@slave")
+    for text in (str(port), "", "many", "70000"):
+        entrypoint.check_port(text)
 
 
 def test_containers_of_a_folder_share_one_epoch(entrypoint: Any, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ from telenano.wire.nodes import (
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 ROOT = Path(__file__).resolve().parents[3]
-COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]
+COMPOSE = [ROOT / name for name in ("compose.yaml", "deploy/compose.master.yml", "deploy/compose.slave.yml")]
 KEYS = {row.key for row in NODES}
 # services of the compose files and images that are no node of the rig
 NO_NODES = {"session", "study", "keys"}
