@@ -19,12 +19,18 @@ FIGURES = {
     "fig12": (("hand_per_tip_force", 1.05, 1e-3), ("rest_cm", 0.7035, 1e-3)),
     "own_analysis": (("slope_n_per_m", 16.469, 0.01), ("least_force_nn", -12.482, 0.01)),
     "own_law": (("rules_broken", 0.0, 0.0),),
+    "own_line": (("usual delay, q50 [ms]", 75.8, 0.2), ("lost", 0.014, 0.001)),
     "why_it_rings": (("K_f 20 delay_ms 40 verdict stable margin_ms", 5.0, 0.1),),
 }
 TEXTS = {
     "fig12": ("verdict stable",),
     "own_analysis": (),
     "own_law": ("law virtual_impedance verdict limit_cycle", "law my_law verdict stable"),
+    "own_line": (
+        "law virtual_impedance verdict limit_cycle, struck",
+        "law wave verdict stable, parted",
+        "law tdpa verdict stable, nothing_moved, off_force, struck",
+    ),
     "why_it_rings": ("K_f 20 delay_ms 60 verdict limit_cycle",),
 }
 
