@@ -20,6 +20,7 @@ FIGURES = {
     "own_analysis": (("slope_n_per_m", 16.469, 0.01), ("least_force_nn", -12.482, 0.01)),
     "own_law": (("rules_broken", 0.0, 0.0),),
     "own_line": (("usual delay, q50 [ms]", 75.8, 0.2), ("lost", 0.014, 0.001)),
+    "own_sample": (("held_nn", 18.964, 0.05), ("least_nn", -5.044, 0.02)),
     "why_it_rings": (("K_f 20 delay_ms 40 verdict stable margin_ms", 5.0, 0.1),),
 }
 TEXTS = {
@@ -31,6 +32,7 @@ TEXTS = {
         "law wave verdict stable, parted",
         "law tdpa verdict stable, nothing_moved, off_force, struck",
     ),
+    "own_sample": ("verdict stable: the force goes to the rest of the law",),
     "why_it_rings": ("K_f 20 delay_ms 60 verdict limit_cycle",),
 }
 
