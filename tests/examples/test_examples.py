@@ -15,7 +15,8 @@ MOST_LINES = 60
 MOST_BYTES = 80_000
 ARGUMENTS = {"own_analysis": ("telenano/settings/demo.mcap",)}
 # What a line begins with, the figure after it, and how far it may be off.
-FIGURES = {
+FIGURES: dict[str, tuple[tuple[str, float, float], ...]] = {
+    "dask_study": (),
     "fig12": (("hand_per_tip_force", 1.05, 1e-3), ("rest_cm", 0.7035, 1e-3)),
     "own_analysis": (("slope_n_per_m", 16.469, 0.01), ("least_force_nn", -12.482, 0.01)),
     "own_law": (("rules_broken", 0.0, 0.0),),
@@ -23,7 +24,13 @@ FIGURES = {
     "own_sample": (("held_nn", 18.964, 0.05), ("least_nn", -5.044, 0.02)),
     "why_it_rings": (("K_f 20 delay_ms 40 verdict stable margin_ms", 5.0, 0.1),),
 }
-TEXTS = {
+TEXTS: dict[str, tuple[str, ...]] = {
+    "dask_study": (
+        "K_f 10 delay_ms 60 verdict stable",
+        "K_f 20 delay_ms 60 verdict limit_cycle",
+        "K_f 40 delay_ms 20 verdict stable",
+        "K_f 40 delay_ms 40 verdict limit_cycle",
+    ),
     "fig12": ("verdict stable",),
     "own_analysis": (),
     "own_law": ("law virtual_impedance verdict limit_cycle", "law my_law verdict stable"),
