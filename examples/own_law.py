@@ -26,8 +26,8 @@ with tempfile.TemporaryDirectory() as name:
     assert LINE in text
     source.write_text(text.replace(LINE, BRAKE))
     # `pip install -e telenano-my-law` does so for good; --target keeps this example out of your environment
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target", site]
-    subprocess.run([*pip, package], check=True)
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--target"]
+    subprocess.run([*pip, str(site), str(package)], check=True)
     sys.path.insert(0, str(site))
 
     broken = {rule: faults for rule, faults in telenano.check_law("my_law").items() if faults}

@@ -1,0 +1,59 @@
+"""The programs of examples/ that have a rig, run as their heads say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documented_lines import differing
+from live_examples import BESIDE_A_RIG, WITH_A_RIG, assert_printed
+from PIL import Image
+from stack_rig import ROOT, Rig
+
+EXAMPLES = ROOT / "examples"
+
+
+def coloured(picture: Path) -> float:
+    """Return the share of the pixels with a colour, which in these pictures only lines of a plot have."""
+    shades = np.asarray(Image.open(picture).convert("RGB"), dtype=int)
+    return float(np.mean(np.ptp(shades, axis=2) > 60))
+
+
+def run(name: str, folder: Path, rig: Rig) -> str:
+    """Run a program as a reader does, and return what it prints."""
+    command = [sys.executable, f"examples/{name}.py", str(folder)]
+    environment = {**rig.environment, "MPLBACKEND": "agg"}
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_programs_beside_a_rig_print_its_forces_and_draw_them(rig: Rig, tmp_path: Path) -> None:
+    rig.start(scenario="examples/pressing.yaml")
+    rig.wait_until(rig.running, "the session")
+    rig.wait_until(lambda: rig.session_s() > 0.0, "the programme of the hand")
+    for name, expected in BESIDE_A_RIG.items():
+        printed = run(name, tmp_path, rig)
+        assert_printed(printed, expected)
+        # A rig that the machine holds up publishes less than its 250 messages a second.
+        assert all(int(count) > 500 for count in re.findall(r"messages (\d+)", printed)), printed
+        # It began at another moment of the hand's four seconds, so its lines stand elsewhere and are about as long.
+        made, shipped = coloured(tmp_path / f"{name}.png"), coloured(EXAMPLES / f"{name}.png")
+        assert 0.5 * shipped < made < 2.0 * shipped, name
+    assert rig.stop()[0] in (0, 3)
+
+
+def test_programs_beside_no_rig_say_so(rig: Rig, tmp_path: Path) -> None:
+    for name in BESIDE_A_RIG:
+        command = [sys.executable, f"examples/{name}.py", str(tmp_path)]
+        done = subprocess.run(command, env=rig.environment, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        assert done.returncode != 0
+        assert "no rig of this" in done.stderr
+
+
+@pytest.mark.parametrize("name", WITH_A_RIG)
+def test_a_program_with_a_rig_of_its_own_prints_its_forces_and_draws_them(name: str, rig: Rig, tmp_path: Path) -> None:
+    assert_printed(run(name, tmp_path, rig), WITH_A_RIG[name])
+    assert differing(tmp_path / f"{name}.png", EXAMPLES / f"{name}.png") < 0.02
