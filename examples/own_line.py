@@ -3,7 +3,7 @@
 Run it: ping -D -i 0.2 -c 1500 HOST > ping.txt
         python examples/own_line.py [FOLDER [ping.txt]]     takes: 40 s     needs: telenano[viz] and telenano-networks
 You see: the log, and the force at the tip with each law that is installed. Without a name the example makes a log of
-75 ms. Over that line two laws go on swinging. The others come to rest, but tdpa at a force that is not the hand's.
+75 ms. Over that line two laws keep swinging. The others come to rest, but tdpa at a force that is not the hand's.
 """
 
 import json
@@ -46,8 +46,8 @@ axes.set(title=f"{log.name}: the round trip of each answer", xlabel="answer", yl
 for number, law in enumerate(LAWS):
     session = telenano.simulate("fig12", law=law, settings={"delay_node": line["ways"]})
     facts = sorted({fact.kind for hold in session.holds for fact in hold.facts} - {"arrived_late"})
-    told = ", ".join([session.verdict, *facts])
-    print(f"law {law} verdict {told}: {session.reason}, {session['scaled_tip_force_n'].max():.2f} N at most")
+    verdict = ", ".join([session.verdict, *facts])
+    print(f"law {law} verdict {verdict}: {session.reason}, {session['scaled_tip_force_n'].max():.2f} N at most")
     axes = figure.add_subplot(grid[1 + number // 4, number % 4])
     axes.plot(session["time_s"], session["scaled_tip_force_n"], lw=0.8)
     axes.plot(session["time_s"], session["operator_force_n"], "k--", lw=0.6)
