@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from telenano.afm.config import SAMPLES, AfmConfig
-from telenano.afm.disturbed import noisy_params
+from telenano.afm.disturbed import gauged, noisy_params
 from telenano.afm.over_surface import over_surface
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.afm.step import AfmParams
@@ -324,14 +324,13 @@ def simulate_document(
     if afm.begin is not None:
         text = f"{afm.begin.program} moves the tip by a program of the instrument, which a lockstep has not"
         raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
-    if haptic.disturbances.any_enabled:
-        raise ConfigError(f"{origin}: haptic_node.disturbances: a lockstep has none; only `up` can run them")
     trip_s = link.forward.delay_s + link.backward.delay_s
     period_s = controller.period_s
     reference_m = controller.law_config().position_scale * haptic.device.start_position_m
     settle = math.ceil(time_to_place_s(afm.to_guard(), trip_s, reference_m) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
-    rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
+    length_s = ticks * period_s
+    rig = build_rig(controller, haptic, instrument_params(afm, origin, length_s), length_s)
     schedule, path = schedule_of(link, ticks, period_s), None
     hand = None if steers is None else steers(period_s)
     if haptic.lateral is not None and controller.lateral.mode != "direct":
@@ -382,24 +381,22 @@ def _median_round_trip_ms(schedule: Schedule, period_s: float, least_s: float) -
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
     """Return what a node would simulate, for a run of that length [s]; ConfigError names what a lockstep has not."""
-    disturbed = config.disturbances.any_enabled
     if config.feel is not None:
         raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
-    if config.environment in SAMPLES.found:
-        params = config.to_sample_params()
-    elif config.environment == "spring":
-        params = config.to_spring_params()
+    params = config.to_params()
+    # the disturbances are those of the cantilever that reads what the tip meets
+    cantilever = params.plant
+    if config.environment in SAMPLES.found or config.environment == "spring":
+        params = config.to_spring_params() if config.environment == "spring" else config.to_sample_params()
+        read: Any = gauged(params.plant, cantilever)
     elif config.sample is not None and config.sample.map is not None:
-        params = config.to_params()._replace(plant=config.to_over_map().params)
+        over = config.to_over_map()
+        cantilever, read = cantilever._replace(stiffness_n_per_m=over.stiffness_n_per_m), over.params
+        params = params._replace(plant=read)
     else:
-        params = config.to_params()
-        if config.sample is None and disturbed:
-            return params._replace(plant=noisy_params(config.disturbances, params.plant, duration_s))
         surface = config.to_surface()
-        plant = over_surface(params.plant, surface, config.to_friction_params())
-        plant = config.with_layers(plant, surface)
-        params = params._replace(plant=plant)
-    if disturbed:
-        text = "a lockstep has them over a plane of environment tip_sample only; `up` can run them"
-        raise ConfigError(f"{origin}: afm_node.disturbances: {text}")
+        read = config.with_layers(over_surface(cantilever, surface, config.to_friction_params()), surface)
+        params = params._replace(plant=read)
+    if config.disturbances.any_enabled:
+        return params._replace(plant=noisy_params(config.disturbances, cantilever, duration_s, read))
     return params

@@ -22,6 +22,7 @@ ALL = {
     "vibration": {"enabled": True},
     "hysteresis": {"enabled": True, "range_m": 30e-9},
     "creep": {"enabled": True},
+    "stage": {"enabled": True, "resonance_hz": 150.0},
     "drift": {"enabled": True, "speed_m_per_s": 2e-9},
     "thermal": {"enabled": True},
     "readout": {"enabled": True},
