@@ -21,14 +21,17 @@ noises, one an octave of frequency, of equal power. *Electrostatic*: the force o
 """
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
 from telenano.numerics.normal_numbers import normal_number
 from telenano.numerics.sines import sine_noise, sines_of
-from telenano.settings.config import Settings
+from telenano.settings.config import Settings, validate
+from telenano.settings.named_instruments import IDEAL, instrument_named
+from telenano.wire.errors import ConfigError
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 
@@ -131,6 +134,37 @@ class DisturbanceConfig(Settings):
     def any_enabled(self) -> bool:
         base = self.vibration.enabled or self.hysteresis.enabled or self.creep.enabled or self.stage.enabled
         return base or self.drift.enabled or self.thermal.enabled or self.readout.enabled or self.electrostatic.enabled
+
+
+def instrument_name(name: str, section: Mapping[str, Any]) -> str:
+    """Return what a session states of its instrument.
+
+    Args:
+        name: The instrument that the scenario names.
+        section: Section `afm_node` of the scenario, over the keys of its instrument.
+
+    Returns:
+        The name; with "changed" where the disturbances are others than its own, whatever their seed; "disturbed" for
+        others than those of the ideal one; the driver's name for an instrument that is not simulated.
+
+    Raises:
+        ConfigError: The section cannot be read; the message names the key.
+    """
+    driver = str(section.get("driver", "simulated"))
+    if driver != "simulated":
+        return driver
+    try:
+        own = instrument_named(name).scenario.get("afm_node", {}).get("disturbances", {})
+    except ConfigError:
+        # A recording from elsewhere names what is not known here.
+        return name
+    there, here = (
+        validate(DisturbanceConfig, {**given, "seed": 0}, "scenario", "afm_node.disturbances")
+        for given in (own, section.get("disturbances", {}))
+    )
+    if here == there or not (here.any_enabled or there.any_enabled):
+        return name
+    return "disturbed" if name == IDEAL else f"{name}, changed"
 
 
 class NoiseState(NamedTuple):
