@@ -282,16 +282,31 @@ class NoisyState(NamedTuple):
     instrument: DisturbedState
 
 
-def noisy_params(config: DisturbanceConfig, cantilever: Plant, duration_s: float, tip: Any = None) -> NoisyParams:
+def noisy_params(
+    config: DisturbanceConfig, cantilever: Plant, duration_s: float, tip: Any = None, *, is_gauged: bool = False
+) -> NoisyParams:
     """Draw the noise of a run of duration_s [s], the seed of `config` deciding all of it.
 
-    tip: the part that the cantilever reads; None is the cantilever itself over a plane.
+    Args:
+        config: The disturbances.
+        cantilever: The cantilever that is disturbed, over a plane where there is no other part.
+        duration_s: The length of the run [s].
+        tip: The part that the cantilever reads; None is the cantilever itself.
+        is_gauged: Whether that part says a force alone.
     """
+    read = cantilever if tip is None else gauged(tip, cantilever) if is_gauged else tip
+    rows = _noise_rows(config, cantilever.stiffness_n_per_m, max(1, math.ceil(duration_s / _NOISE_STEP_S) + 1))
+    return NoisyParams(disturbed_params(config, read, cantilever), rows)
+
+
+@lru_cache(maxsize=8)
+def _noise_rows(config: DisturbanceConfig, stiffness_n_per_m: float, count: int) -> Array:
+    """Return the noise of so many milliseconds, which the runs of a study share and none writes to."""
     state, rows = noise_start(), []
-    for _ in range(max(1, math.ceil(duration_s / _NOISE_STEP_S) + 1)):
-        state, noise = noise_step(config, state, cantilever.stiffness_n_per_m, _NOISE_STEP_S)
+    for _ in range(count):
+        state, noise = noise_step(config, state, stiffness_n_per_m, _NOISE_STEP_S)
         rows.append(noise)
-    return NoisyParams(disturbed_params(config, cantilever if tip is None else tip, cantilever), np.array(rows))
+    return np.array(rows)
 
 
 @compiled

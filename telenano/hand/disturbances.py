@@ -12,9 +12,11 @@ A node draws them as it goes; a session in lockstep draws those of its whole run
 """
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
 from telenano.extend.hands import Capabilities, DeviceReading
@@ -24,6 +26,8 @@ from telenano.hand.step import DisturbedPlantParams, PlantParams, disturbed_read
 from telenano.numerics.normal_numbers import normal_number
 from telenano.numerics.sines import sine_noise, sines_of
 from telenano.settings.config import Settings
+
+Series = npt.NDArray[np.float64]
 
 _TREMOR_Q = 8.0
 # lowest frequency of the wander [Hz]
@@ -144,12 +148,18 @@ def disturbed_plant_params(
     config: HandDisturbanceConfig, plant: Any, samples: int, period_s: float
 ) -> DisturbedPlantParams:
     """Draw what disturbs a run of so many samples, one a period [s]; the seed of `config` decides all of it."""
+    return DisturbedPlantParams(plant, *_drawn(config, samples, period_s), config.resolution_m)
+
+
+@lru_cache(maxsize=8)
+def _drawn(config: HandDisturbanceConfig, samples: int, period_s: float) -> tuple[Series, Series]:
+    """Return noise and tremor [N] of so many samples and the wander [N], which the runs of a study share."""
     state, forces_n = HandDisturbanceState(0.0, 0.0, 0.0, 0), []
     for _ in range(samples):
         state, force_n = hand_noise_step(config, state, period_s)
         forces_n.append(force_n)
     wandering_n = [wander_n(config, index * period_s) for index in range(samples)]
-    return DisturbedPlantParams(plant, np.array(forces_n), np.array(wandering_n), config.resolution_m)
+    return np.array(forces_n), np.array(wandering_n)
 
 
 class DisturbedHaptic(SimulatedHaptic):

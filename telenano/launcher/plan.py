@@ -56,7 +56,8 @@ class UpRequest(Settings):
         description="Experiment to run: a known name or a YAML file; with --attach it gives name and duration only"
     )
     instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
-        default=None, description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's"
+        default=None,
+        description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
     )
     site_file: Annotated[Path | None, Option(("--site-file",), "FILE", site_file_named)] = Field(
         default=None,

@@ -18,7 +18,7 @@ import numpy as np
 
 from telenano.afm.config import SAMPLES, AfmConfig
 from telenano.afm.disturbances import instrument_name
-from telenano.afm.disturbed import gauged, noisy_params
+from telenano.afm.disturbed import noisy_params
 from telenano.afm.over_surface import over_surface
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.afm.step import AfmParams
@@ -397,18 +397,18 @@ def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmP
         raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
     params = config.to_params()
     # the disturbances are those of the cantilever that reads what the tip meets
-    cantilever = params.plant
-    if config.environment in SAMPLES.found or config.environment == "spring":
+    cantilever, is_gauged = params.plant, config.environment in SAMPLES.found or config.environment == "spring"
+    if is_gauged:
         params = config.to_spring_params() if config.environment == "spring" else config.to_sample_params()
-        read: Any = gauged(params.plant, cantilever)
     elif config.sample is not None and config.sample.map is not None:
         over = config.to_over_map()
-        cantilever, read = cantilever._replace(stiffness_n_per_m=over.stiffness_n_per_m), over.params
-        params = params._replace(plant=read)
+        cantilever = cantilever._replace(stiffness_n_per_m=over.stiffness_n_per_m)
+        params = params._replace(plant=over.params)
     else:
         surface = config.to_surface()
-        read = config.with_layers(over_surface(cantilever, surface, config.to_friction_params()), surface)
-        params = params._replace(plant=read)
-    if config.disturbances.any_enabled:
-        return params._replace(plant=noisy_params(config.disturbances, cantilever, duration_s, read))
-    return params
+        plant = over_surface(cantilever, surface, config.to_friction_params())
+        params = params._replace(plant=config.with_layers(plant, surface))
+    if not config.disturbances.any_enabled:
+        return params
+    noisy = noisy_params(config.disturbances, cantilever, duration_s, params.plant, is_gauged=is_gauged)
+    return params._replace(plant=noisy)

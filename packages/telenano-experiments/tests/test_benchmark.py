@@ -14,7 +14,7 @@ import pytest
 from telenano_experiments.benchmark import plan as plan_module
 from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
 from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
-from telenano_experiments.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
+from telenano_experiments.benchmark.results import Case, choices, digest_of, rows_of, runs_text, summary_of
 from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
@@ -167,14 +167,16 @@ def test_the_law_to_take_held_most_and_followed_nearest():
         made("lan", PAPER, "stable", 0.4), made("lan", PAPER, "stable", 0.4),
         made("satellite", "wave", "diverged", None),
     ])  # fmt: skip
+    lan = Case("ideal", "scripted", "lan")
     found = choices(rows)
-    assert [row.law for row in found["lan"]] == ["smith", PAPER, "wave"]
-    smith = found["lan"][0]
+    assert [row.law for row in found[lan]] == ["smith", PAPER, "wave"]
+    smith = found[lan][0]
     assert (smith.held, smith.runs, smith.made_energy) == (2, 2, 1)
     assert smith.measures["tracking_error"] == (0.25, 0.2, 0.3)
-    assert found["lan"][2].verdicts == {"limit_cycle": 1, "stable": 1}
+    assert found[lan][2].verdicts == {"limit_cycle": 1, "stable": 1}
     summary = summary_of(plan_of(["wave"], quick=True), [made("lan", "wave", "stable", 0.5)], rows)
-    assert summary["take"] == {"lan": "smith", "satellite": None}
+    assert [(taken["network"], taken["law"]) for taken in summary["take"]] == [("lan", "smith"), ("satellite", None)]
+    assert {(taken["instrument"], taken["steadiness"]) for taken in summary["take"]} == {("ideal", "scripted")}
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
@@ -199,8 +201,8 @@ def test_another_file_of_a_network_is_another_run(monkeypatch):
     assert run_of(network="wifi").key != before
 
 
-def small(laws, *, quick, networks=(), settings=()):
-    return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings)
+def small(laws, *, quick, networks=(), settings=(), instruments=(), steadiness=()):
+    return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings, ("ideal",), ("scripted",))
 
 
 def test_the_command_writes_page_figure_and_runs(tmp_path, monkeypatch):

@@ -42,10 +42,10 @@ _BESIDE_THE_PAPER = {
     " energy that is lost. The same here, where C is the forming of the meniscus, as a cantilever of 40 N/m does not"
     " snap, and D is its break; the paper draws F over the distance h, this figure over the base.",
     "fig6": "The paper: measured on mica, nearly linear in contact, with electrical and environmental noise to be seen."
-    " The same here, first without noise, then with that of the paper's own bridge (instrument paper_bridge): 1.27 mV of"
-    " Johnson noise are 0.2 nm, or 1.6 nN, and as much again is taken for its 1/f noise. Both ways are then apart in"
+    " The same here, first without noise, then with that of the paper's own bridge (instrument paper_bridge): 1.27 mV"
+    " of Johnson noise are 0.2 nm, or 1.6 nN, and as much again is taken for its 1/f noise. Both ways are then apart in"
     " contact by hysteresis and creep of the piezo, which turns before it presses with 20 nN; the jumps at C and D"
-    " drown, and the pull-off does not. Tip and sample are those of Table 2, since the paper does not tell all of them.",
+    " drown, and the pull-off does not. Tip and sample are those of Table 2, as the paper does not tell all of them.",
     "fig8": "The paper: dots of about 5 nm radius and 10 nm height. Here they are wider, as the tip of 10 nm radius"
     " sees them; their places are drawn by a seed.",
     "fig10": "The paper: upward jumps of the hand stand for the dots, and x_m goes with alpha_p x_s. The same here; the"
