@@ -46,7 +46,7 @@ def test_noise_and_drift_are_no_cycle_and_no_growth(flicker_n: float) -> None:
 @pytest.mark.parametrize("flicker_n", [0.02, 0.04, 0.1])
 def test_a_cycle_is_one_under_noise(flicker_n: float) -> None:
     """A cycle that is ten times the noise from peak to peak is not rest, and is seen where it turns often."""
-    for cycle_hz, seen in ((1.1, 0.0), (3.0, 0.7), (11.0, 0.9)):
+    for cycle_hz, seen in ((1.1, 0.0), (3.0, 0.5), (11.0, 0.9)):
         kinds = Counter(read(seed, flicker_n, 10.0 * flicker_n, cycle_hz).kind for seed in SEEDS[:12])
         assert kinds.keys() <= {"limit_cycle", "cannot_say"}, (cycle_hz, kinds)
         assert kinds["limit_cycle"] >= seen * len(SEEDS[:12]), (cycle_hz, kinds)
