@@ -6,32 +6,38 @@ step.
 
 At the instrument's rate of a step a millisecond, with t its own time:
 
-    x_piezo = x + hysteresis(x) + creep(x) + drift t + vibration(t)
+    x_piezo = S(x + hysteresis(x) + creep(x)) + drift t + vibration(t)
     x, y    = those of the stage - drift of the sample
     zeta    = zeta(x_piezo) + thermal + (white + 1/f + rounding of the converter) / gain of the read-out
 
 *Vibration*: a sum of sines between two frequencies, evenly spread over the logarithm, of equal amplitude and random
 phase; what lies above half the rate of the instrument folds back, as it does in a sampled signal. *Hysteresis*: play
 operators (Prandtl-Ishlinskii; Kuhnen, Eur. J. Control 9 (2003) 407): x + sum of w_i (p_i - x), p_i following x behind
-a play of r_i. *Creep*: first-order lags, one a decade of time, which together are nearly logarithmic. *Thermal noise*:
-<zeta^2> = k_B T / k, at each step anew, since the cantilever is far faster. *1/f noise*: first-order noises, one an
-octave of frequency, of equal power. *Electrostatic*: the force of a voltage that stands or wanders.
+a play of r_i. *Creep*: first-order lags, one a decade of time, which together are nearly logarithmic. *Stage*:
+S(s) = w^2 / (s^2 + 2 d w s + w^2), its first resonance, or the drive in front of it, behind hysteresis and creep (D.
+Croft, G. Shed, S. Devasia, J. Dyn. Syst. Meas. Control 123 (2001) 35); with d = 1/sqrt(2) it passes w at -3 dB.
+*Thermal noise*: <zeta^2> = k_B T / k, at each step anew, since the cantilever is far faster. *1/f noise*: first-order
+noises, one an octave of frequency, of equal power. *Electrostatic*: the force of a voltage that stands or wanders.
 """
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import Field
 
 from telenano.numerics.normal_numbers import normal_number
-from telenano.settings.config import Settings
+from telenano.numerics.sines import sine_noise, sines_of
+from telenano.settings.config import Settings, validate
+from telenano.settings.named_instruments import IDEAL, instrument_named
+from telenano.wire.errors import ConfigError
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 
-_SINES = 48
 _OCTAVES = 12
+# vibration is the first stream of its seed besides the normal numbers
+_VIBRATION = 1
 
 
 class VibrationConfig(Settings):
@@ -57,6 +63,19 @@ class CreepConfig(Settings):
     enabled: bool = Field(False, description="Whether it acts.")
     share_per_decade: float = Field(
         0.02, ge=0.0, le=0.5, description="Share of a step that follows in a decade of time."
+    )
+
+
+class StageConfig(Settings):
+    """First resonance of the stage, or the bandwidth of its drive."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    resonance_hz: float = Field(200.0, ge=1.0, le=1e5, description="Undamped resonance w / 2 pi [Hz].")
+    damping: float = Field(
+        0.7071,
+        gt=0.0,
+        lt=1.0,
+        description="Damping ratio d, below 1; 0.7071 is -3 dB at the resonance, an open-loop scanner has some 0.01.",
     )
 
 
@@ -105,6 +124,7 @@ class DisturbanceConfig(Settings):
     vibration: VibrationConfig = Field(VibrationConfig(), description="Vibration of the base.")
     hysteresis: HysteresisConfig = Field(HysteresisConfig(), description="Hysteresis of the piezo.")
     creep: CreepConfig = Field(CreepConfig(), description="Creep of the piezo.")
+    stage: StageConfig = Field(StageConfig(), description="Lag of the stage.")
     drift: DriftConfig = Field(DriftConfig(), description="Thermal drift.")
     thermal: ThermalConfig = Field(ThermalConfig(), description="Thermal noise of the cantilever.")
     readout: ReadoutConfig = Field(ReadoutConfig(), description="Noise of the read-out.")
@@ -112,8 +132,39 @@ class DisturbanceConfig(Settings):
 
     @property
     def any_enabled(self) -> bool:
-        base = self.vibration.enabled or self.hysteresis.enabled or self.creep.enabled or self.drift.enabled
-        return base or self.thermal.enabled or self.readout.enabled or self.electrostatic.enabled
+        base = self.vibration.enabled or self.hysteresis.enabled or self.creep.enabled or self.stage.enabled
+        return base or self.drift.enabled or self.thermal.enabled or self.readout.enabled or self.electrostatic.enabled
+
+
+def instrument_name(name: str, section: Mapping[str, Any]) -> str:
+    """Return what a session states of its instrument.
+
+    Args:
+        name: The instrument that the scenario names.
+        section: Section `afm_node` of the scenario, over the keys of its instrument.
+
+    Returns:
+        The name; with "changed" where the disturbances are others than its own, whatever their seed; "disturbed" for
+        others than those of the ideal one; the driver's name for an instrument that is not simulated.
+
+    Raises:
+        ConfigError: The section cannot be read; the message names the key.
+    """
+    driver = str(section.get("driver", "simulated"))
+    if driver != "simulated":
+        return driver
+    try:
+        own = instrument_named(name).scenario.get("afm_node", {}).get("disturbances", {})
+    except ConfigError:
+        # A recording from elsewhere names what is not known here.
+        return name
+    there, here = (
+        validate(DisturbanceConfig, {**given, "seed": 0}, "scenario", "afm_node.disturbances")
+        for given in (own, section.get("disturbances", {}))
+    )
+    if here == there or not (here.any_enabled or there.any_enabled):
+        return name
+    return "disturbed" if name == IDEAL else f"{name}, changed"
 
 
 class NoiseState(NamedTuple):
@@ -144,25 +195,6 @@ class Noise(NamedTuple):
     flicker_v: float = 0.0
     sample_x_m: float = 0.0
     sample_y_m: float = 0.0
-
-
-class Sines(NamedTuple):
-    """Angular frequencies [rad/s] and phases of the vibration."""
-
-    rates: tuple[float, ...]
-    phases: tuple[float, ...]
-
-
-@lru_cache(maxsize=8)
-def sines_of(seed: int, vibration: VibrationConfig) -> Sines:
-    """Return frequencies and phases of the vibration, which the seed decides."""
-    random = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, 1]))
-    low, high = sorted((vibration.low_hz, vibration.high_hz))
-    # Each lies somewhere in its part of the band: an even comb would have a period. Powers and sines are those of the C
-    # library, one after the other: NumPy's own depend on the instructions of the processor.
-    places = [(i + share) / _SINES for i, share in enumerate(random.random(_SINES).tolist())]
-    rates = tuple(2.0 * math.pi * low * math.pow(high / low, place) for place in places)
-    return Sines(rates, tuple(2.0 * math.pi * share for share in random.random(_SINES).tolist()))
 
 
 def noise_start() -> NoiseState:
@@ -224,8 +256,4 @@ def _drifted(config: DisturbanceConfig, state: NoiseState, dt: float) -> tuple[f
 
 
 def _vibration_m(seed: int, config: VibrationConfig, time_s: float) -> float:
-    sines = sines_of(seed, config)
-    amplitude_m = config.rms_m * math.sqrt(2.0 / _SINES)
-    return amplitude_m * sum(
-        math.sin(rate * time_s + phase) for rate, phase in zip(sines.rates, sines.phases, strict=True)
-    )
+    return sine_noise(sines_of(seed, _VIBRATION, config.low_hz, config.high_hz), config.rms_m, time_s)

@@ -1,6 +1,6 @@
 """The disturbed instrument: a part around another, with a piezo that lags and creeps and a read-out with its noise.
 
-    x_piezo = x + hysteresis(x) + creep(x) + drift + vibration
+    x_piezo = S(x + hysteresis(x) + creep(x)) + drift + vibration
     zeta    = converter(zeta(x_piezo) + thermal + (white + 1/f) / gain of the read-out)
 
 What is reported of the base is what it was sent to: an open-loop piezo knows no better. The noise is an input
@@ -21,6 +21,7 @@ from telenano.afm.disturbances import (
     HysteresisConfig,
     Noise,
     ReadoutConfig,
+    StageConfig,
     noise_start,
     noise_step,
 )
@@ -35,19 +36,28 @@ _PLAYS = 8
 _LAGS_S = (0.1, 1.0, 10.0, 100.0)
 # the noise of a run in lockstep has a value a millisecond, as that of a node has
 _NOISE_STEP_S = 1e-3
+_NO_STAGE = StageConfig()
 
 
 class PiezoParams(NamedTuple):
-    """Plays r_i [m] and the weight of each; lags [s] and the share of each. What is switched off has none."""
+    """Plays r_i [m] and the weight of each; lags [s] and the share of each. What is switched off has none.
+
+    stage_rad_per_s, stage_damping: resonance w of the stage, 0 for none, and its damping ratio d, 0 < d < 1.
+    """
 
     play_radii_m: Array
     play_weight: float
     lags_s: Array
     lag_share: float
+    stage_rad_per_s: float
+    stage_damping: float
 
 
 class PiezoState(NamedTuple):
-    """Plays p_i and lags [m], which a step leaves alone where they are switched off."""
+    """Plays p_i and lags [m], which a step leaves alone where they are switched off.
+
+    The last two lags are of the stage: its place, and its place and its speed over w.
+    """
 
     plays_m: Array
     lags_m: Array
@@ -78,7 +88,7 @@ class DisturbedState(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def piezo_params(hysteresis: HysteresisConfig, creep: CreepConfig) -> PiezoParams:
+def piezo_params(hysteresis: HysteresisConfig, creep: CreepConfig, stage: StageConfig = _NO_STAGE) -> PiezoParams:
     """Return the constants of a piezo. Of the plays all have turned round by the middle of the range."""
     radii = [0.25 * hysteresis.range_m * (i + 0.5) / _PLAYS for i in range(_PLAYS)] if hysteresis.enabled else []
     return PiezoParams(
@@ -86,6 +96,8 @@ def piezo_params(hysteresis: HysteresisConfig, creep: CreepConfig) -> PiezoParam
         4.0 * hysteresis.share / _PLAYS,
         np.array(_LAGS_S if creep.enabled else (), np.float64),
         creep.share_per_decade,
+        2.0 * math.pi * stage.resonance_hz if stage.enabled else 0.0,
+        stage.damping,
     )
 
 
@@ -99,7 +111,7 @@ def disturbed_params(config: DisturbanceConfig, tip: Any, cantilever: Plant) -> 
     """Return the constants of a part, tip, with this cantilever and these disturbances."""
     return DisturbedParams(
         tip,
-        piezo_params(config.hysteresis, config.creep),
+        piezo_params(config.hysteresis, config.creep, config.stage),
         cantilever.stiffness_n_per_m,
         converter_params(config.readout, cantilever.volts_per_m),
     )
@@ -107,7 +119,18 @@ def disturbed_params(config: DisturbanceConfig, tip: Any, cantilever: Plant) -> 
 
 def piezo_at_rest(base_m: float) -> PiezoState:
     """Return the state of a piezo that has been at base_m [m] for long."""
-    return PiezoState(np.full(_PLAYS, base_m), np.full(len(_LAGS_S), base_m))
+    return PiezoState(np.full(_PLAYS, base_m), np.full(len(_LAGS_S) + 2, base_m))
+
+
+def piezo_switched(state: PiezoState, before: DisturbanceConfig, after: DisturbanceConfig, base_m: float) -> PiezoState:
+    """Return the state of a piezo at base_m [m] under other settings; what is switched on begins at rest there."""
+    rest, lags_m = piezo_at_rest(base_m), state.lags_m.copy()
+    if after.creep.enabled and not before.creep.enabled:
+        lags_m[:-2] = rest.lags_m[:-2]
+    if after.stage.enabled and not before.stage.enabled:
+        lags_m[-2:] = rest.lags_m[-2:]
+    is_new = after.hysteresis.enabled and not before.hysteresis.enabled
+    return PiezoState(rest.plays_m if is_new else state.plays_m, lags_m)
 
 
 @compiled
@@ -121,14 +144,34 @@ def piezo_step(params: PiezoParams, state: PiezoState, base_m: float, dt: float)
         for i in range(len(plays)):
             apart += plays[i] - base_m
         x += params.play_weight * apart
-    if len(lags_s) > 0:
+    w = params.stage_rad_per_s
+    if len(lags_s) > 0 or w > 0.0:
         lags = lags.copy()
+    if len(lags_s) > 0:
         behind = 0.0
-        for i in range(len(lags)):
+        for i in range(len(lags_s)):
             lags[i] += (base_m - lags[i]) * (1.0 - math.exp(-dt / lags_s[i]))
             behind += lags[i] - base_m
         x += params.lag_share * behind
+    if w > 0.0:
+        place, ahead = len(lags) - 2, len(lags) - 1
+        speed = (lags[ahead] - lags[place]) * w
+        lags[place], speed = _stage_step(w, params.stage_damping, lags[place], speed, x, dt)
+        lags[ahead], x = lags[place] + speed / w, lags[place]
     return PiezoState(plays, lags), float(x)
+
+
+@compiled
+def _stage_step(w: float, d: float, x: float, v: float, target_m: float, dt: float) -> tuple[float, float]:
+    """Return place [m] and speed [m/s] of x'' + 2 d w x' + w^2 (x - target) = 0 after dt [s], exactly.
+
+    The command holds from the last sample to this one, so that a stage without a lag is where it is sent to at once.
+    """
+    free = w * math.sqrt(1.0 - d * d)
+    kept, c, s = math.exp(-d * w * dt), math.cos(free * dt), math.sin(free * dt)
+    off = x - target_m
+    after = kept * (off * (c + d * w / free * s) + v / free * s)
+    return target_m + after, kept * (v * (c - d * w / free * s) - off * w * w / free * s)
 
 
 def converter_step_v(bits: int, range_v: float) -> float:
@@ -188,6 +231,43 @@ def disturbed_step(
     )
 
 
+class GaugedParams(NamedTuple):
+    """A part that says no more than a force, as a spring does, and the cantilever that this is read by.
+
+    stiffness_n_per_m: of the cantilever [N/m]; volts_per_m: gain of its read-out [V/m].
+    """
+
+    tip: Any
+    stiffness_n_per_m: float
+    volts_per_m: float
+
+
+@compiled
+def _gauged_step(params: GaugedParams, state: Any, inputs: PlantInputs, dt: float) -> tuple[Any, AfmSample]:
+    state, sample = part_step(params.tip, state, inputs, dt)
+    zeta = sample.force_n / params.stiffness_n_per_m
+    return state, AfmSample(
+        base_m=sample.base_m,
+        deflection_m=zeta,
+        force_n=sample.force_n,
+        bridge_voltage_v=params.volts_per_m * zeta,
+        distance_m=sample.distance_m,
+        distance_valid=sample.distance_valid,
+        in_contact=sample.in_contact,
+        meniscus=sample.meniscus,
+        lateral_x_n=sample.lateral_x_n,
+        lateral_y_n=sample.lateral_y_n,
+    )
+
+
+def gauged(tip: Any, cantilever: Plant) -> GaugedParams:
+    """Return a part whose force this cantilever reads; it does not give way, so that the force is that of the part."""
+    return GaugedParams(tip, cantilever.stiffness_n_per_m, cantilever.volts_per_m)
+
+
+register_part(GaugedParams, Part(lambda params, inputs: part_start(params.tip, inputs), _gauged_step))
+
+
 class NoisyParams(NamedTuple):
     """A disturbed instrument, and the noise of a whole run, each row the fields of `Noise` of a millisecond."""
 
@@ -202,13 +282,31 @@ class NoisyState(NamedTuple):
     instrument: DisturbedState
 
 
-def noisy_params(config: DisturbanceConfig, cantilever: Plant, duration_s: float) -> NoisyParams:
-    """Draw the noise of a run of duration_s [s] over a plane, the seed of `config` deciding all of it."""
+def noisy_params(
+    config: DisturbanceConfig, cantilever: Plant, duration_s: float, tip: Any = None, *, is_gauged: bool = False
+) -> NoisyParams:
+    """Draw the noise of a run of duration_s [s], the seed of `config` deciding all of it.
+
+    Args:
+        config: The disturbances.
+        cantilever: The cantilever that is disturbed, over a plane where there is no other part.
+        duration_s: The length of the run [s].
+        tip: The part that the cantilever reads; None is the cantilever itself.
+        is_gauged: Whether that part says a force alone.
+    """
+    read = cantilever if tip is None else gauged(tip, cantilever) if is_gauged else tip
+    rows = _noise_rows(config, cantilever.stiffness_n_per_m, max(1, math.ceil(duration_s / _NOISE_STEP_S) + 1))
+    return NoisyParams(disturbed_params(config, read, cantilever), rows)
+
+
+@lru_cache(maxsize=8)
+def _noise_rows(config: DisturbanceConfig, stiffness_n_per_m: float, count: int) -> Array:
+    """Return the noise of so many milliseconds, which the runs of a study share and none writes to."""
     state, rows = noise_start(), []
-    for _ in range(max(1, math.ceil(duration_s / _NOISE_STEP_S) + 1)):
-        state, noise = noise_step(config, state, cantilever.stiffness_n_per_m, _NOISE_STEP_S)
+    for _ in range(count):
+        state, noise = noise_step(config, state, stiffness_n_per_m, _NOISE_STEP_S)
         rows.append(noise)
-    return NoisyParams(disturbed_params(config, cantilever, cantilever), np.array(rows))
+    return np.array(rows)
 
 
 @compiled
@@ -218,7 +316,14 @@ def _noisy_step(params: NoisyParams, state: NoisyState, inputs: PlantInputs, dt:
     # Nothing was drawn yet at the start.
     drawn = 1.0 if time_s > 0.0 else 0.0
     noise = Noise(
-        drawn * row[0], drawn * row[1], drawn * row[2], drawn * row[3], drawn * row[4], drawn * row[5], 0.0, 0.0
+        drift_m=drawn * row[0],
+        vibration_m=drawn * row[1],
+        voltage_v=drawn * row[2],
+        thermal_m=drawn * row[3],
+        white_v=drawn * row[4],
+        flicker_v=drawn * row[5],
+        sample_x_m=drawn * row[6],
+        sample_y_m=drawn * row[7],
     )
     instrument, sample = disturbed_step(params.instrument, state.instrument, inputs, noise, dt)
     return NoisyState(time_s, instrument), sample

@@ -9,7 +9,15 @@ import msgspec
 from telenano.afm.cantilever import Plant
 from telenano.afm.contact.friction import FrictionParams
 from telenano.afm.disturbances import DisturbanceConfig, NoiseState, noise_start, noise_step
-from telenano.afm.disturbed import DisturbedState, PiezoState, disturbed_params, disturbed_step, piezo_at_rest
+from telenano.afm.disturbed import (
+    DisturbedState,
+    PiezoState,
+    disturbed_params,
+    disturbed_step,
+    gauged,
+    piezo_at_rest,
+    piezo_switched,
+)
 from telenano.afm.over_surface import over_surface
 from telenano.afm.part import motion_of, part_of, part_start, part_step, truths_of
 from telenano.afm.sample.surface import Surface
@@ -49,6 +57,7 @@ class SimulatedInstrument:
         disturbances: The disturbances of the instrument.
         about: What a person should know of the sample when the tip is armed, in words.
         channel: What the part measures besides the deflection, a channel of `felt`; empty for nothing.
+        is_gauged: Whether the part says a force alone, which the cantilever reads where it is disturbed.
     """
 
     def __init__(
@@ -59,8 +68,10 @@ class SimulatedInstrument:
         disturbances: DisturbanceConfig = _QUIET,
         about: str = "",
         channel: str = "",
+        *,
+        is_gauged: bool = False,
     ) -> None:
-        self._params = params
+        self._params, self._is_gauged = params, is_gauged
         self.about, self._channel = about, channel
         self._relief, self._cantilever = relief, cantilever
         self._motion = motion_of(params.plant)
@@ -148,6 +159,8 @@ class SimulatedInstrument:
         if not state.disturbances.any_enabled:
             # Creep and hysteresis begin at rest, where the base is when they are switched on.
             state.piezo, state.elapsed_s = None, 0.0
+        if state.piezo is not None:
+            state.piezo = piezo_switched(state.piezo, state.disturbances, config, state.inputs.base_m)
         state.inputs = _thermal(state.inputs, config, moves=self._motion is not None)
         state.disturbances = config
 
@@ -215,7 +228,8 @@ class SimulatedInstrument:
         return sample
 
     def _disturbed(self, cantilever: Plant, inputs: PlantInputs) -> AfmSample:
-        state, tip, config = self.state, self._params.plant, self.state.disturbances
+        state, config = self.state, self.state.disturbances
+        tip = gauged(self._params.plant, cantilever) if self._is_gauged else self._params.plant
         # thermal noise of a cantilever that moves are impulses on its tip
         drawn = config if self._motion is None else config.model_copy(update={"thermal": _QUIET.thermal})
         noise_state, noise = noise_step(drawn, state.noise, cantilever.stiffness_n_per_m, state.elapsed_s)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from telenano.afm.disturbances import instrument_name
 from telenano.analysis.plugins import recorded_plugins, require_installed
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import EVEN, LinkSettings, network_name
@@ -13,6 +14,7 @@ from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import Timeline
 from telenano.settings.config import validate
+from telenano.settings.named_instruments import IDEAL
 from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import LINK
 
@@ -38,7 +40,8 @@ def conditions(
         set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back, and
         `link_round_trip_range_ms`, the least and the greatest of them; `loop_round_trip_ms`, median age, in whole
         periods, of the sample that the newest answer descends from, as the law has to bridge it (both null where
-        nothing was recorded); name of the network and seed of the link; `plugins`, package, version and digest of what
+        nothing was recorded); name of the network and seed of the link; `instrument`,
+        what disturbs the AFM, by its name; `plugins`, package, version and digest of what
         other packages brought to it; versions.
 
     Raises:
@@ -61,6 +64,7 @@ def conditions(
         "loop_round_trip_ms": loop_ms,
         "link_profile": network_name(link),
         "link_seed": link.seed,
+        "instrument": instrument_name(scenario.instrument, scenario.afm_node),
         "plugins": plugins,
         "version": versions.get("package telenano", "unknown"),
         "commit": versions.get("commit", "unknown"),
@@ -83,6 +87,8 @@ def title(found: dict[str, Any]) -> str:
         break
     if found["link_profile"] not in EVEN:
         words.append(f"link {found['link_profile']}")
+    if found.get("instrument", IDEAL) != IDEAL:
+        words.append(f"instrument {found['instrument']}")
     return ", ".join(words)
 
 

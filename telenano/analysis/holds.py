@@ -27,7 +27,17 @@ import numpy.typing as npt
 from telenano.analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from telenano.analysis.modes import LEAST_SAMPLES, centred, rms
 from telenano.analysis.swings import Swing, swings_of
-from telenano.analysis.verdict import ERROR_SHARE, LEAST_TURNS, SMALL_SHARE, Kind, Verdict, judge, rounding_of
+from telenano.analysis.verdict import (
+    ERROR_SHARE,
+    LEAST_TURNS,
+    SMALL_SHARE,
+    Kind,
+    Verdict,
+    judge,
+    noise_of,
+    reach_of,
+    rounding_of,
+)
 
 Series = npt.NDArray[np.float64]
 Span = tuple[float, float]
@@ -662,7 +672,9 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
     part = session.at(before_s, end)
     hand = slice(*np.searchsorted(session.hand_s, (before_s, end)).tolist())
     pressed_n = float(session.hand_n[hand].max(initial=max(abs(force), session.small_n)))
-    blow_n = float(session.tip_n[part][session.tip.following[part]].max(initial=0.0))
+    pressing = session.tip_n[part][session.tip.following[part]]
+    # what noise reaches is no blow
+    blow_n = float(pressing.max(initial=0.0)) - reach_of(noise_of(pressing, session.step_n), len(pressing))
     if blow_n > STRUCK_FORCES * pressed_n:
         text = f"struck with {blow_n:.3g} N, {blow_n / pressed_n:.3g} times the force of the hand"
         found.append(Fact("struck", blow_n, text))

@@ -219,6 +219,10 @@ class Summary(_Part):
         "`clean`, and as in `lte, changed` where they change another profile"
     )
     link_seed: int = Field(description="Seed of the random streams of the link")
+    instrument: str = Field(
+        description="What disturbs the AFM: the name of its instrument, as in `real`, or `real, changed` where keys "
+        "change it; `disturbed` without a name; the driver's where it is not simulated"
+    )
     plugins: dict[str, Package] = Field(description="What other packages brought to the session, by `<kind>.<name>`")
     version: str = Field(description="Version of telenano that recorded the session; unknown if not recorded")
     commit: str = Field(description="Commit of telenano that recorded the session; unknown if not recorded")

@@ -45,6 +45,14 @@ _FLOOR_SHARE = 1e-7
 _ON_ITS_WAY = "the force was on its way"
 _TAILS = (1.0, 0.5, 0.25, 0.125)
 _WINDOWS = 8
+# octaves of a spectrum that tell noise from a motion [1]
+_OCTAVES = 4
+# an octave with more than this of the density of white noise shows another motion [1]
+_WHITE_OVER = 3.0
+# fall of the density in an octave [1, logarithm] of noise whose density goes with the square of the frequency
+_STEEPEST = 2.0 * math.log(2.0)
+# chance makes a line over the density of noise, of so many neighbours, less than once in e to this
+_LINE_NATS = 7.0
 
 
 class Verdict(NamedTuple):
@@ -92,7 +100,7 @@ def judge(
     step = rounding_of(values) if step_n is None else step_n
     # one step of a read-out that rounds is no motion
     small, floor = max(SMALL_SHARE * hand_force_n, 1.5 * step), _FLOOR_SHARE * hand_force_n
-    noise = max(noise_floor(values), step / math.sqrt(12.0))
+    noise = noise_of(values, step)
     if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
         words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {ERROR_SHARE * hand_force_n:.2g} N"
         return Verdict("cannot_say", None, 0.0, noise, f"{words} would decide")
@@ -293,6 +301,10 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
     steps = list(pairwise(sizes[_WINDOWS // 2 :]))
     grows, falls = all(after > before for before, after in steps), all(after < before for before, after in steps)
     size, rate = sizes[-1], slope / window_s
+    if max(sizes[-2:]) > small and _falls_as_noise(values, noise_n):
+        size = max(sizes)
+        words = f"a motion of {size:.3g} N from peak to peak has no line and falls with the frequency as 1/f noise does"
+        return Verdict("cannot_say", rate, size, noise_n, f"{words}: a read-out and a hand with less would decide")
     if grows and slope * _WINDOWS > LEAST_CHANGE and size * math.exp(min(slope * _WINDOWS, 50.0)) > small:
         words = f"a motion of {size:.3g} N from peak to peak grows by {rate:.3g}/s"
         return Verdict("diverged", rate, size, noise_n, words)
@@ -340,6 +352,43 @@ def _gone(values: Series) -> float:
     return abs(last - first) if (last - then) * (last - first) > 0.5 * (last - first) ** 2 else 0.0
 
 
+def _falls_as_noise(values: Series, noise_n: float) -> bool:
+    """Return whether the density of a motion falls from octave to octave as 1/f noise does, and no line stands out.
+
+    A cycle has a line, and one that is irregular has a band; the density of noise is greatest where it begins. It may
+    come to the white noise of the read-out.
+    """
+    count = len(values)
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
+    power = np.abs(np.fft.rfft(centred(values) * window)) ** 2 / float(np.cumsum(window * window)[-1])
+    octaves = [power[2**k : 2 ** (k + 1)] for k in range(1, int(math.log2(len(power))))]
+    # of the white part the density is the variance
+    above = [own for own in octaves if float(own.mean()) > _WHITE_OVER * noise_n * noise_n]
+    if len(above) < _OCTAVES or len(above) != len(octaves[: len(above)]):
+        return False
+    levels = [math.log(float(own.mean())) for own in above]
+    steps = [before - after for before, after in pairwise(levels)]
+    # the logarithms of the means of n and 2 n neighbours under this window differ by so much, by chance
+    errors = [SURE_ERRORS * math.sqrt(3.0 / (len(own) - 0.5)) for own in above]
+    falls = all(-error < step < _STEEPEST + error for step, error in zip(steps, errors, strict=False))
+    slope = (levels[0] - levels[-1]) / (len(levels) - 1)
+    return bool(falls and 0.25 * _STEEPEST < slope < _STEEPEST and not any(map(_has_line, above)))
+
+
+def _has_line(power: Series) -> bool:
+    """Return whether a line stands out of the density of an octave as noise makes it once in a thousand times."""
+    at = int(np.argmax(power))
+    others = np.concatenate([power[: max(at - 1, 0)], power[at + 2 :]])
+    # so many of them are independent under this window
+    count = len(others) / 1.5
+    if count < 2.0:
+        return False
+    # the ratio of an exponential number to the mean of others exceeds x with the probability (1 + x / count)^-count
+    most = count * ((len(power) * math.exp(_LINE_NATS)) ** (1.0 / count) - 1.0)
+    # within an octave the density of 1/f noise differs from its mean by 1.4
+    return bool(power[at] > 1.4 * most * others.mean())
+
+
 def _recurs(sizes: list[float], small_n: float) -> bool:
     """Return whether a motion began at least twice after a rest, as a cycle of snaps does, and a landing does not."""
     return sum(before <= small_n and after > 2.0 * small_n for before, after in pairwise(sizes)) >= LEAST_TURNS
@@ -347,8 +396,17 @@ def _recurs(sizes: list[float], small_n: float) -> bool:
 
 def _moved(values: Series, noise_n: float) -> float:
     """Return how far a force goes [N], less what white noise of so many samples reaches once in some thousand times."""
-    reached = 2.0 * noise_n * (math.sqrt(2.0 * math.log(max(len(values), 2))) + 1.0)
-    return max(float(np.ptp(values)) - reached, 0.0)
+    return max(float(np.ptp(values)) - 2.0 * reach_of(noise_n, len(values)), 0.0)
+
+
+def reach_of(noise_n: float, count: int) -> float:
+    """Return what white noise of a standard deviation [N] reaches to one side, of so many samples [N]."""
+    return noise_n * (math.sqrt(2.0 * math.log(max(count, 2))) + 1.0)
+
+
+def noise_of(values: Series, step_n: float) -> float:
+    """Return the standard deviation of the noise of a read-out [N], of which a step that it rounds to is a part."""
+    return max(noise_floor(values) if len(values) >= LEAST_SAMPLES else 0.0, step_n / math.sqrt(12.0))
 
 
 def _even(time_s: Series, force_n: Series) -> tuple[Series, float]:

@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.hand import step
 from telenano.hand.coupled import CoupledParams
-from telenano.hand.disturbances import HandDisturbanceConfig
+from telenano.hand.disturbances import HandDisturbanceConfig, disturbed_plant_params
 from telenano.hand.impedance_config import CouplingConfig, SimulatedImpedanceConfig
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.hand.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
@@ -224,10 +224,18 @@ class _OwnSections(Settings):
             return self.impedance.to_params(self.coupling, self.operator.to_params())
         return self.to_plant_params()
 
-    def to_params(self) -> step.HapticParams:
-        """Return the constants of the whole compiled chain; no simulated device has a force mode."""
+    def to_params(self, samples: int = 0, period_s: float = 0.0) -> step.HapticParams:
+        """Return the constants of the whole compiled chain; no simulated device has a force mode.
+
+        Args:
+            samples: The length of the run, for which the disturbances are drawn; 0 leaves them out.
+            period_s: The time from one sample to the next [s], above 0 where there are samples.
+        """
         guard = self.limits.to_params(has_position_mode=True, has_force_mode=False)
-        return step.HapticParams(guard, self.to_simulated_params())
+        plant: Any = self.to_simulated_params()
+        if samples > 0 and self.disturbances.any_enabled:
+            plant = disturbed_plant_params(self.disturbances, plant, samples, period_s)
+        return step.HapticParams(guard, plant)
 
     def initial_state(self) -> step.HapticStepState:
         """Return the state at start: at rest, off, not latched."""

@@ -1,24 +1,41 @@
-"""What disturbs a real master (paper, 5.1.3): its encoder, its force sensor, and the operator's tremor. All are off.
+"""What disturbs a real master (paper, 5.1.3): encoder, force sensor, and an operator who trembles. All are off.
 
 *Encoder*: the position comes in whole steps, and the velocity is their difference over a sample. *Force sensor*: white
 noise. *Tremor*: physiological tremor of a hand is a narrow band around 8 to 12 Hz (R. J. Elble, W. C. Koller, Tremor,
-1990); here a resonance of that frequency with a Q of 8, driven by white noise. The screw cannot be driven back, so it
-is seen by the force sensor and moves the arm only through the law.
+1990); here a resonance of that frequency with a Q of 8, driven by white noise. *Wander*: the errors of a hand that
+holds a force grow towards low frequencies (G. G. Sutton, K. Sykes, J. Physiol. 190 (1967) 281, between 0.4 and 9 Hz);
+here 1/f noise from 0.05 to 13 Hz, while the session runs. Both are forces beside what the hand's script says, whichever
+that is. The screw cannot be driven back, so they are seen by the force sensor and move the arm only through the law. At
+a device of impedance type they are added to the force of its coupling, and do not push its mass.
+
+A node draws them as it goes; a session in lockstep draws those of its whole run before, with the same step.
 """
 
 import math
-from typing import NamedTuple, cast
+from functools import lru_cache
+from typing import Any, NamedTuple, cast
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
 from telenano.extend.hands import Capabilities, DeviceReading
 from telenano.hand.coupled import CoupledParams
 from telenano.hand.sim import SimulatedHaptic
-from telenano.hand.step import PlantParams
+from telenano.hand.step import DisturbedPlantParams, PlantParams, disturbed_reading
 from telenano.numerics.normal_numbers import normal_number
+from telenano.numerics.sines import sine_noise, sines_of
 from telenano.settings.config import Settings
 
+Series = npt.NDArray[np.float64]
+
 _TREMOR_Q = 8.0
+# lowest frequency of the wander [Hz]
+_WANDER_LOW_HZ = 0.05
+# highest frequency of the wander [Hz]: muscles do not answer above it
+_WANDER_HIGH_HZ = 13.0
+# The wander is another stream of its seed than the vibration of an instrument is.
+_WANDER = 2
 
 
 class EncoderConfig(Settings):
@@ -43,6 +60,15 @@ class TremorConfig(Settings):
     frequency_hz: float = Field(9.0, ge=1.0, le=50.0, description="Its frequency [Hz]; 1 to 50")
 
 
+class WanderConfig(Settings):
+    """Wandering of the operator's force."""
+
+    enabled: bool = Field(False, description="Whether it acts")
+    rms_n: float = Field(
+        0.03, ge=0.0, le=100.0, description="Root mean square of its force, 1/f from 0.05 to 13 Hz [N]"
+    )
+
+
 class HandDisturbanceConfig(Settings):
     """Section `haptic_node.disturbances`."""
 
@@ -50,10 +76,16 @@ class HandDisturbanceConfig(Settings):
     encoder: EncoderConfig = Field(EncoderConfig(), description="Quantisation of the position")
     force_noise: ForceNoiseConfig = Field(ForceNoiseConfig(), description="Noise of the force sensor")
     tremor: TremorConfig = Field(TremorConfig(), description="Tremor of the operator")
+    wander: WanderConfig = Field(WanderConfig(), description="Wandering of the operator's force")
 
     @property
     def any_enabled(self) -> bool:
-        return self.encoder.enabled or self.force_noise.enabled or self.tremor.enabled
+        return self.encoder.enabled or self.force_noise.enabled or self.tremor.enabled or self.wander.enabled
+
+    @property
+    def resolution_m(self) -> float:
+        """Way of the arm for a step of the encoder [m], 0 without one."""
+        return self.encoder.resolution_m if self.encoder.enabled else 0.0
 
 
 class HandDisturbanceState(NamedTuple):
@@ -72,17 +104,11 @@ class HandDisturbances(NamedTuple):
     state: HandDisturbanceState
 
 
-def disturbed(
-    config: HandDisturbanceConfig, state: HandDisturbanceState, reading: DeviceReading, dt: float
-) -> tuple[HandDisturbanceState, DeviceReading]:
-    """Return what a disturbed device reads, dt [s] after the last sample."""
-    position, velocity = reading.position_m, reading.velocity_m_per_s
-    force, drawn = reading.operator_force_n, state.drawn
-    tremor, quadrature = state.tremor, state.quadrature
-    if config.encoder.enabled:
-        step = config.encoder.resolution_m
-        position = round(position / step) * step
-        velocity = (position - state.position_m) / dt
+def hand_noise_step(
+    config: HandDisturbanceConfig, state: HandDisturbanceState, dt: float
+) -> tuple[HandDisturbanceState, float]:
+    """Draw noise of the sensor and tremor of the hand together [N], dt [s] after the last sample."""
+    force, drawn, tremor, quadrature = 0.0, state.drawn, state.tremor, state.quadrature
     if config.force_noise.enabled:
         force += config.force_noise.rms_n * normal_number(config.seed, drawn)
         drawn += 1
@@ -97,8 +123,43 @@ def disturbed(
         )
         drawn += 2
         force += config.tremor.rms_n * tremor
-    found = reading._replace(position_m=position, velocity_m_per_s=velocity, operator_force_n=force)
-    return HandDisturbanceState(position, tremor, quadrature, drawn), found
+    return HandDisturbanceState(state.position_m, tremor, quadrature, drawn), force
+
+
+def wander_n(config: HandDisturbanceConfig, session_time_s: float) -> float:
+    """Return by how much the force of the hand wanders at a time of the session [N]; nothing before it."""
+    if not config.wander.enabled or session_time_s < 0.0:
+        return 0.0
+    sines = sines_of(config.seed, _WANDER, _WANDER_LOW_HZ, _WANDER_HIGH_HZ)
+    return sine_noise(sines, config.wander.rms_n, session_time_s)
+
+
+def disturbed(
+    config: HandDisturbanceConfig, state: HandDisturbanceState, reading: DeviceReading, session_time_s: float, dt: float
+) -> tuple[HandDisturbanceState, DeviceReading]:
+    """Return what a disturbed device reads at a time of the session [s], dt [s] after the last sample."""
+    after, force_n = hand_noise_step(config, state, dt)
+    force_n += wander_n(config, session_time_s)
+    found = disturbed_reading(reading, config.resolution_m, state.position_m, force_n, dt)
+    return after._replace(position_m=found.position_m), found
+
+
+def disturbed_plant_params(
+    config: HandDisturbanceConfig, plant: Any, samples: int, period_s: float
+) -> DisturbedPlantParams:
+    """Draw what disturbs a run of so many samples, one a period [s]; the seed of `config` decides all of it."""
+    return DisturbedPlantParams(plant, *_drawn(config, samples, period_s), config.resolution_m)
+
+
+@lru_cache(maxsize=8)
+def _drawn(config: HandDisturbanceConfig, samples: int, period_s: float) -> tuple[Series, Series]:
+    """Return noise and tremor [N] of so many samples and the wander [N], which the runs of a study share."""
+    state, forces_n = HandDisturbanceState(0.0, 0.0, 0.0, 0), []
+    for _ in range(samples):
+        state, force_n = hand_noise_step(config, state, period_s)
+        forces_n.append(force_n)
+    wandering_n = [wander_n(config, index * period_s) for index in range(samples)]
+    return np.array(forces_n), np.array(wandering_n)
 
 
 class DisturbedHaptic(SimulatedHaptic):
@@ -127,6 +188,6 @@ class DisturbedHaptic(SimulatedHaptic):
         config, state = self.state.disturbed
         if not config.any_enabled:
             return reading
-        state, reading = disturbed(config, state, reading, dt_s)
+        state, reading = disturbed(config, state, reading, session_time_s, dt_s)
         self.state.disturbed = HandDisturbances(config, state)
         return reading

@@ -6,6 +6,9 @@ studies. Both are the same functions, so a study and a rig cannot differ.
 
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand, SpatialCommand
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import motor, safety
@@ -29,8 +32,29 @@ class PlantState(NamedTuple):
     operator: Any
 
 
+class DisturbedPlantParams(NamedTuple):
+    """A simulated device and what disturbs it for a whole run.
+
+    forces_n: added to each sample of the run [N]; wander_n: added to each sample from the start of the session on [N];
+    resolution_m: a step of the encoder [m], 0 for none.
+    """
+
+    plant: Any
+    forces_n: npt.NDArray[np.float64]
+    wander_n: npt.NDArray[np.float64]
+    resolution_m: float
+
+
+class DisturbedPlantState(NamedTuple):
+    """State of the device that is disturbed, the position last read [m], and how many samples were taken."""
+
+    plant: Any
+    position_m: float
+    samples: int
+
+
 class HapticParams(NamedTuple):
-    """Constants of the whole chain; the plant is that of one of the two simulated devices."""
+    """Constants of the whole chain; the plant is that of one of the two simulated devices, disturbed or not."""
 
     safety: safety.SafetyParams
     plant: Any
@@ -68,6 +92,8 @@ class HapticOutputs(NamedTuple):
 
 def initial_plant(params: Any, position_m: float) -> Any:
     """Return the device and the hand at rest at position_m [m]."""
+    if isinstance(params, DisturbedPlantParams):
+        return DisturbedPlantState(initial_plant(params.plant, position_m), position_m, 0)
     if isinstance(params, CoupledParams):
         return initial_coupled(params, position_m)
     return PlantState(motor.MotorState(position_m, 0.0), operator_at_rest(params.operator, position_m))
@@ -112,10 +138,57 @@ def _coupled_found(params: CoupledParams, state: Any) -> tuple[float, bool]:
     return 0.0 - state.position_m[2], waits(state)
 
 
+@compiled
+def disturbed_reading(
+    reading: DeviceReading, resolution_m: float, before_m: float, force_n: float, dt: float
+) -> DeviceReading:
+    """Return a reading with the encoder's steps [m], 0 for none, and a force [N] besides that of the hand's script.
+
+    before_m: the position of the reading before it [m], a time dt [s] ago.
+    """
+    position, velocity = reading.position_m, reading.velocity_m_per_s
+    if resolution_m > 0.0:
+        position = round(position / resolution_m) * resolution_m
+        velocity = (position - before_m) / dt
+    return DeviceReading(
+        position_m=position,
+        velocity_m_per_s=velocity,
+        operator_force_n=reading.operator_force_n + force_n,
+        operator_force_limited=reading.operator_force_limited,
+        motor_force_n=reading.motor_force_n,
+        motor_voltage_v=reading.motor_voltage_v,
+        end_stop=reading.end_stop,
+        voltage_limited=reading.voltage_limited,
+        torque_limited=reading.torque_limited,
+        spatial=reading.spatial,
+    )
+
+
+@compiled
+def _disturbed_plant_step(
+    params: DisturbedPlantParams, state: DisturbedPlantState, command: DriveCommand, session_time_s: float, dt: float
+) -> tuple[DisturbedPlantState, DeviceReading]:
+    plant, reading = plant_step(params.plant, state.plant, command, session_time_s, dt)
+    last = len(params.forces_n) - 1
+    force_n = float(params.forces_n[min(state.samples, last)])
+    if session_time_s >= 0.0:
+        force_n += float(params.wander_n[min(int(session_time_s / dt + 0.5), last)])
+    reading = disturbed_reading(reading, params.resolution_m, state.position_m, force_n, dt)
+    return DisturbedPlantState(plant, reading.position_m, state.samples + 1), reading
+
+
+@compiled
+def _disturbed_found(params: DisturbedPlantParams, state: DisturbedPlantState) -> tuple[float, bool]:
+    position_m, is_waiting = found(params.plant, state.plant)
+    return position_m, is_waiting
+
+
 _CENTRE = SpatialCommand((0.0, 0.0), (0.0, 0.0), False)
-plant_step = chosen_step(lambda kind: coupled_plant_step if kind is CoupledParams else motor_plant_step)
+_STEPS: dict[type, Any] = {CoupledParams: coupled_plant_step, DisturbedPlantParams: _disturbed_plant_step}
+_FOUND: dict[type, Any] = {CoupledParams: _coupled_found, DisturbedPlantParams: _disturbed_found}
+plant_step = chosen_step(lambda kind: _STEPS.get(kind, motor_plant_step))
 # where the device is [m], and whether it gives no force for a reason of its own
-found = chosen_step(lambda kind: _coupled_found if kind is CoupledParams else _motor_found)
+found = chosen_step(lambda kind: _FOUND.get(kind, _motor_found))
 
 
 @compiled

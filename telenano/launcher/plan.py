@@ -24,6 +24,7 @@ from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_F
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
+from telenano.settings.named_instruments import IDEAL
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
 from telenano.wire.errors import ConfigError, RigError, known_names
@@ -54,6 +55,10 @@ class UpRequest(Settings):
 
     scenario: Annotated[str, Option(("--scenario",), "NAME|FILE")] = Field(
         description="Experiment to run: a known name or a YAML file; with --attach it gives name and duration only"
+    )
+    instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
+        default=None,
+        description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
     )
     site_file: Annotated[Path | None, Option(("--site-file",), "FILE", site_file_named)] = Field(
         default=None,
@@ -96,6 +101,7 @@ class UpRequest(Settings):
         """Reject options that would have no effect; ConfigError names them with the reason."""
         changes = {
             "--set": bool(self.settings),
+            "--instrument": self.instrument is not None,
             "--round-trip-ms": self.round_trip_ms is not None,
             "--without": bool(self.without),
             "--allow-replay": self.allow_replay,
@@ -347,6 +353,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
     """Merge environment, --set and the other flags into a scenario; ConfigError names file and key."""
     settings = [*request.settings, *(ALLOW_REPLAY if request.allow_replay else ())]
     settings += ATTENDED if request.attended else ()
+    settings += [f"instrument={request.instrument}"] if request.instrument is not None else ()
     document, origin = scenario_document(path, settings)
     document = anchored(document, path.absolute().parent)
     flags: dict[str, Any] = {}
@@ -456,6 +463,9 @@ def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> N
     if "afm_node" in absent:
         return
     afm, law = loaded.section("afm_node", AfmConfig), loaded.section("controller", ControllerConfig).law
+    if loaded.scenario.instrument != IDEAL and afm.driver != "simulated":
+        text = f"{loaded.scenario.instrument} disturbs a simulated AFM, and its driver is {afm.driver}"
+        raise ConfigError(f"{loaded.origin}: instrument: {text}, which has its own disturbances: leave it out")
     program = "" if afm.begin is None else afm.begin.program or ""
     if text := refused_laws(afm.driver).get(law) or refusal(afm.driver, program):
         raise ConfigError(f"{loaded.origin}: {text}")

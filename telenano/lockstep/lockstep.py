@@ -36,6 +36,7 @@ from telenano.extend.laws import NO_SIGNAL, TipMeasurement
 from telenano.hand.config import HapticConfig
 from telenano.hand.step import HapticParams
 from telenano.hand.step import HapticStepState as HapticChainState
+from telenano.hand.step import initial_state as haptic_at_start
 from telenano.laws.config import ControllerConfig
 from telenano.laws.deadband import deadband, initial_deadband_state
 from telenano.laws.lateral import hand_moves as moves_stage
@@ -124,8 +125,17 @@ class Rig:
         return self.halves.period_s
 
 
-def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams) -> Rig:
-    """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
+def build_rig(
+    controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams, duration_s: float = 0.0
+) -> Rig:
+    """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted.
+
+    Args:
+        controller: The configuration of both halves of the law.
+        haptic: The configuration of the haptic site.
+        instrument: The constants of the instrument.
+        duration_s: The length of the run [s], for which what disturbs the hand is drawn; 0 leaves that out.
+    """
     halves = Halves(
         law=controller.params(),
         force_scale=controller.law_config().force_scale,
@@ -135,7 +145,9 @@ def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: Af
         slave=controller.slave_timing(),
         period_s=controller.period_s,
     )
-    return Rig(halves, haptic.to_params(), haptic.initial_state(), instrument, initial_afm_state(instrument))
+    site = haptic.to_params(math.ceil(duration_s / controller.period_s), controller.period_s)
+    start = haptic_at_start(site.plant, haptic.device.start_position_m)
+    return Rig(halves, site, start, instrument, initial_afm_state(instrument))
 
 
 def time_to_place_s(limits: SafetyParams, round_trip_s: float, reference_m: float = 0.0) -> float:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from telenano.afm.config import SAMPLES, AfmConfig
+from telenano.afm.disturbances import instrument_name
 from telenano.afm.disturbed import noisy_params
 from telenano.afm.over_surface import over_surface
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
@@ -44,6 +45,7 @@ from telenano.lockstep.steering import columns_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings import find_scenario
 from telenano.settings.config import merge, nested, read_yaml
+from telenano.settings.named_instruments import IDEAL
 from telenano.settings.scenario import scenario_of
 from telenano.wire.errors import ConfigError
 
@@ -108,11 +110,13 @@ class Conditions:
     round_trip_ms: float
     link_profile: str
     link_seed: int
+    instrument: str = IDEAL
 
     def title(self) -> str:
         """Return the words of a title."""
         link = "" if self.link_profile in EVEN else f", link {self.link_profile}"
-        return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link} (simulated in lockstep)"
+        by = "" if self.instrument == IDEAL else f", instrument {self.instrument}"
+        return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link}{by} (simulated in lockstep)"
 
 
 class SimulatedSession(ColumnTable):
@@ -252,6 +256,7 @@ def simulate_scenario(
     law: str | None = None,
     round_trip_ms: float | None = None,
     environment: str | None = None,
+    instrument: str | None = None,
     operator: Mapping[str, Any] | None = None,
     duration_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -262,8 +267,9 @@ def simulate_scenario(
     which takes some ten seconds, is said, and is kept for later processes (docs/api.md).
 
     Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way;
-    environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s]; settings, by dotted
-    key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}. What is not given is the scenario's.
+    environment, `afm_node.environment`; instrument, what disturbs the AFM: ideal, real or real_drifting; operator,
+    section `haptic_node.operator`; duration_s [s]; settings, by dotted key of the scenario, such as
+    {"controller.virtual_impedance.force_gain": 10}. What is not given is the scenario's.
     Raises: ConfigError naming the file or key at fault, or what cannot be simulated.
     """
     if round_trip_ms is not None and (isinstance(round_trip_ms, bool) or not isinstance(round_trip_ms, Real)):
@@ -276,6 +282,8 @@ def simulate_scenario(
         given["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
     if environment is not None:
         given["afm_node"] = {"environment": environment}
+    if instrument is not None:
+        given["instrument"] = instrument
     if duration_s is not None:
         given["duration_s"] = duration_s
     path = find_scenario(scenario)
@@ -308,6 +316,8 @@ def simulate_document(
         steers: Makes a hand that steers the tip across the sample, in mode rate.
         at_once: Whether to compile for the first session, as in `telenano.lockstep.lockstep.simulate`.
     """
+    from telenano.analysis.report import planned_holds
+
     loaded = scenario_of(document, origin)
     controller = loaded.section("controller", ControllerConfig)
     haptic = loaded.section("haptic_node", HapticConfig)
@@ -324,14 +334,13 @@ def simulate_document(
     if afm.begin is not None:
         text = f"{afm.begin.program} moves the tip by a program of the instrument, which a lockstep has not"
         raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
-    if haptic.disturbances.any_enabled:
-        raise ConfigError(f"{origin}: haptic_node.disturbances: a lockstep has none; only `up` can run them")
     trip_s = link.forward.delay_s + link.backward.delay_s
     period_s = controller.period_s
     reference_m = controller.law_config().position_scale * haptic.device.start_position_m
     settle = math.ceil(time_to_place_s(afm.to_guard(), trip_s, reference_m) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
-    rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
+    length_s = ticks * period_s
+    rig = build_rig(controller, haptic, instrument_params(afm, origin, length_s), length_s)
     schedule, path = schedule_of(link, ticks, period_s), None
     hand = None if steers is None else steers(period_s)
     if haptic.lateral is not None and controller.lateral.mode != "direct":
@@ -351,11 +360,13 @@ def simulate_document(
         round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
         link_profile=network_name(link),
         link_seed=link.seed,
+        instrument=instrument_name(loaded.scenario.instrument, loaded.scenario.afm_node),
     )
     safety = rig.instrument.safety
     ages_s = _ages_s(schedule, period_s)
     transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
     known = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
+    known = known._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
     known = known._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
     return SimulatedSession(
         conditions,
@@ -382,24 +393,22 @@ def _median_round_trip_ms(schedule: Schedule, period_s: float, least_s: float) -
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
     """Return what a node would simulate, for a run of that length [s]; ConfigError names what a lockstep has not."""
-    disturbed = config.disturbances.any_enabled
     if config.feel is not None:
         raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
-    if config.environment in SAMPLES.found:
-        params = config.to_sample_params()
-    elif config.environment == "spring":
-        params = config.to_spring_params()
+    params = config.to_params()
+    # the disturbances are those of the cantilever that reads what the tip meets
+    cantilever, is_gauged = params.plant, config.environment in SAMPLES.found or config.environment == "spring"
+    if is_gauged:
+        params = config.to_spring_params() if config.environment == "spring" else config.to_sample_params()
     elif config.sample is not None and config.sample.map is not None:
-        params = config.to_params()._replace(plant=config.to_over_map().params)
+        over = config.to_over_map()
+        cantilever = cantilever._replace(stiffness_n_per_m=over.stiffness_n_per_m)
+        params = params._replace(plant=over.params)
     else:
-        params = config.to_params()
-        if config.sample is None and disturbed:
-            return params._replace(plant=noisy_params(config.disturbances, params.plant, duration_s))
         surface = config.to_surface()
-        plant = over_surface(params.plant, surface, config.to_friction_params())
-        plant = config.with_layers(plant, surface)
-        params = params._replace(plant=plant)
-    if disturbed:
-        text = "a lockstep has them over a plane of environment tip_sample only; `up` can run them"
-        raise ConfigError(f"{origin}: afm_node.disturbances: {text}")
-    return params
+        plant = over_surface(cantilever, surface, config.to_friction_params())
+        params = params._replace(plant=config.with_layers(plant, surface))
+    if not config.disturbances.any_enabled:
+        return params
+    noisy = noisy_params(config.disturbances, cantilever, duration_s, params.plant, is_gauged=is_gauged)
+    return params._replace(plant=noisy)

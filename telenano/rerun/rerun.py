@@ -28,6 +28,7 @@ from telenano.runtime.loop.node import Node
 from telenano.runtime.wiring.main import Wiring, node_kind
 from telenano.runtime.wiring.participant import LinkEnds
 from telenano.settings.config import flag_overrides, merge, parse_yaml
+from telenano.settings.named_instruments import on_instrument
 from telenano.settings.scenario import scenario_of
 from telenano.timing.clock import TurnClock
 from telenano.wire import Message
@@ -231,8 +232,9 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
     if attached is None:
         raise RecordingError(f"{recording.path}: has no scenario.yaml attached, which a re-run takes its settings from")
     origin = f"scenario.yaml in {recording.path}"
-    document = merge(parse_yaml(attached, origin), flag_overrides(settings))
-    loaded = scenario_of(document, origin)
+    given = flag_overrides(settings)
+    document = merge(parse_yaml(attached, origin), on_instrument(given) if "instrument" in given else given)
+    loaded = scenario_of(document, origin, is_whole=True)
     kind = node_kind(name_of(key))
     config = loaded.section(kind.name, kind.config)
     if not getattr(config, "simulated", True):

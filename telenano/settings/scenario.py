@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self, TypeGuard, TypeVar
 from pydantic import BaseModel, Field, model_validator
 
 from telenano.settings.config import Settings, layered, validate
+from telenano.settings.named_instruments import IDEAL, on_instrument
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -42,6 +43,11 @@ class Scenario(Settings):
     name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
     description: str = Field(description="What it shows, in a sentence")
     duration_s: Annotated[float, Field(gt=0.0, le=86_400.0)] = Field(description="Length of the session [s]")
+    instrument: str = Field(
+        default=IDEAL,
+        description="Named disturbances that the keys below change: ideal, real, real_drifting, or a file's name in"
+        " the folder TELENANO_INSTRUMENTS",
+    )
     realtime: RealtimeConfig = Field(default=RealtimeConfig(), description="What nodes ask of the machine")
     haptic_node: dict[str, Any] = Field(default={}, description="Section of the haptic node")
     controller: dict[str, Any] = Field(default={}, description="Section of both halves of the law")
@@ -147,9 +153,19 @@ def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, 
     return document, origin
 
 
-def scenario_of(document: Mapping[str, Any], origin: str) -> LoadedScenario:
-    """Return a document that was read already as a scenario; ConfigError names `origin` and the key at fault."""
-    return LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
+def scenario_of(document: Mapping[str, Any], origin: str, *, is_whole: bool = False) -> LoadedScenario:
+    """Return a document that was read already as a scenario, over the keys of its instrument.
+
+    Args:
+        document: The scenario.
+        origin: What an error names.
+        is_whole: Whether the keys of its instrument are in it, as in a recording, whatever is known by its name here.
+
+    Raises:
+        ConfigError: A key is wrong; the message names `origin` and the key.
+    """
+    whole = dict(document) if is_whole else on_instrument(document)
+    return LoadedScenario(validate(Scenario, whole, origin), origin, whole)
 
 
 def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:

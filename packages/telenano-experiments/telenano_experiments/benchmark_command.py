@@ -24,6 +24,12 @@ def benchmark(
     network: Annotated[
         str, typer.Option("--network", metavar="NAME[,NAME]", help="Other networks than those of the benchmark.")
     ] = "",
+    instrument: Annotated[
+        str, typer.Option("--instrument", metavar="NAME[,NAME]", help="Instruments instead of ideal,real.")
+    ] = "",
+    hand: Annotated[
+        str, typer.Option("--hand", metavar="NAME[,NAME]", help="scripted, trembling, or both, which is the default.")
+    ] = "",
     quick: Annotated[bool, typer.Option("--quick", help="Four networks, two tasks, two hands and two seeds.")] = False,
     settings: Annotated[
         list[str] | None,
@@ -47,10 +53,14 @@ def benchmark(
         plan = plan_of(
             option_values.laws(law),
             quick=quick,
-            networks=[name.strip() for name in network.split(",") if name.strip()],
+            networks=_names(network),
+            instruments=_names(instrument),
+            steadiness=_names(hand),
             settings=option_values.settings(settings or ()),
         )
-        options, command = figure_options(formats, style), _command(law, network, quick=quick, settings=settings or ())
+        options = figure_options(formats, style)
+        choice = {"--network": network, "--instrument": instrument, "--hand": hand}
+        command = _command(law, choice, quick=quick, settings=settings or ())
         with sweep_in(out, workers, scheduler, shown=not as_json, kind=RUNS) as sweep:
             outcomes = sweep.run(plan.runs())
         rows = rows_of(outcomes)
@@ -65,8 +75,12 @@ def benchmark(
             typer.echo(f"digest: {summary['digest']}")
 
 
-def _command(law: str, network: str, *, quick: bool, settings: list[str] | tuple[()]) -> str:
+def _names(given: str) -> list[str]:
+    return [name.strip() for name in given.split(",") if name.strip()]
+
+
+def _command(law: str, choice: dict[str, str], *, quick: bool, settings: list[str] | tuple[()]) -> str:
     """Return the command that makes this result, without where it is put."""
     words = ["telenano benchmark", *(["--quick"] if quick else []), *([f"--law {law}"] if law != "all" else [])]
-    words += [f"--network {network}"] if network else []
+    words += [f"{option} {names}" for option, names in choice.items() if names]
     return " ".join([*words, *(f"--set {setting}" for setting in settings)])

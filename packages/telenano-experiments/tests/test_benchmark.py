@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from telenano_experiments.benchmark import plan as plan_module
 from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
 from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
-from telenano_experiments.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
+from telenano_experiments.benchmark.results import Case, choices, digest_of, rows_of, runs_text, summary_of
 from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
@@ -167,14 +168,16 @@ def test_the_law_to_take_held_most_and_followed_nearest():
         made("lan", PAPER, "stable", 0.4), made("lan", PAPER, "stable", 0.4),
         made("satellite", "wave", "diverged", None),
     ])  # fmt: skip
+    lan = Case("ideal", "scripted", "lan")
     found = choices(rows)
-    assert [row.law for row in found["lan"]] == ["smith", PAPER, "wave"]
-    smith = found["lan"][0]
+    assert [row.law for row in found[lan]] == ["smith", PAPER, "wave"]
+    smith = found[lan][0]
     assert (smith.held, smith.runs, smith.made_energy) == (2, 2, 1)
     assert smith.measures["tracking_error"] == (0.25, 0.2, 0.3)
-    assert found["lan"][2].verdicts == {"limit_cycle": 1, "stable": 1}
+    assert found[lan][2].verdicts == {"limit_cycle": 1, "stable": 1}
     summary = summary_of(plan_of(["wave"], quick=True), [made("lan", "wave", "stable", 0.5)], rows)
-    assert summary["take"] == {"lan": "smith", "satellite": None}
+    assert [(taken["network"], taken["law"]) for taken in summary["take"]] == [("lan", "smith"), ("satellite", None)]
+    assert {(taken["instrument"], taken["steadiness"]) for taken in summary["take"]} == {("ideal", "scripted")}
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
@@ -193,14 +196,48 @@ def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
     assert plan_of(["wave"], quick=True, networks=["lte"]).networks == ("lte",)
 
 
+def test_the_whole_set_is_as_large_as_the_document_says():
+    plan = plan_of(["wave"], quick=False)
+    runs = plan.runs()
+    sizes = Counter((run.instrument, run.steadiness) for run in runs)
+    assert sizes == {
+        ("ideal", "scripted"): 444, ("ideal", "trembling"): 480, ("real", "scripted"): 480, ("real", "trembling"): 480
+    }  # fmt: skip
+    assert len(plan_of(["wave"], quick=True).runs()) == 124
+    chosen = plan_of(["wave"], quick=True, instruments=["real_drifting"], steadiness=["trembling"])
+    assert (chosen.instruments, chosen.steadiness) == (("real_drifting",), ("trembling",))
+    with pytest.raises(ConfigError, match="unknown instrument 'reel'"):
+        plan_of(["wave"], quick=True, instruments=["reel"])
+    with pytest.raises(ConfigError, match="--hand: unknown hand 'shaky'"):
+        plan_of(["wave"], quick=True, steadiness=["shaky"])
+
+
+def test_instrument_and_hand_turn_a_run_and_a_seed_decides_their_noise(outcomes):
+    def other(instrument, steadiness, seed=0):
+        given = run_of("position_force", seed=seed)
+        return run(given.model_copy(update={"instrument": instrument, "steadiness": steadiness})).measures
+
+    ideal, real = outcomes["position_force"].measures, other("real", "scripted")
+    # the plays of the piezo stand still in a swing of 1.5 nm: a fifth is missing, and creep
+    assert real["stiffness_ratio"] == pytest.approx(0.74, abs=0.05)
+    assert ideal["stiffness_ratio"] == pytest.approx(1.0, abs=0.01)
+    assert ideal["peak_force_n"] + 0.1 < real["peak_force_n"]
+    assert other("real", "scripted", 1)["peak_force_n"] != real["peak_force_n"]
+    assert other("ideal", "trembling")["force_error"] > 0.005 > ideal["force_error"]
+    # drift parts the hand from the tip of a law that learns what it touches
+    learnt = run_of("model_mediated")
+    drifting = run(learnt.model_copy(update={"instrument": "real_drifting"}))
+    assert abs(drifting.measures["parted_mm"]) > 0.1 > 10.0 * abs(run(learnt).measures["parted_mm"])
+
+
 def test_another_file_of_a_network_is_another_run(monkeypatch):
     before = run_of(network="wifi").key
     monkeypatch.setattr(plan_module, "_link_text", lambda network: "another")
     assert run_of(network="wifi").key != before
 
 
-def small(laws, *, quick, networks=(), settings=()):
-    return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings)
+def small(laws, *, quick, networks=(), settings=(), instruments=(), steadiness=()):
+    return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings, ("ideal",), ("scripted",))
 
 
 def test_the_command_writes_page_figure_and_runs(tmp_path, monkeypatch):
@@ -229,6 +266,7 @@ runs = [
         ("passivity", "track", "clean", "force"), ("model_mediated", "touch", "wifi", "reacting"),
     )
 ]
+runs += [one.model_copy(update={"instrument": "real", "steadiness": "trembling"}) for one in runs]
 sys.stdout.write(digest_of(runs_text([run(one) for one in runs])))
 """
 ELSEWHERE = {

@@ -24,6 +24,7 @@ from telenano.afm import (
     equilibrium,
     initial_state,
     require_steps,
+    simulated_afm,
     steady_state,
 )
 from telenano.settings import read_by_package
@@ -98,7 +99,9 @@ def force_curve(
 
     Parameters: points of each way; speed_m_per_s of the base; dynamic, Eq. 4 in full instead of k zeta = F(h), the base
     at rest for as long as the cantilever needs to come to rest at each point (the speed is then that of the data).
-    Raises: ConfigError, if the tip cannot reach the load, or an argument is no positive number.
+    Where the configuration has disturbances, each point is a sample of the disturbed instrument, at the time that the
+    speed gives it. Raises: ConfigError, if the tip cannot reach the load, an argument is no positive number, or a
+    dynamic curve is to be disturbed.
     """
     for name, value in (("start [m]", start_m), ("load [N]", load_n), ("speed [m/s]", speed_m_per_s)):
         if not (math.isfinite(value) and value > 0.0):
@@ -115,7 +118,11 @@ def force_curve(
     if end <= begin:
         raise ConfigError(f"the curve begins at x_s = {begin:g} m, beyond the load at {end:g} m: begin further away")
     there = np.linspace(begin, end, points)
+    if dynamic and config.disturbances.any_enabled:
+        raise ConfigError("disturbances: only the quasi-static model of a curve has them: leave out --model dynamic")
     measure = _dynamic(config, begin) if dynamic else _static(config, begin)
+    if config.disturbances.any_enabled:
+        measure = _disturbed(config, float(there[1] - there[0]) / speed_m_per_s)
     ways = []
     for number, way in enumerate((there, there[::-1])):
         zeta = np.empty(points)
@@ -161,6 +168,18 @@ def _static(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
         nonlocal state
         state = equilibrium(plant, state, base_m)
         return deflection_m(plant, state.distance_m, base_m)
+
+    return measure
+
+
+def _disturbed(config: AfmConfig, step_s: float) -> Callable[[float], float]:
+    """Return what the instrument reads at a base [m], a time of step_s [s] after the base before it."""
+    driver = simulated_afm(config.to_params(), disturbances=config.disturbances)
+    driver.open()
+
+    def measure(base_m: float) -> float:
+        driver.elapse(step_s)
+        return driver.exchange(base_m).deflection_m
 
     return measure
 

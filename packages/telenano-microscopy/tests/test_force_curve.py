@@ -39,6 +39,24 @@ def test_pull_off_and_loop_are_those_of_the_force(k):
     assert marks.hysteresis_j > 0.98 * least
 
 
+def test_a_curve_of_a_disturbed_instrument_has_its_noise_drift_and_lag():
+    quiet = force_curve(with_stiffness(8.0), 20e-9, 20e-9, 1000, 45e-9)
+    noise = {"readout": {"enabled": True, "white_v": 1.27e-3, "flicker_v": 0.0}, "thermal": {"enabled": True}}
+    noisy = force_curve(with_stiffness(8.0, disturbances=noise), 20e-9, 20e-9, 1000, 45e-9)
+    # 8 N/m of 1.27 mV at 6.25 mV/nm, and of the 23 pm of k_B T / k
+    expected_n = 8.0 * math.hypot(1.27e-3 / 6.25e6, math.sqrt(1.380649e-23 * 300.0 / 8.0))
+    apart = noisy.approach.force_n - quiet.approach.force_n
+    assert np.std(apart) == pytest.approx(expected_n, rel=0.06, abs=0.0)
+    drift = {"drift": {"enabled": True, "speed_m_per_s": 1e-9}}
+    drifting = force_curve(with_stiffness(8.0, disturbances=drift), 20e-9, 20e-9, 1000, 45e-9)
+    # the surface has come nearer by what has drifted until then
+    moved_m = marks_of(quiet).snap_in_base_m - marks_of(drifting).snap_in_base_m
+    way_s = (marks_of(drifting).snap_in_base_m + 20e-9) / 45e-9
+    assert moved_m == pytest.approx(1e-9 * way_s, rel=0.15, abs=0.0)
+    with pytest.raises(ConfigError, match="only the quasi-static model of a curve has them"):
+        force_curve(with_stiffness(8.0, disturbances=drift), 20e-9, 20e-9, dynamic=True)
+
+
 def test_c_is_the_contact_and_d_the_leaving_as_in_the_paper():
     # "The tip contacts with the sample at the point C and leaves it at D during retracting" (section 3, Fig. 5)
     for k, wet in ((40.0, True), (8.0, True), (1.0, False)):

@@ -32,6 +32,11 @@ def test_a_page_has_the_curve_and_its_numbers(tmp_path):
     assert "hand-over distance h*" in page
     assert summary["fig6"]["stiffness_n_per_m"] == 8.0
     assert seen[-1] == ("fig6", 2000, 2000)
+    # the pull-off stands out of the noise of the bridge, 2.3 nN of a sample
+    clean, noisy = (summary[name]["pull_off_force_n"] for name in ("fig6", "fig6_with_noise"))
+    assert noisy == pytest.approx(clean, rel=0.0, abs=4.0 * 2.3e-9)
+    assert noisy != clean
+    assert page.count("data:image/png;base64") == 2
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> l
         found.append(("the sample is as it was in the beginning", simulation.restore_sample))
     if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
         if simulation.disturbances is None:
-            raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
+            raise RefusedError("disturbances: this simulated instrument has no cantilever that they could act on")
         changed = changed_disturbances(simulation.disturbances, changes, "afm_node")
         configure = partial(simulation.configure, changed)
         found.append(("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()), configure))

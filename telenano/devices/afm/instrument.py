@@ -13,6 +13,7 @@ from telenano.afm.programs.settings import LateralTarget
 from telenano.afm.sample.surface import Surface
 from telenano.afm.section_config import ModbusConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.afm.step import AfmParams
 from telenano.extend.feedback import remaining
 from telenano.extend.instruments import AfmDriver, SafetyParams
 from telenano.extend.programs import Instrument
@@ -33,9 +34,9 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
         device: AfmDriver = driver.device(config, config.to_params().safety, period_s)
         return device
     if config.environment in SAMPLES.found:
-        return SimulatedInstrument(config.to_sample_params())
+        return _read_by_cantilever(config, config.to_sample_params())
     if config.environment == "spring":
-        return SimulatedInstrument(config.to_spring_params())
+        return _read_by_cantilever(config, config.to_spring_params())
     if config.sample is not None and config.sample.map is not None:
         return recorded_afm(config)
     if config.model == "dynamic":
@@ -43,6 +44,12 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     return simulated_afm(
         config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances, **_layers(config)
     )
+
+
+def _read_by_cantilever(config: AfmConfig, params: AfmParams) -> SimulatedInstrument:
+    """Return the instrument over what says a force alone; where it is disturbed its cantilever reads that."""
+    cantilever = config.to_params().plant
+    return SimulatedInstrument(params, None, cantilever, config.disturbances, is_gauged=True)
 
 
 def _layers(config: AfmConfig) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
@@ -22,6 +23,7 @@ from telenano.afm.disturbed import (
     read_out,
 )
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.devices.afm.instrument import driver_of
 from telenano.numerics.normal_numbers import normal_number
 from telenano.wire.errors import RefusedError
 from telenano.wire.node_state import pack, restore
@@ -36,7 +38,8 @@ def only(name: str, **keys: Any) -> DisturbanceConfig:
 
 
 def displacements(config: DisturbanceConfig, bases: np.ndarray) -> np.ndarray:
-    piezo, state, drawn, found = piezo_params(config.hysteresis, config.creep), piezo_at_rest(0.0), noise_start(), []
+    piezo = piezo_params(config.hysteresis, config.creep, config.stage)
+    state, drawn, found = piezo_at_rest(0.0), noise_start(), []
     for base in bases.tolist():
         state, x = piezo_step(piezo, state, base, DT)
         drawn, noise = noise_step(config, drawn, 1.0, DT)
@@ -80,6 +83,19 @@ def test_what_lags_behind_is_at_rest_where_it_is_switched_on() -> None:
     assert abs(wrapped.exchange(-50e-9).distance_m - before.distance_m) < 1e-13
 
 
+@pytest.mark.parametrize("name", ["creep", "hysteresis", "stage"])
+def test_what_is_switched_on_beside_another_begins_at_rest_where_the_base_is(name: str) -> None:
+    wrapped = instrument(DisturbanceConfig.model_validate({"drift": {"enabled": True, "speed_m_per_s": 0.0}}))
+    wrapped.open()
+    for base_m in (-100e-9, -50e-9, -50e-9):
+        wrapped.elapse(DT)
+        before = wrapped.exchange(base_m)
+    drift = {"enabled": True, "speed_m_per_s": 0.0}
+    wrapped.configure(DisturbanceConfig.model_validate({"drift": drift, name: {"enabled": True}}))
+    wrapped.elapse(DT)
+    assert wrapped.exchange(-50e-9).distance_m == pytest.approx(before.distance_m, rel=0.0, abs=1e-18)
+
+
 def test_vibration_has_its_rms_and_stays_in_its_band() -> None:
     found = displacements(only("vibration", rms_m=0.2e-9, low_hz=5.0, high_hz=100.0), np.zeros(20_000))
     assert found.std() == pytest.approx(0.2e-9, rel=0.05, abs=0.0)
@@ -105,6 +121,53 @@ def test_hysteresis_is_a_loop_of_its_share_that_closes_and_forgets_small_steps()
     motion = 0.2e-9 * np.sin(np.linspace(0.0, 4 * math.pi, 400))
     small = displacements(config, motion)
     assert np.ptp(small - np.polyval(np.polyfit(motion, small, 1), motion)) < 1e-15
+
+
+@pytest.mark.parametrize("amplitude_m", [5e-9, 20e-9, 50e-9])
+def test_the_area_of_a_loop_is_that_of_its_play_operators(amplitude_m: float) -> None:
+    config = only("hysteresis", share=0.05, range_m=100e-9)
+    there = np.linspace(-amplitude_m, amplitude_m, 4001)
+    motion = np.concatenate([there, there[::-1], there, there[::-1]])
+    found = displacements(config, motion)[len(motion) // 2 :]
+    x = motion[len(motion) // 2 :]
+    # by Green's theorem, over the second round
+    area = abs(0.5 * np.sum(x * np.roll(found, -1) - np.roll(x, -1) * found))
+    # a play of r under a motion of amplitude A goes round a parallelogram, 2 r wide and 2 (A - r) high
+    piezo = piezo_params(config.hysteresis, config.creep)
+    radii = piezo.play_radii_m[piezo.play_radii_m < amplitude_m]
+    assert area == pytest.approx(piezo.play_weight * np.sum(4.0 * radii * (amplitude_m - radii)), rel=2e-3, abs=0.0)
+
+
+@pytest.mark.parametrize(("resonance_hz", "damping"), [(200.0, 0.7071), (200.0, 0.02), (45.0, 0.3)])
+def test_the_stage_is_the_second_order_lag_that_it_is_configured_as(resonance_hz: float, damping: float) -> None:
+    w = 2.0 * math.pi * resonance_hz
+    rng = np.random.Generator(np.random.PCG64(3))
+    bases = np.concatenate([np.full(40, 1e-9), rng.normal(0.0, 1e-9, 400)])
+    found = displacements(only("stage", resonance_hz=resonance_hz, damping=damping), bases)
+    # SciPy's own discretisation of the same equation of motion
+    matrices = ([[0.0, 1.0], [-w * w, -2.0 * damping * w]], [[0.0], [w * w]], [[1.0, 0.0]], [[0.0]])
+    a, b, c, *_ = signal.cont2discrete(tuple(map(np.array, matrices)), DT, method="zoh")
+    state, expected = np.zeros((2, 1)), []
+    for base in bases.tolist():
+        state = a @ state + b * base
+        expected.append(float((c @ state)[0, 0]))
+    assert found == pytest.approx(np.array(expected), rel=1e-9, abs=1e-20)
+
+
+def test_the_bandwidth_of_the_stage_is_three_decibels_down_at_its_resonance() -> None:
+    time_s = DT * np.arange(4000)
+    for frequency_hz, gain in ((2.0, 1.0), (200.0, math.sqrt(0.5))):
+        # steps of a millisecond are a hold, whose own gain and lead are taken off
+        moved = displacements(only("stage"), np.sin(2.0 * math.pi * frequency_hz * time_s))[2000:]
+        tone = np.exp(-2j * math.pi * frequency_hz * time_s[2000:])
+        hold = np.sinc(frequency_hz * DT)
+        assert abs(2.0 * np.mean(moved * tone)) / hold == pytest.approx(gain, rel=0.06)
+
+
+def test_a_stage_without_a_lag_is_where_it_is_sent() -> None:
+    bases = 1e-9 * np.sin(np.arange(200) / 5.0)
+    fast = displacements(only("stage", resonance_hz=1e5), bases)
+    assert fast == pytest.approx(bases, rel=0.0, abs=1e-15)
 
 
 def test_creep_goes_on_after_a_step_by_its_share_a_decade() -> None:
@@ -139,6 +202,56 @@ def test_flicker_falls_with_the_frequency_and_has_its_rms() -> None:
     slopes = np.diff(np.log10(levels))
     # a decade of frequency, a decade of power
     assert slopes == pytest.approx([-1.0, -1.0], abs=0.15)
+
+
+def test_the_read_out_has_the_density_that_its_keys_say() -> None:
+    """White noise of rms s has 2 s^2 / rate; the 1/f noise is the sum of its first-order parts."""
+    white_v, flicker_v, rate_hz = 4.5e-5, 6.5e-5, 1.0 / DT
+    config = only("readout", white_v=white_v, flicker_v=flicker_v, converter_bits=32, converter_range_v=1.0)
+    volts = readings(config, 0.0, 400_000) * VOLTS_PER_M
+    frequencies, density = signal.welch(volts, rate_hz, nperseg=20_000)
+    corners = 0.1 * 2.0 ** np.arange(12)
+
+    def stated(frequency_hz: np.ndarray) -> np.ndarray:
+        # a sampled first-order noise is the continuous one with all that folds back on it
+        kept = np.exp(-2.0 * math.pi * corners * DT)[:, np.newaxis]
+        turned = np.cos(2.0 * math.pi * frequency_hz * DT)
+        parts = 2.0 * DT * (1.0 - kept**2) / (1.0 - 2.0 * kept * turned + kept**2)
+        return 2.0 * white_v**2 / rate_hz + flicker_v**2 / 12.0 * parts.sum(axis=0)
+
+    for low, high in ((0.3, 1.0), (1.0, 4.0), (4.0, 20.0), (20.0, 100.0), (100.0, 450.0)):
+        band = (frequencies >= low) & (frequencies < high)
+        assert density[band].mean() == pytest.approx(stated(frequencies[band]).mean(), rel=0.12, abs=0.0), low
+
+
+def test_a_converter_adds_the_noise_of_its_rounding() -> None:
+    step_v = 2.0 / 2**16
+    kinds = {
+        bits: only("readout", white_v=step_v, flicker_v=0.0, converter_bits=bits, converter_range_v=1.0)
+        for bits in (16, 32)
+    }
+    rounded, fine = (readings(kinds[bits], 1e-9, 30_000) * VOLTS_PER_M for bits in (16, 32))
+    # W. R. Bennett, Bell Syst. Tech. J. 27 (1948) 446: a step of q adds q^2 / 12, where the noise covers a step
+    assert np.var(rounded - fine) == pytest.approx(step_v**2 / 12.0, rel=0.03, abs=0.0)
+
+
+def test_a_spring_is_read_by_the_cantilever() -> None:
+    config = AfmConfig.model_validate(
+        {
+            "environment": "spring",
+            "spring": {"stiffness_n_per_m": 20.0},
+            "disturbances": {"thermal": {"enabled": True, "temperature_k": 300.0}, "seed": 4},
+        }
+    )
+    driver = driver_of(config)
+    driver.open()
+    found = []
+    for _ in range(20_000):
+        driver.elapse(DT)
+        found.append(driver.exchange(1e-9).force_n)
+    # k <zeta^2> = k_B T, so that the force has the variance k k_B T
+    assert np.mean(found) == pytest.approx(20e-9, rel=2e-3, abs=0.0)
+    assert np.var(found) == pytest.approx(40.0 * BOLTZMANN_J_PER_K * 300.0, rel=0.03, abs=0.0)
 
 
 def test_the_converter_rounds_and_ends() -> None:
@@ -190,7 +303,7 @@ def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_al
         switch(bench, node, **{"disturbances.drift.speed": 1.0})
     bare = bench_of("afm_node@slave")
     spring = AfmNode(bare.context, CONFIG, SimulatedInstrument(CONFIG.to_spring_params()))
-    with pytest.raises(RefusedError, match="only the cantilever of environment tip_sample has them"):
+    with pytest.raises(RefusedError, match="has no cantilever that they could act on"):
         switch(bare, spring, **{"disturbances.drift.enabled": True})
 
 

@@ -48,8 +48,10 @@ def test_the_laws_that_ran_and_the_delay_that_was_are_stated(recording: Recordin
     assert found["changed"] == ["controller@master: set law = passivity"]
     assert (found["link_round_trip_ms"], found["loop_round_trip_ms"]) == (50.0, 50.0)
     assert (found["link_profile"], found["link_seed"]) == ("lte", 7)
+    assert found["instrument"] == "ideal"
     assert found["parameters"]["impedance_n_s_per_m"] == 100.0
     assert title(found) == "wave then passivity, round trip of the link 50 ms, link lte"
+    assert title({**found, "instrument": "real"}).endswith("link lte, instrument real")
 
 
 def test_a_network_of_ones_own_is_not_called_clean(recording: Recording) -> None:

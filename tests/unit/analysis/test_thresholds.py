@@ -25,6 +25,8 @@ NO_DECISION = {
     ("verdict", "_words"): {0.5: "half a turn is a swing"},
     ("verdict", "_undecided"): {0.25: "words of a quarter of a turn", 0.1: "words of a noise that matters"},
     ("verdict", "_by_windows"): {0.5: "half of a size is of its order", 50.0: "keeps the exponential finite"},
+    ("verdict", "_falls_as_noise"): {0.25: "a density that goes with the root of the frequency"},
+    ("verdict", "_has_line"): {2.0: "neighbours that have a mean", 1.4: "change of a 1/f density in half an octave"},
     ("verdict", "rounding_of"): {4: "a read-out that rounds repeats its values"},
     ("verdict", "_approaching"): {2.0: "either side of a change"},
     ("verdict", "_gone"): {0.5: "the later half", 2: "a square"},

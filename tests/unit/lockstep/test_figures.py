@@ -47,7 +47,9 @@ def of_the_benchmark() -> Figure:
     spread: dict[str, Any] = {"tracking_error": results.Spread(0.0123, 0.01, 0.02)}
     networks = ("clean", "transcontinental", "leo_satellite", "lossy_bursts")
     rows = [
-        results.Row(network, law, 24, 24 - 4 * number, 0.5, 1.0, 0, {"stable": 24}, spread)
+        results.Row(
+            results.Case("ideal", "scripted", network), law, 24, 24 - 4 * number, 0.5, 1.0, 0, {"stable": 24}, spread
+        )
         for network in networks
         for number, law in enumerate(ALL_LAWS)
     ]

@@ -60,7 +60,10 @@ def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.M
         ("duration_s=.nan", "duration_s: "),
         ("duration_s=.inf", "duration_s: "),
         ("name=Fig 12", "name: String should match pattern"),
-        ("duration=8.0", "duration: unknown key, known are name, description, duration_s, realtime, haptic_node"),
+        (
+            "duration=8.0",
+            "duration: unknown key, known are name, description, duration_s, instrument, realtime, haptic_node",
+        ),
         (
             "realtime.priority=99",
             "realtime.priority: Input should be less than or equal to 98 (allowed is from 1 to 98), got 99",

@@ -1,4 +1,4 @@
-"""What the benchmark runs: tasks, networks, laws and hands, fixed for each version.
+"""What the benchmark runs: tasks, networks, laws, hands and instruments, fixed for each version.
 
 A change of anything here that alters a result counts VERSION up: figures of two versions are not compared.
 """
@@ -16,10 +16,10 @@ from telenano_studies.loops.cells import Cell, Environment, sources
 
 from telenano.laws import LAWS
 from telenano.link import LinkSettings, parse_settings, profile_named
-from telenano.settings import Settings
+from telenano.settings import Settings, flatten, scenario_of
 from telenano.wire import ConfigError, known_names
 
-VERSION = 2
+VERSION = 3
 
 TaskName = Literal["touch", "hold", "track"]
 HandName = Literal["force", "soft", "stiff", "reacting"]
@@ -29,6 +29,13 @@ HANDS: dict[HandName, str] = {
     "stiff": "an arm of 1000 N/m on its way along a path",
     "reacting": "an operator who moves, waits until the arm stands, and corrects after 0.25 s and the round trip",
 }
+Steadiness = Literal["scripted", "trembling"]
+STEADINESS: dict[Steadiness, str] = {
+    "scripted": "does what its script says, to the bit",
+    "trembling": "trembles beside it: 0.02 N around 9 Hz, and 0.03 N of 1/f from 0.05 to 13 Hz",
+}
+_TREMBLING = {"tremor": {"enabled": True, "rms_n": 0.02}, "wander": {"enabled": True, "rms_n": 0.03}}
+INSTRUMENTS = ("ideal", "real")
 # The moves of the reacting operator scatter by this share of them.
 REACTION_S, SCATTER = 0.25, 0.1
 NETWORKS = (
@@ -36,7 +43,7 @@ NETWORKS = (
     "netfi_delay_1",
 )
 QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
-SEEDS, QUICK_SEEDS = 8, 2
+SEEDS, QUICK_SEEDS = 4, 2
 # the swing that is followed: so many newtons about the force of the hold, this often, so many periods before and in the
 # measurement
 SWING_N, SWING_HZ, SWINGS_BEFORE, SWINGS = 0.3, 0.5, 2, 2
@@ -73,11 +80,14 @@ class Run(Settings):
     hand: HandName
     seed: int = Field(ge=0)
     settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+    instrument: str = "ideal"
+    steadiness: Steadiness = "scripted"
 
     @property
     def key(self) -> str:
         """A digest of the run and of every source that its outcome depends on."""
-        text = self.model_dump_json() + _link_text(self.network) + _sources()
+        disturbed = repr(disturbances_of(self.instrument))
+        text = self.model_dump_json() + _link_text(self.network) + disturbed + _sources()
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     @property
@@ -95,8 +105,20 @@ class Run(Settings):
             round_trip_ms=round(profile_named(self.network).round_trip_ms, 1),
             loss=0.0,
             jitter_ms=0.0,
+            seed=self.seed,
             settings=self.settings,
+            disturbances=disturbances_of(self.instrument),
         )
+
+    @property
+    def is_random(self) -> bool:
+        """Whether another seed gives another run."""
+        return is_random(self.network) or self.steadiness == "trembling" or bool(disturbances_of(self.instrument))
+
+    def hand_section(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+        """Return the section `haptic_node` of a programme: corners (time [s], force [N])."""
+        trembling = {**_TREMBLING, "seed": self.seed} if self.steadiness == "trembling" else {}
+        return {"operator": self.operator(points), "disturbances": trembling}
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
         """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N])."""
@@ -119,7 +141,8 @@ class Run(Settings):
     @property
     def sort_key(self) -> tuple[Any, ...]:
         """The place in the result."""
-        return (self.network, self.task, self.law, self.hand, self.seed, self.settings)
+        condition = (self.instrument, self.steadiness)
+        return (*condition, self.network, self.task, self.law, self.hand, self.seed, self.settings)
 
     def programme(self) -> tuple[list[tuple[float, float]], float, float, float]:
         """Return the hand's corners (time [s], force [N]), and when hold, settling of the swing, and run end [s]."""
@@ -135,7 +158,7 @@ class Run(Settings):
 
 
 class Plan(NamedTuple):
-    """What is run: names of networks, tasks, laws and hands, seeds of a random network, and settings of the laws."""
+    """What is run: names of networks, tasks, laws and hands, seeds of what is random, and settings of the laws."""
 
     networks: tuple[str, ...]
     tasks: tuple[TaskName, ...]
@@ -143,17 +166,25 @@ class Plan(NamedTuple):
     hands: tuple[HandName, ...]
     seeds: int
     settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+    instruments: tuple[str, ...] = INSTRUMENTS
+    steadiness: tuple[Steadiness, ...] = tuple(STEADINESS)
 
     def runs(self) -> list[Run]:
-        """Return the runs, those over one draw of a link together: to draw it takes longer than to run over it."""
-        return [
-            Run(task=task, network=network, law=law, hand=hand, seed=seed, settings=self.settings)
+        """Return the runs, those over one draw together: to draw a link or a noise takes longer than to run over it."""
+        found = [
+            Run(
+                task=task, network=network, law=law, hand=hand, seed=seed, settings=self.settings,
+                instrument=instrument, steadiness=steadiness,
+            )
             for network in self.networks
-            for seed in range(self.seeds if is_random(network) else 1)
+            for seed in range(self.seeds)
             for task in self.tasks
+            for instrument in self.instruments
+            for steadiness in self.steadiness
             for law in self.laws
             for hand in self.hands
-        ]
+        ]  # fmt: skip
+        return [run for run in found if run.seed == 0 or run.is_random]
 
 
 def plan_of(
@@ -162,11 +193,13 @@ def plan_of(
     quick: bool,
     networks: Sequence[str] = (),
     settings: tuple[tuple[str, Any], ...] = (),
+    instruments: Sequence[str] = (),
+    steadiness: Sequence[str] = (),
 ) -> Plan:
     """Return the whole set, or the quick one, for some laws, over its own networks where none are named.
 
     Raises:
-        ConfigError: A law or a network is not known; the message names it.
+        ConfigError: A law, a network, an instrument or a hand is not known; the message names it.
     """
     for law in laws:
         if law not in LAWS:
@@ -176,10 +209,28 @@ def plan_of(
             profile_named(network)
         except ConfigError as error:
             raise ConfigError(f"--network: {error}") from error
+    for instrument in instruments:
+        disturbances_of(instrument)
+    for name in steadiness:
+        if name not in STEADINESS:
+            raise ConfigError(f"--hand: unknown hand {name!r}, {known_names(name, STEADINESS)}")
     networks = [network.lower() for network in networks]
+    whole = Plan(tuple(networks) or NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)
     if quick:
-        return Plan(tuple(networks) or QUICK_NETWORKS, QUICK_TASKS, tuple(laws), QUICK_HANDS, QUICK_SEEDS, settings)
-    return Plan(tuple(networks) or NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)
+        whole = whole._replace(networks=tuple(networks) or QUICK_NETWORKS, tasks=QUICK_TASKS, hands=QUICK_HANDS)
+        whole = whole._replace(seeds=QUICK_SEEDS)
+    hands = tuple(name for name in STEADINESS if name in steadiness)
+    return whole._replace(
+        instruments=tuple(dict.fromkeys(instruments)) or INSTRUMENTS, steadiness=hands or tuple(STEADINESS)
+    )
+
+
+@functools.cache
+def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | bool], ...]:
+    """Return the keys of `afm_node.disturbances` of a named instrument; ConfigError lists the names."""
+    named = {"name": "benchmark", "description": "a run", "duration_s": 1.0, "instrument": instrument}
+    section = scenario_of(named, "--instrument").scenario.afm_node.get("disturbances", {})
+    return tuple(flatten(section).items())
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""The result of the benchmark: its runs as a text of the same bits everywhere, a row a network and law, and the choice.
+"""The result of the benchmark: its runs as a text of the same bits everywhere, a row a case and law, and the choice.
 
 The digest is that of `runs.csv`: two people have the same result when `sha256sum runs.csv` says so. No file says when
 or where it was made, and none has a figure of more digits than DIGITS.
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from telenano.analysis import wilson
 from telenano.link import profile_named
-from telenano_experiments.benchmark.plan import TASKS, VERSION, Plan
+from telenano_experiments.benchmark.plan import STEADINESS, TASKS, VERSION, Plan
 from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded
 
 # A run is held when it came to rest, with the force that it should have, and unstruck.
@@ -31,10 +31,18 @@ class Spread(NamedTuple):
     most: float
 
 
-class Row(NamedTuple):
-    """A law over a network: runs, those held with the interval of their share, those that made energy, and measures."""
+class Case(NamedTuple):
+    """What the runs of a choice have in common: the instrument, how steady the hand is, and the network."""
 
+    instrument: str
+    steadiness: str
     network: str
+
+
+class Row(NamedTuple):
+    """A law in a case: runs, those held with the interval of their share, those that made energy, and measures."""
+
+    case: Case
     law: str
     runs: int
     held: int
@@ -43,6 +51,11 @@ class Row(NamedTuple):
     made_energy: int
     verdicts: dict[str, int]
     measures: dict[str, Spread | None]
+
+    @property
+    def network(self) -> str:
+        """The network of the case."""
+        return self.case.network
 
     @property
     def share(self) -> float:
@@ -58,18 +71,20 @@ class Row(NamedTuple):
         """Return the row as plain data."""
         spreads = {name: None if spread is None else spread._asdict() for name, spread in self.measures.items()}
         interval = {"low": rounded(self.low), "high": rounded(self.high)}
-        return {**self._asdict(), **interval, "share": rounded(self.share), "measures": spreads}
+        own = {key: value for key, value in self._asdict().items() if key != "case"}
+        return {**self.case._asdict(), **own, **interval, "share": rounded(self.share), "measures": spreads}
 
 
 def rows_of(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Return a row for each network and law, in the order of the runs."""
-    grouped: dict[tuple[str, str], list[Outcome]] = {}
+    """Return a row for each case and law, in the order of the runs."""
+    grouped: dict[tuple[Case, str], list[Outcome]] = {}
     for outcome in outcomes:
-        grouped.setdefault((outcome.cell.network, outcome.cell.law), []).append(outcome)
-    return [_row(network, law, some) for (network, law), some in grouped.items()]
+        cell = outcome.cell
+        grouped.setdefault((Case(cell.instrument, cell.steadiness, cell.network), cell.law), []).append(outcome)
+    return [_row(case, law, some) for (case, law), some in grouped.items()]
 
 
-def _row(network: str, law: str, some: Sequence[Outcome]) -> Row:
+def _row(case: Case, law: str, some: Sequence[Outcome]) -> Row:
     verdicts: dict[str, int] = {}
     for outcome in some:
         verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
@@ -78,7 +93,7 @@ def _row(network: str, law: str, some: Sequence[Outcome]) -> Row:
     made = sum((outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ for outcome in some)
     # What is not held has no place that its force or position could be compared at.
     measures = {name: spread_of(held, name) for name in MEASURES}
-    return Row(network, law, len(some), len(held), low, high, made, dict(sorted(verdicts.items())), measures)
+    return Row(case, law, len(some), len(held), low, high, made, dict(sorted(verdicts.items())), measures)
 
 
 def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
@@ -87,26 +102,26 @@ def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
     return Spread(statistics.median(known), min(known), max(known)) if known else None
 
 
-def choices(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Return the laws over each network, the one to take first."""
-    found: dict[str, list[Row]] = {}
+def choices(rows: Sequence[Row]) -> dict[Case, list[Row]]:
+    """Return the laws in each case, the one to take first."""
+    found: dict[Case, list[Row]] = {}
     for row in rows:
-        found.setdefault(row.network, []).append(row)
-    return {network: sorted(some, key=lambda row: (row.price(), row.law)) for network, some in found.items()}
+        found.setdefault(row.case, []).append(row)
+    return {case: sorted(some, key=lambda row: (row.price(), row.law)) for case, some in found.items()}
 
 
 def runs_text(outcomes: Sequence[Outcome]) -> str:
     """Return the runs as CSV, in one order: a line a run, with its verdict and measures."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
-    out.writerow(("benchmark", "network", "task", "law", "hand", "seed", "settings", "verdict", *MEASURES))
+    condition = ("instrument", "steadiness", "network", "task", "law", "hand", "seed", "settings")
+    out.writerow(("benchmark", *condition, "verdict", *MEASURES))
     for outcome in sorted(outcomes, key=lambda outcome: outcome.cell.sort_key):
         cell = outcome.cell
         changed = " ".join(f"{key}={value}" for key, value in cell.settings)
         figures = ["" if value is None else repr(value) for value in outcome.measures.values()]
-        out.writerow(
-            (VERSION, cell.network, cell.task, cell.law, cell.hand, cell.seed, changed, outcome.verdict, *figures)
-        )
+        where = (cell.instrument, cell.steadiness, cell.network, cell.task, cell.law, cell.hand, cell.seed, changed)
+        out.writerow((VERSION, *where, outcome.verdict, *figures))
     return text.getvalue()
 
 
@@ -125,6 +140,8 @@ def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row]) -> 
         "laws": list(plan.laws),
         "settings": {key: value for key, value in plan.settings},
         "hands": list(plan.hands),
+        "instruments": list(plan.instruments),
+        "steadiness": {name: STEADINESS[name] for name in plan.steadiness},
         "seeds": plan.seeds,
         "tasks": {name: TASKS[name].about for name in plan.tasks},
         "networks": {
@@ -132,6 +149,8 @@ def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row]) -> 
             for name in plan.networks
         },
         "measures": {name: measure._asdict() for name, measure in MEASURES.items()},
-        "take": {network: some[0].law if some[0].held else None for network, some in choices(rows).items()},
+        "take": [
+            {**case._asdict(), "law": some[0].law if some[0].held else None} for case, some in choices(rows).items()
+        ],
         "rows": [row.as_dict() for row in rows],
     }

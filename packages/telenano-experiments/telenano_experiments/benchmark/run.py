@@ -39,6 +39,7 @@ MEASURES: dict[str, Measure] = {
     "force_error": Measure("", "|force held / force to hold - 1|"),
     "peak_force_n": Measure("N", "Greatest force at the tip at the hand's scale, up to the end of the hold"),
     "position_error_mm": Measure("mm", "Hand ahead of the tip, x_m - x_s/alpha_p, mean of the later half of the hold"),
+    "parted_mm": Measure("mm", "Change of that from the middle of the hold to the end of the run"),
     "hand_work_mj": Measure("mJ", "Work of the hand at its port, up to the end of the hold"),
     "tip_work_mj": Measure("mJ", "Work of the base at the tip's port, at the hand's scale"),
     "least_energy_mj": Measure("mJ", "Least that hand's work exceeded tip's work by; below 0 energy was made"),
@@ -79,6 +80,8 @@ def run(run: Run) -> Outcome:
     held = course_until(course, held_s)
     result = judged(run.cell, held)
     found = {**dict.fromkeys(MEASURES), **_held(result, held, scales, TASKS[run.task])}
+    if _followed(course):
+        found["parted_mm"] = _parted(course, scales, run.cell.hold_s(), SWING_HZ if TASKS[run.task].follows else None)
     if TASKS[run.task].follows and _followed(course):
         found |= _swung(course, begin_s, scales, TASKS[run.task])
     return Outcome(run, result.outcome, result.reason, {name: rounded(value) for name, value in found.items()})
@@ -86,10 +89,12 @@ def run(run: Run) -> Outcome:
 
 def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:
     """Run over a draw of the network: the programme of the hand, corners (time [s], force [N]), and its length [s]."""
-    haptic = validate(HapticConfig, {"operator": run.operator(points)}, f"hand {run.hand}", "haptic_node")
-    rig = build_rig(run.cell.controller(), haptic, run.cell.instrument())
-    settle = settle_ticks(run.cell, rig.period_s)
-    ticks = settle + max(1, round(end_s / rig.period_s))
+    cell, haptic = run.cell, validate(HapticConfig, run.hand_section(points), f"hand {run.hand}", "haptic_node")
+    controller = cell.controller()
+    settle = settle_ticks(cell, controller.period_s)
+    ticks = settle + max(1, round(end_s / controller.period_s))
+    length_s = ticks * controller.period_s
+    rig = build_rig(controller, haptic, cell.disturbed_instrument(length_s), length_s)
     schedule = _schedule(run.network, run.seed, _longest_ticks(run), rig.period_s)
     return simulate(rig, schedule._replace(ticks=ticks), settle)
 
@@ -139,6 +144,23 @@ def _held(result: CellResult, course: Trajectory, scales: Scales, task: Task) ->
         "tip_work_mj": 1e3 * tip_j,
         "least_energy_mj": 1e3 * result.lowest_energy_j,
     }
+
+
+def _parted(course: Trajectory, scales: Scales, hold_s: tuple[float, float], swing_hz: float | None) -> float | None:
+    """Return by how much hand and tip have parted since the middle of the hold [mm], over whole periods of a swing."""
+    apart = course.hand_position_m - course.base_position_m / scales.position_scale
+    middle_s, tenth_s, end_s = 0.5 * sum(hold_s), 0.1 * (hold_s[1] - hold_s[0]), float(course.time_s[-1])
+    spans = (
+        (middle_s - 0.5 * tenth_s, middle_s + 0.5 * tenth_s),
+        (end_s - (tenth_s if swing_hz is None else 1.0 / swing_hz), end_s),
+    )
+    means = []
+    for first_s, last_s in spans:
+        part = apart[slice(*np.searchsorted(course.time_s, (first_s - 1e-9, last_s - 1e-9)).tolist())].tolist()
+        if not part:
+            return None
+        means.append(math.fsum(part) / len(part))
+    return 1e3 * (means[1] - means[0])
 
 
 def _followed(course: Trajectory) -> bool:

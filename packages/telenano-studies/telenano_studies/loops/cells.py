@@ -25,7 +25,6 @@ from telenano.afm import (
     AfmParams,
     CantileverConfig,
     DisturbanceConfig,
-    Plant,
     SafetyConfig,
     noisy_params,
     spring_params,
@@ -78,7 +77,7 @@ _LEVELS_N: dict[str, tuple[float, ...]] = {
 }
 # Wall and body only push, and the tip meets them from here [m].
 WALL_DISTANCE_M = 3e-9
-# the cantilever that touches the body, of Table 2 [N/m]
+# the cantilever that touches the body, and that reads the force of whatever has none of its own, of Table 2 [N/m]
 CANTILEVER_N_PER_M = 40.0
 # A steady contact with the sample of Table 2 begins at this base, which goes so much further for a newton at the hand
 # [m].
@@ -137,8 +136,8 @@ class Conditions(Settings):
         Option(("--disturb",), "NAME|NAME.KEY=VALUE", option_values.disturbances, many=True),
     ] = Field(
         default=(),
-        description="Switch on a disturbance of the instrument, or set a key of it, as in afm_node.disturbances, in the"
-        " contact (repeatable)",
+        description="Switch on a disturbance of the instrument, or set a key of it, as in afm_node.disturbances"
+        " (repeatable)",
     )
 
 
@@ -234,14 +233,13 @@ class Cell(Conditions):
         instrument = self.instrument()
         if not self.disturbances:
             return instrument
-        if not isinstance(instrument.plant, Plant):
-            raise ConfigError(
-                f"--disturb: {self.environment} has no instrument to disturb; give --environment tip_sample"
-            )
         section = nested(dict(self.disturbances), "--disturb")
         # Link and instrument share one seed unless it is given.
         config = validate(DisturbanceConfig, merge({"seed": self.seed}, section), "--disturb", "disturbances")
-        return instrument._replace(plant=noisy_params(config, instrument.plant, duration_s))
+        is_gauged = self.environment != "tip_sample"
+        cantilever = _instrument("tip_sample", CANTILEVER_N_PER_M, 1.0, 0.0).plant if is_gauged else instrument.plant
+        noisy = noisy_params(config, cantilever, duration_s, instrument.plant, is_gauged=is_gauged)
+        return instrument._replace(plant=noisy)
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
         """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N]).

@@ -26,6 +26,7 @@ from telenano.afm import (
     volts_per_m,
 )
 from telenano.files import whole_file
+from telenano.settings import scenario_of
 from telenano.wire import RigError
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
@@ -33,13 +34,18 @@ from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows
 
 FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
 Progress = Callable[[str, int, int], None]
+# 1000 points each way are then samples of a millisecond [m/s]
+_FIG6_SPEED_M_PER_S = 45e-9
 # The statement of the paper for each figure, and where this one differs.
 _BESIDE_THE_PAPER = {
     "fig5": "The paper: the tip contacts with the sample at C and leaves it at D during retracting; the hysteresis is"
     " energy that is lost. The same here, where C is the forming of the meniscus, as a cantilever of 40 N/m does not"
     " snap, and D is its break; the paper draws F over the distance h, this figure over the base.",
-    "fig6": "The paper: measured on mica, with the noise of its electronics, and nearly linear in contact. The same"
-    " here without noise; tip and sample are those of Table 2, since the paper does not tell all of them.",
+    "fig6": "The paper: measured on mica, nearly linear in contact, with electrical and environmental noise to be seen."
+    " The same here, first without noise, then with that of the paper's own bridge (instrument paper_bridge): 1.27 mV"
+    " of Johnson noise are 0.2 nm, or 1.6 nN, and as much again is taken for its 1/f noise. Both ways are then apart in"
+    " contact by hysteresis and creep of the piezo, which turns before it presses with 20 nN; the jumps at C and D"
+    " drown, and the pull-off does not. Tip and sample are those of Table 2, as the paper does not tell all of them.",
     "fig8": "The paper: dots of about 5 nm radius and 10 nm height. Here they are wider, as the tip of 10 nm radius"
     " sees them; their places are drawn by a seed.",
     "fig10": "The paper: upward jumps of the hand stand for the dots, and x_m goes with alpha_p x_s. The same here; the"
@@ -140,13 +146,16 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
         summary["equations"] = [{**row._asdict(), "difference": row.difference} for row in rows]
     for name, stiffness, words in (
         ("fig5", 40.0, "Fig. 5, force and distance in approach and retraction (simulation): Table 2"),
-        ("fig6", 8.0, "Fig. 6, the same with the cantilever of the experiment, k = 8 N/m, without its noise"),
+        ("fig6", 8.0, "Fig. 6, the same with the cantilever of the experiment, k = 8 N/m, without and with its noise"),
     ):
         if name in figures:
             config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": stiffness}})
             curve = force_curve(config, 20e-9, 20e-9, progress=partial(progress, name))
             page.heading(words)
             summary[name] = _add_curve(page, curve)
+            if name == "fig6":
+                noisy = force_curve(_with_its_bridge(config), 20e-9, 20e-9, speed_m_per_s=_FIG6_SPEED_M_PER_S)
+                summary["fig6_with_noise"] = _add_curve(page, noisy, "The same with the noise of the paper's bridge.")
             page.paragraph(_BESIDE_THE_PAPER[name])
     if "models" in figures:
         page.heading("The quasi-static cantilever beside Eq. 4 in full")
@@ -227,12 +236,21 @@ def _add_holds(page: Page, recording: Path) -> dict[str, object]:
     return {"holds": holds}
 
 
-def _add_curve(page: Page, curve: Curve) -> dict[str, object]:
+def _with_its_bridge(config: AfmConfig) -> AfmConfig:
+    """Return a configuration with the disturbances of the paper's own AFM."""
+    named = {"name": "fig6", "description": "the paper's AFM", "duration_s": 1.0, "instrument": "paper_bridge"}
+    section = scenario_of(named, "Fig. 6").scenario.afm_node
+    return AfmConfig.model_validate({**config.model_dump(exclude_unset=True), **section})
+
+
+def _add_curve(
+    page: Page, curve: Curve, words: str = "C contact, D leaving, as in the paper; the pull-off."
+) -> dict[str, object]:
     from telenano_microscopy.force_curve_figure import curve_figure
 
     marks = marks_of(curve)
     numbers: dict[str, object] = {"stiffness_n_per_m": curve.stiffness_n_per_m, **marks.as_dict()}
-    page.image(png_of(curve_figure([(curve, marks)])), "C contact, D leaving, as in the paper; the pull-off.")
+    page.image(png_of(curve_figure([(curve, marks)])), words)
     page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
     return numbers
 
