@@ -136,10 +136,16 @@ def page_line(runtime: Path) -> str:
 
 
 def recordings_of(summary: Path) -> dict[Path, str]:
-    """Return the recordings that a summary names, each with its name in the folder of the session."""
-    recording = json.loads(summary.read_text(encoding="utf-8"))["recording"]
-    first = Path(recording["file"])
-    files = [first.parent / part["file"] for part in recording.get("parts", ())] or [first]
+    """Return the recordings that a summary names, each with its name in the folder of the session.
+
+    A summary that is just being written, or was left half, names none.
+    """
+    try:
+        recording = json.loads(summary.read_text(encoding="utf-8"))["recording"]
+        first = Path(recording["file"])
+        files = [first.parent / part["file"] for part in recording.get("parts", ())] or [first]
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
     return {file: f"session_{number}.mcap" if number else "session.mcap" for number, file in enumerate(files)}
 
 
@@ -201,13 +207,19 @@ def write(connection: socket.socket, out: Path) -> None:
 
 
 def write_one(source: IO[bytes], out: Path, name: Path) -> None:
-    """Write a file below a folder under a name that must not lead out of it, in the place of none."""
+    """Write a file below a folder under a name that must not lead out of it; OSError, and no file, where it fails."""
     if name.is_absolute() or ".." in name.parts:
         raise OSError(f"{name}: is not in the folder of results")
     path = out / name
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("xb") as target:
-        shutil.copyfileobj(source, target, 1 << 20)
+        try:
+            shutil.copyfileobj(source, target, 1 << 20)
+            target.flush()
+        except OSError:
+            # Half a recording must not look like a whole one.
+            path.unlink()
+            raise
 
 
 def serve(number: int) -> NoReturn:

@@ -1,6 +1,8 @@
 """What a session in a container leaves in ./out: its files, under the names that they have there, as its owner's."""
 
+import errno
 import importlib.util
+import io
 import json
 import os
 import signal
@@ -113,6 +115,30 @@ def test_no_file_is_written_elsewhere_nor_over_another(handover: Any, tmp_path: 
     with source.open("rb") as file, pytest.raises(FileExistsError):
         handover.write_one(file, handover.OUT, Path("kept"))
     assert (handover.OUT / "kept").read_text() == "mine"
+
+
+class FullDisk(io.BytesIO):
+    """A source after whose first bytes there is no room left."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if self.tell():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().read(3)
+
+
+def test_a_file_for_which_there_is_no_room_is_not_left_half(handover: Any) -> None:
+    with pytest.raises(OSError, match="No space left"):
+        handover.write_one(FullDisk(b"recording"), handover.OUT, Path("fig12-1/session.mcap"))
+    assert list((handover.OUT / "fig12-1").iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["", '{"recording": ', '{"recording": {}}', "[]", '{"recording": {"file": 3}}'])
+def test_a_half_written_summary_is_handed_over_as_it_is(handover: Any, writer: socket.socket, text: str) -> None:
+    folder = session(handover)
+    (folder / "summary.json").write_text(text)
+    assert handover.in_out(f"{folder}/x\n", [folder]) == "out/fig12-1/x\n"
+    assert handover.hand_over(folder, writer) == ["logs/launcher.log", "summary.json"]
+    assert (handover.OUT / "fig12-1" / "summary.json").read_text() == text
 
 
 def test_results_belong_to_who_has_out_else_to_who_has_the_project(handover: Any, tmp_path: Path) -> None:
