@@ -16,7 +16,7 @@ operators (Prandtl-Ishlinskii; Kuhnen, Eur. J. Control 9 (2003) 407): x + sum of
 a play of r_i. *Creep*: first-order lags, one a decade of time, which together are nearly logarithmic. *Stage*:
 S(s) = w^2 / (s^2 + 2 d w s + w^2), its first resonance, or the drive in front of it, behind hysteresis and creep (D.
 Croft, G. Shed, S. Devasia, J. Dyn. Syst. Meas. Control 123 (2001) 35); with d = 1/sqrt(2) it passes w at -3 dB.
-*Thermal noise*: <zeta^2> = k_B T / k, at each step anew, since the cantilever is far faster. *1/f noise*: first-order
+*Thermal noise*: <zeta^2> = k_B T / k, drawn at each step, since the cantilever is far faster. *1/f noise*: first-order
 noises, one an octave of frequency, of equal power. *Electrostatic*: the force of a voltage that stands or wanders.
 """
 

@@ -301,7 +301,7 @@ def noisy_params(
 
 @lru_cache(maxsize=8)
 def _noise_rows(config: DisturbanceConfig, stiffness_n_per_m: float, count: int) -> Array:
-    """Return the noise of so many milliseconds, which the runs of a study share and none writes to."""
+    """Return the noise of a number of milliseconds, which the runs of a study share and none writes to."""
     state, rows = noise_start(), []
     for _ in range(count):
         state, noise = noise_step(config, state, stiffness_n_per_m, _NOISE_STEP_S)

@@ -51,7 +51,7 @@ _OCTAVES = 4
 _WHITE_OVER = 3.0
 # fall of the density in an octave [1, logarithm] of noise whose density goes with the square of the frequency
 _STEEPEST = 2.0 * math.log(2.0)
-# chance makes a line over the density of noise, of so many neighbours, less than once in e to this
+# chance makes a line over the density of noise, of its neighbours in the octave, less than once in e to this
 _LINE_NATS = 7.0
 
 
@@ -379,7 +379,7 @@ def _has_line(power: Series) -> bool:
     """Return whether a line stands out of the density of an octave as noise makes it once in a thousand times."""
     at = int(np.argmax(power))
     others = np.concatenate([power[: max(at - 1, 0)], power[at + 2 :]])
-    # so many of them are independent under this window
+    # this number of them are independent under this window
     count = len(others) / 1.5
     if count < 2.0:
         return False
@@ -400,7 +400,7 @@ def _moved(values: Series, noise_n: float) -> float:
 
 
 def reach_of(noise_n: float, count: int) -> float:
-    """Return what white noise of a standard deviation [N] reaches to one side, of so many samples [N]."""
+    """Return what white noise of a standard deviation [N] reaches to one side in a number of samples [N]."""
     return noise_n * (math.sqrt(2.0 * math.log(max(count, 2))) + 1.0)
 
 

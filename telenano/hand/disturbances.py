@@ -147,13 +147,13 @@ def disturbed(
 def disturbed_plant_params(
     config: HandDisturbanceConfig, plant: Any, samples: int, period_s: float
 ) -> DisturbedPlantParams:
-    """Draw what disturbs a run of so many samples, one a period [s]; the seed of `config` decides all of it."""
+    """Draw what disturbs a run of a number of samples, one a period [s]; the seed of `config` decides all of it."""
     return DisturbedPlantParams(plant, *_drawn(config, samples, period_s), config.resolution_m)
 
 
 @lru_cache(maxsize=8)
 def _drawn(config: HandDisturbanceConfig, samples: int, period_s: float) -> tuple[Series, Series]:
-    """Return noise and tremor [N] of so many samples and the wander [N], which the runs of a study share."""
+    """Return noise and tremor [N] of a number of samples and the wander [N], which the runs of a study share."""
     state, forces_n = HandDisturbanceState(0.0, 0.0, 0.0, 0), []
     for _ in range(samples):
         state, force_n = hand_noise_step(config, state, period_s)

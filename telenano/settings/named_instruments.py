@@ -51,7 +51,7 @@ def instrument_named(name: str) -> Instrument:
     """Return an instrument.
 
     Raises:
-        ConfigError: There is none of this name, or its file is wrong; the message names the file and the key.
+        ConfigError: No instrument has this name, or its file is wrong; the message names the file and the key.
     """
     if name not in _files():
         path = Path(name)

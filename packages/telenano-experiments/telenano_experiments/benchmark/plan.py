@@ -116,12 +116,12 @@ class Run(Settings):
         return is_random(self.network) or self.steadiness == "trembling" or bool(disturbances_of(self.instrument))
 
     def hand_section(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
-        """Return the section `haptic_node` of a programme: corners (time [s], force [N])."""
+        """Return the section `haptic_node` of a force profile: corners (time [s], force [N])."""
         trembling = {**_TREMBLING, "seed": self.seed} if self.steadiness == "trembling" else {}
         return {"operator": self.operator(points), "disturbances": trembling}
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
-        """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N])."""
+        """Return the section `haptic_node.operator` of a force profile: corners (time [s], force [N])."""
         if self.hand != "reacting":
             return self.cell.operator(points)
         return {
