@@ -1,4 +1,4 @@
-"""What `make site` adds to the pages of docs/: notebooks with their results, the gallery of delay, the other documents.
+"""What `make site` adds to the pages of docs/: notebooks as pages, the gallery of delay, the other documents.
 
 MkDocs calls the functions that begin with `on_` (mkdocs.yml, `hooks`).
 """
@@ -13,9 +13,7 @@ from typing import Any
 import nbformat
 from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
-from nbconvert.preprocessors import ExecutePreprocessor
 from telenano_studies.pages.gallery import FOLDER, fragment_of
-from traitlets.config import Config
 
 ROOT = Path(__file__).resolve().parents[2]
 # documents beside docs/, which its pages link to; a package that `telenano new` made here is none
@@ -27,6 +25,8 @@ _OTHERS = {
     for path in sorted(ROOT.glob(pattern))
     if path.parent.name not in ("docs", "out") and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
 }
+# the pictures of such a document
+_PICTURES = {str(path.relative_to(ROOT)): path for path in sorted(ROOT.glob("examples/*.png"))}
 _PREFIX = "repository/"
 # pages whose pictures need the place of the table of contents
 _WIDE = {"index.md": ["navigation", "toc"], "gallery.md": ["toc"], "unstable.md": ["toc"]}
@@ -37,19 +37,17 @@ _SLIDER = "<!-- the gallery of delay -->"
 _FILE_NAME = re.compile(r"[\w./-]+\.md")
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\](?:\([^)]*\))?)*)\]\(([^)\s]+)((?:\s+\"[^\"]*\")?)\)")
-# What a kernel says stays on sockets of the user.
-_PRIVATE = Config({"KernelManager": {"transport": "ipc"}})
-# a cell that compiles every law is the slowest
-_LONGEST_CELL_S = 900
 
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:
-    """Add the documents beside docs/, and execute the notebooks; a cell that fails ends the build."""
+    """Add the documents beside docs/ with their pictures, and the notebooks as pages."""
     for name, path in _OTHERS.items():
         files.append(File.generated(config, f"{_PREFIX}{name}", content=path.read_text(encoding="utf-8")))
+    for name, path in _PICTURES.items():
+        files.append(File.generated(config, f"{_PREFIX}{name}", content=path.read_bytes()))
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         page = notebook.src_uri.removesuffix(".ipynb")
-        text, figures = executed(Path(str(notebook.abs_src_path)))
+        text, figures = converted(Path(str(notebook.abs_src_path)))
         files.append(File.generated(config, f"{page}.md", content=text))
         for name, content in figures.items():
             files.append(File.generated(config, f"{dirname(page)}/{name}", content=content))
@@ -89,7 +87,7 @@ def linked(found: re.Match[str], uri: str) -> str:
         text = title_of(there) or text
     if there.startswith("docs/"):
         there = there.removeprefix("docs/").replace(".ipynb", ".md")
-    elif there in _OTHERS:
+    elif there in _OTHERS or there in _PICTURES:
         there = f"{_PREFIX}{there}"
     else:
         return text
@@ -105,12 +103,9 @@ def title_of(document: str) -> str:
     return found[1] if found else ""
 
 
-def executed(path: Path) -> tuple[str, dict[str, bytes]]:
+def converted(path: Path) -> tuple[str, dict[str, bytes]]:
     """Return a notebook as Markdown with what its cells printed, and its figures by file name."""
     notebook = nbformat.read(path, as_version=4)
-    # The folder is the one from which a notebook finds its files, where Jupyter was started in the repository.
-    execute = ExecutePreprocessor(timeout=_LONGEST_CELL_S, config=_PRIVATE)
-    execute.preprocess(notebook, {"metadata": {"path": str(ROOT)}})
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": path.stem})
     # a table of pandas looks as every other table of the site
     text = re.sub(r"<style scoped>.*?</style>", "", text, flags=re.DOTALL).replace(' border="1" class="dataframe"', "")
