@@ -147,13 +147,9 @@ schemas: setup ## Write the schemas of scenarios, sites and summary.json, and th
 	$(BIN)/python -P -m telenano.analysis.summary >telenano/settings/schemas/summary.json
 	$(BIN)/python -P -m telenano.analysis.summary --markdown >docs/summary.md
 
-# the documents with their reference and the results of the notebooks, in out/site
+# the documents with their reference, the notebooks and the examples, in out/site
 site: setup ## Build the documents as a site in out/site.
 	$(call install,-e '.[site]')
-	@test -f out/fig12/session.mcap || $(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/fig12
-	@test -d out/experiment/analysis || { \
-	  $(BIN)/telenano experiment run delay_and_law --apparatus lockstep --out out/experiment && \
-	  $(BIN)/telenano experiment analyse out/experiment; }
 	$(BIN)/python tests/doubles/site_pages.py out/site
 	@echo "out/site/index.html; to search in it: python3 -m http.server -d out/site"
 

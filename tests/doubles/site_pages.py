@@ -1,8 +1,8 @@
 """Build the documents as a site: `python tests/doubles/site_pages.py FOLDER`.
 
 Zensical reads pages and the navigation of mkdocs.yml from a folder that is written here: docs/, the other documents of
-the repository, the notebooks with their results, and the gallery of delay. A cell that fails, and a link or picture
-that is not there, end the build.
+the repository with their pictures, the notebooks with what is kept in them, and the gallery of delay. A link or a
+picture that is not there ends the build.
 """
 
 import json
@@ -17,9 +17,7 @@ from posixpath import dirname, join, normpath, relpath
 
 import nbformat
 from nbconvert import MarkdownExporter
-from nbconvert.preprocessors import ExecutePreprocessor
 from telenano_studies.pages.gallery import FOLDER, fragment_of
-from traitlets.config import Config
 
 ROOT = Path(__file__).resolve().parents[2]
 # documents beside docs/, which its pages link to; a package that `telenano new` made here is none
@@ -31,6 +29,8 @@ _OTHERS = {
     for path in sorted(ROOT.glob(pattern))
     if path.parent.name not in ("docs", "out") and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
 }
+# the pictures of such a document
+_PICTURES = {str(path.relative_to(ROOT)): path for path in sorted(ROOT.glob("examples/*.png"))}
 _PREFIX = "repository/"
 # pages whose pictures need the place of the table of contents
 _WIDE = {"index.md": ["navigation", "toc"], "gallery.md": ["toc"], "unstable.md": ["toc"]}
@@ -41,10 +41,6 @@ _SLIDER = "<!-- the gallery of delay -->"
 _FILE_NAME = re.compile(r"[\w./-]+\.md")
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\](?:\([^)]*\))?)*)\]\(([^)\s]+)((?:\s+\"[^\"]*\")?)\)")
-# What a kernel says stays on sockets of the user.
-_PRIVATE = Config({"KernelManager": {"transport": "ipc"}})
-# a cell that compiles every law is the slowest
-_LONGEST_CELL_S = 900
 
 
 def build(out: Path) -> None:
@@ -74,7 +70,7 @@ def write_pages(folder: Path) -> None:
     """Write every page of the site as Markdown, with its pictures, into a folder."""
     shutil.copytree(ROOT / "docs", folder)
     for notebook in sorted(folder.rglob("*.ipynb")):
-        text, figures = executed(notebook)
+        text, figures = converted(notebook)
         notebook.with_suffix(".md").write_text(text, encoding="utf-8")
         for name, content in figures.items():
             (notebook.parent / name).write_bytes(content)
@@ -85,6 +81,8 @@ def write_pages(folder: Path) -> None:
         page = folder / _PREFIX / name
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text(page_of(path.read_text(encoding="utf-8"), f"{_PREFIX}{name}"), encoding="utf-8")
+    for name, path in _PICTURES.items():
+        shutil.copy(path, folder / _PREFIX / name)
 
 
 def page_of(markdown: str, uri: str) -> str:
@@ -110,7 +108,7 @@ def linked(found: re.Match[str], uri: str) -> str:
         text = title_of(there) or text
     if there.startswith("docs/"):
         there = there.removeprefix("docs/").replace(".ipynb", ".md")
-    elif there in _OTHERS:
+    elif there in _OTHERS or there in _PICTURES:
         there = f"{_PREFIX}{there}"
     else:
         return text
@@ -126,12 +124,9 @@ def title_of(document: str) -> str:
     return found[1] if found else ""
 
 
-def executed(path: Path) -> tuple[str, dict[str, bytes]]:
+def converted(path: Path) -> tuple[str, dict[str, bytes]]:
     """Return a notebook as Markdown with what its cells printed, and its figures by file name."""
     notebook = nbformat.read(path, as_version=4)
-    # The folder is the one from which a notebook finds its files, where Jupyter was started in the repository.
-    execute = ExecutePreprocessor(timeout=_LONGEST_CELL_S, config=_PRIVATE)
-    execute.preprocess(notebook, {"metadata": {"path": str(ROOT)}})
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": path.stem})
     # a table of pandas looks as every other table of the site
     text = re.sub(r"<style scoped>.*?</style>", "", text, flags=re.DOTALL).replace(' border="1" class="dataframe"', "")

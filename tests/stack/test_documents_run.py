@@ -1,11 +1,10 @@
-"""What the documents show is run as it stands there: notebooks, Python, commands, rigs and what runs beside them.
+"""What the documents show is run as it stands there: Python, commands, rigs and what runs beside them.
 
 `documented_lines.py` says of every line of every code block which of these tests, or which other one, runs it.
 """
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 from functools import partial
@@ -30,29 +29,11 @@ from documents import (
 )  # fmt: skip
 from stack_rig import Rig
 
-NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 # commands that show what is wrong, and end with the code that says so
 CODES = {"bag verify killed.mcap": 1, "bag verify session.mcap session_1.mcap": 1, "bag rerun s.mcap": 1}
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 __all__ = ["place"]
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_from_its_first_cell_to_its_last(path: Path, place: Path) -> None:
-    assert len(NOTEBOOKS) == 4
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    assert all(not cell.get("outputs") for cell in cells), "outputs are made by running it"
-    # Jupyter starts in the folder of the notebook, and what it reads is in one above
-    (place / "notebooks").mkdir(exist_ok=True)
-    shutil.copy(path, place / "notebooks")
-    environment = {name: value for name, value in environment_of().items() if name != "MPLBACKEND"}
-    options = ["--to", "notebook", "--execute", "--inplace", "--KernelManager.transport=ipc"]
-    done = run([sys.executable, "-m", "nbconvert", *options, path.name], place / "notebooks", environment)
-    assert done.returncode == 0, done.stderr
-    ran = json.loads((place / "notebooks" / path.name).read_text(encoding="utf-8"))["cells"]
-    drawn = [output for cell in ran for output in cell.get("outputs", ()) if "image/png" in output.get("data", {})]
-    assert bool(drawn) is (path.stem != "own_law")
 
 
 LIVE = "telenano.live()"

@@ -144,7 +144,7 @@ ALONE = {
     "rig": "sample --sample dots --out dots",
     "dask": "-c import dask.distributed",
     "peers": "-c import zenoh, iceoryx2",
-    "notebooks": "-c import hatchling, ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",
+    "notebooks": "-c import ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",
     "site": "-c import mkdocstrings, zensical",
     # all that the tests need: the environment in which they run
     "dev": "",
