@@ -11,10 +11,15 @@ const MOST_SHOWN = 2;
 const PLACED_MS = 600_000;
 /** Hand and tip: the server arms both, and answers when the tip is placed. */
 const DEVICES = "*";
+/** After the last press of the stop, and after it is first shown, the bar that arms cannot be pressed: a second tap never arms [ms]. */
+const REARM_MS = 1500;
 
 /** Commands of the operator; each shows its acknowledgement or its refusal. */
 export class Commands {
   private stops = 0;
+  /** When the rig was stopped, as this page saw it, or when its stop was pressed last [ms]. */
+  private stoppedAt = -Infinity;
+  private wasStopped = false;
   /** Called when an emergency stop is asked for, before it is answered. */
   onEstop: () => void = () => {};
   /** Called before devices are armed: the tip must not press at once with a force that was held before. */
@@ -43,6 +48,7 @@ export class Commands {
   async estop(): Promise<void> {
     const dead = this.deadStop;
     this.stops++;
+    this.stoppedAt = performance.now();
     this.onEstop();
     if (dead) this.show("emergency stop", false, dead.long);
     else await this.ask("emergency stop", { k: "estop" });
@@ -52,8 +58,16 @@ export class Commands {
     return this.ask(about, { k: "command", command, target, parameters, lease: this.store.ownLease });
   }
 
+  /** Whether the bar that arms is shown at a time [ms], and whether it can be pressed yet. */
+  rearm(now: number): "hidden" | "waits" | "ready" {
+    const isStopped = this.may && this.isStopped;
+    if (isStopped && !this.wasStopped) this.stoppedAt = now;
+    this.wasStopped = isStopped;
+    return !isStopped ? "hidden" : now - this.stoppedAt < REARM_MS ? "waits" : "ready";
+  }
+
   /** Whether a device is in emergency stop, as far as the page knows. */
-  private get isLatched(): boolean {
+  get isStopped(): boolean {
     return this.store.fact("afm/state/slave", "mode") === "estop" || this.store.fact("haptic/state/master", "estop") === true;
   }
 
@@ -66,8 +80,8 @@ export class Commands {
 
   /** Return whether hand and tip may be armed at the end of something that begins now: not after a stop that comes meanwhile. */
   mayArmLater(): () => boolean {
-    const { stops, isLatched } = this;
-    return () => stops === this.stops && (isLatched || !this.isLatched);
+    const { stops, isStopped } = this;
+    return () => stops === this.stops && (isStopped || !this.isStopped);
   }
 
   /** Couple hand and tip anew: the tip is withdrawn, and armed when the hand is at rest. */

@@ -47,3 +47,34 @@ test("what takes a while arms at its end only where no stop came meanwhile, from
   void commands.estop();
   expect(knows()).toBe(false);
 });
+
+test("the bar that arms is there while the rig is stopped, and cannot be pressed for 1.5 s after a press of the stop", () => {
+  vi.useFakeTimers();
+  const { commands, store } = page();
+  commands.link = "open";
+  store.role = "operator";
+  store.commands = true;
+  const state = (hand: boolean): void => store.take({ k: "tick", state: { "haptic/state/master": { estop: hand } } });
+  const after = (ms: number): string => {
+    vi.advanceTimersByTime(ms);
+    return commands.rearm(performance.now());
+  };
+  expect(after(0)).toBe("hidden");
+  void commands.estop();
+  state(true);
+  expect([after(0), after(1400), after(200)]).toEqual(["waits", "waits", "ready"]);
+  // each further press counts, and so does a stop that came from elsewhere
+  void commands.estop();
+  expect([after(1400), after(200)]).toEqual(["waits", "ready"]);
+  state(false);
+  expect(after(50)).toBe("hidden");
+  state(true);
+  expect([after(50), after(1400), after(200)]).toEqual(["waits", "waits", "ready"]);
+  // not on a page that may not arm, or whose connection is lost
+  store.role = "observer";
+  expect(after(50)).toBe("hidden");
+  store.role = "operator";
+  commands.link = "lost";
+  expect(after(50)).toBe("hidden");
+  vi.useRealTimers();
+});

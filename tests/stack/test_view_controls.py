@@ -1,0 +1,64 @@
+"""Controls of the page in a browser, beside a rig whose state the test sets: within reach, uncut, and answered."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from browser_page import Page, needs_browser, open_page, until
+from page_without_rig import TOKEN, SaidRig, served
+
+pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
+
+PHONE, TABLET, LAPTOP = {"width": 390, "height": 844}, {"width": 820, "height": 1100}, {"width": 1366, "height": 768}
+
+
+@pytest.fixture
+def rig_page() -> Iterator[tuple[SaidRig, str]]:
+    with served(SaidRig()) as found:
+        yield found
+
+
+def box(page: Page, selector: str) -> dict[str, float]:
+    found: dict[str, float] = page.page.locator(selector).bounding_box()
+    return found
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET])
+def test_after_a_stop_the_rig_is_armed_within_reach_of_the_thumb_and_no_second_tap_on_stop_arms(
+    chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
+) -> None:
+    rig, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=size, has_touch=True)
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    assert not page.page.is_visible("#rearm")
+    stop = box(page, "#estop")
+    middle = (stop["x"] + stop["width"] / 2, stop["y"] + stop["height"] / 2)
+    for _ in range(5):
+        page.page.touchscreen.tap(*middle)
+        page.page.wait_for_timeout(150.0)
+    page.page.locator("#rearm").wait_for()
+    assert box(page, "#estop") == stop
+    # A press on the bar right after one of the stop does nothing, whatever is drawn by then.
+    page.value("for (const name of ['estop', 'rearm']) document.getElementById(name).click()")
+    until(lambda: page.page.is_enabled("#rearm"), "a bar that can be pressed")
+    assert set(rig.asked) == {"estop"}
+    bar = box(page, "#rearm")
+    if size is PHONE:
+        # It is above the stop, and both are in the lower quarter of the window.
+        assert 0.75 * size["height"] < bar["y"] < bar["y"] + bar["height"] < stop["y"]
+    assert bar["height"] >= 44.0
+    page.page.touchscreen.tap(bar["x"] + 60.0, bar["y"] + 20.0)
+    page.page.locator("#rearm").wait_for(state="hidden")
+    assert rig.asked[-1] == "arm" and rig.asked.count("arm") == 1
+    assert box(page, "#estop") == stop
+    assert page.faults == []
+
+
+def test_the_bar_is_shown_where_the_other_button_is_far(chromium: Any, rig_page: tuple[SaidRig, str]) -> None:
+    rig, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=PHONE)
+    rig.is_stopped = True
+    page.page.locator("#rearm").wait_for()
+    page.page.set_viewport_size(LAPTOP)
+    page.page.locator("#rearm").wait_for(state="hidden")
+    assert page.page.is_visible("#arm")
