@@ -69,8 +69,9 @@ class LonePageServer:
         page: Path | None = None,
         news: Callable[[], list[Seen]] = list,
         commander: Commander | None = None,
+        forms: Callable[[], Mapping[str, Any]] | None = None,
     ) -> None:
-        self.hub = Hub(_Source(news), commander or _Commander(), open_hand=lambda: _Device(push))
+        self.hub = Hub(_Source(news), commander or _Commander(), forms, open_hand=lambda: _Device(push))
         app = server.make_app(self.hub, access, page)
         self._server = uvicorn.Server(uvicorn.Config(app, host=host, port=port, log_level="warning"))
 

@@ -42,10 +42,20 @@ class SaidRig:
         from services.viz_node.feed import seen
 
         pushed_n = 0.0 if self.is_deaf or self.is_stopped else self._force_n
-        health = {"state": "running", "overruns": 0}
+        health = {"state": "running", "overruns": 0, "replay": False}
+        rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 2e-9, "deflection_m": 0.0}
         said: list[tuple[str, str, dict[str, Any]]] = [
-            ("haptic/state", HAND, {"session_s": 1.0, "estop": self.is_stopped, "position_m": (0.0, 0.0, 0.0)}),
-            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow"}),
+            (
+                "haptic/state",
+                HAND,
+                {
+                    "session_s": 1.0,
+                    "estop": self.is_stopped,
+                    "position_m": (0.0, 0.0, 0.0),
+                    "reference_m": (0.0, 0.0, 0.0),
+                },
+            ),
+            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests}),
             ("node/health", HAND, health),
             ("node/health", TIP, health),
         ]
@@ -83,13 +93,13 @@ def served(rig: SaidRig) -> Iterator[tuple[SaidRig, str]]:
     """Serve the page of such a rig; yield the rig and the address without its token."""
     from lone_page_server import LonePageServer
 
+    from services.viz_node.commander import forms
     from telenano.serving.access import Access
 
     (port,) = free_ports(1)
     access = Access(TOKEN, OBSERVER_TOKEN)
-    server = LonePageServer(
-        rig.push, access, host="127.0.0.1", port=port, page=PAGE_FOLDER, news=rig.news, commander=rig
-    )
+    place: dict[str, Any] = {"host": "127.0.0.1", "port": port, "page": PAGE_FOLDER}
+    server = LonePageServer(rig.push, access, news=rig.news, commander=rig, forms=forms, **place)
     thread = threading.Thread(target=server.run)
     thread.start()
     try:

@@ -62,3 +62,43 @@ def test_the_bar_is_shown_where_the_other_button_is_far(chromium: Any, rig_page:
     page.page.set_viewport_size(LAPTOP)
     page.page.locator("#rearm").wait_for(state="hidden")
     assert page.page.is_visible("#arm")
+
+
+# The width of a text in the font of an element [px].
+_TEXT_WIDTH = """(element) => {
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = getComputedStyle(element).font;
+  return pen.measureText(element.selectedOptions[0].text).width;
+}"""
+# Words of the scopes that stick out of their place, or are cut by it.
+_CUT = """[...document.querySelectorAll(".plot")].flatMap((plot) => {
+  const whole = plot.getBoundingClientRect();
+  return [...plot.querySelectorAll(".words, .words b, .key, .name button")].filter((part) => {
+    const box = part.getBoundingClientRect();
+    const isOut = box.left < whole.left || box.right > whole.right || box.top < whole.top || box.bottom > whole.bottom;
+    return isOut || part.scrollWidth > part.clientWidth + 1 && getComputedStyle(part).display !== "inline";
+  }).map((part) => part.textContent);
+})"""
+
+
+def test_titles_of_scopes_and_the_name_of_the_profile_are_whole_at_1366_px(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    _, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    page.until("document.querySelectorAll('#profile option').length > 5", "the profiles")
+    profile = page.page.locator("#profile")
+    for name in page.value("[...document.querySelectorAll('#profile option')].map((option) => option.value)"):
+        profile.evaluate("(list, name) => { list.value = name; }", name)
+        # Both paddings and the arrow of the list take 30 px.
+        assert profile.evaluate("(list) => list.clientWidth") >= profile.evaluate(_TEXT_WIDTH) + 30.0, name
+        row = box(page, "#link .row")
+        for part in ("#profile", "#delay", "#delay-set"):
+            found = box(page, part)
+            assert row["x"] <= found["x"] and found["x"] + found["width"] <= row["x"] + row["width"] + 1.0, part
+    for layout in page.value("[...document.querySelectorAll('#layout option')].map((option) => option.value)"):
+        page.choose("#layout", layout)
+        page.page.wait_for_timeout(300.0)
+        assert page.value(_CUT) == [], layout
+        heights = page.value("[...document.querySelectorAll('.plot .area')].map((area) => area.clientHeight)")
+        assert min(heights) > 60.0, layout
