@@ -102,3 +102,50 @@ def test_titles_of_scopes_and_the_name_of_the_profile_are_whole_at_1366_px(
         assert page.value(_CUT) == [], layout
         heights = page.value("[...document.querySelectorAll('.plot .area')].map((area) => area.clientHeight)")
         assert min(heights) > 60.0, layout
+
+
+# The boxes of what is shown, by their ids.
+_BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((element) => {
+  const { x, y, width, height } = element.getBoundingClientRect();
+  return width === 0 || element.closest("#answers, #events") ? [] : [[element.id, [x, y, width, height]]];
+}))"""
+
+
+def test_what_came_of_a_press_is_beside_it_and_among_the_events_and_moves_nothing(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    rig, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    # Who holds control is said in other words during an act, unless it was taken.
+    page.click("#lease button")
+    page.until("document.querySelector('#lease [data-action=let_go]')", "a lease that was taken")
+    page.value("document.querySelectorAll('.answer').forEach((shown) => shown.remove())")
+    before = page.value(_BOXES)
+    rig.delay_s = 0.5
+    page.page.locator("#couple").click()
+    note = page.page.locator(".answer.pending")
+    until(note.count, "an answer that is awaited")
+    assert page.value(_BOXES) == before
+    until(page.page.locator(".answer.done").count, "the answer")
+    assert page.value(_BOXES) == before
+    control, shown = box(page, "#couple"), box(page, ".answer")
+    assert 0.0 < shown["y"] - (control["y"] + control["height"]) < 20.0
+    assert shown["x"] < control["x"] + control["width"] and control["x"] < shown["x"] + shown["width"]
+    assert shown["x"] + shown["width"] <= LAPTOP["width"]
+    # What lies below the answer is pressed as if it were not there.
+    page.page.mouse.click(shown["x"] + shown["width"] / 2.0, shown["y"] + shown["height"] / 2.0)
+    under = page.value("document.activeElement.id")
+    assert under not in ("", "couple")
+    page.until("/couple hand and tip: acknowledged/.test(document.querySelector('#events').textContent)", "the event")
+
+
+def test_a_page_whose_server_has_gone_calls_nothing_refused(chromium: Any) -> None:
+    rig = SaidRig()
+    with served(rig) as (_, address):
+        page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+        until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    until(lambda: "DISCONNECTED" in page.banners(), "the banner of a lost server")
+    said = page.answered(lambda: page.page.keyboard.press("Escape"))
+    assert said.startswith("emergency stop: not sent") and "telenano estop" in said
+    page.until("/emergency stop: not sent/.test(document.querySelector('#events').textContent)", "the event")

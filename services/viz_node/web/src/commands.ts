@@ -1,12 +1,9 @@
+import { outcomeText, type Answers, type Outcome } from "./answers";
 import type { Connection, LinkState } from "./connection";
-import { make, part } from "./dom";
 import type { Values } from "./form";
 import type { Facts } from "./protocol";
 import type { Store } from "./store";
 
-const SHOWN_MS = 7000;
-/** There is room for two lines beside the state of the rig. */
-const MOST_SHOWN = 2;
 /** A slow base may take minutes until the tip is placed; the server itself gives up when it takes twice what the instrument says. */
 const PLACED_MS = 600_000;
 /** Hand and tip: the server arms both, and answers when the tip is placed. */
@@ -14,7 +11,7 @@ const DEVICES = "*";
 /** After the last press of the stop, and after it is first shown, the bar that arms cannot be pressed: a second tap never arms [ms]. */
 const REARM_MS = 1500;
 
-/** Commands of the operator; each shows its acknowledgement or its refusal. */
+/** Commands of the operator; each shows what became of it. */
 export class Commands {
   private stops = 0;
   /** When the rig was stopped, as this page saw it, or when its stop was pressed last [ms]. */
@@ -29,6 +26,7 @@ export class Commands {
   constructor(
     private readonly connection: Connection,
     private readonly store: Store,
+    private readonly answers: Pick<Answers, "use" | "pending" | "settle" | "tell">,
   ) {}
 
   /** Whether this page commands anything: it is connected, to a rig, and its person may have the hand. */
@@ -50,7 +48,8 @@ export class Commands {
     this.stops++;
     this.stoppedAt = performance.now();
     this.onEstop();
-    if (dead) this.show("emergency stop", false, dead.long);
+    this.answers.use("estop");
+    if (dead) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
     else await this.ask("emergency stop", { k: "estop" });
   }
 
@@ -91,38 +90,27 @@ export class Commands {
   }
 
   async ask(about: string, fields: Facts, patienceMs?: number): Promise<boolean> {
-    const note = this.pending(about);
+    const note = this.answers.pending(about);
     const answer = await this.connection.ask(fields, patienceMs);
     this.store.takeLease(answer.lease);
-    this.settle(note, about, answer.ok, answer.text);
+    this.settle(note, about, answer.outcome, answer.text, answer.waited_s);
     return answer.ok;
   }
 
   /** Show the answer to what needs no server. */
   show(about: string, ok: boolean, text: string): void {
-    this.settle(this.pending(about), about, ok, text);
+    this.settle(this.answers.pending(about), about, ok ? "acknowledged" : "refused", text);
   }
 
   /** Say something that is neither an acknowledgement nor a refusal. */
   tell(text: string): void {
-    const note = this.pending("");
-    note.textContent = note.title = text;
-    setTimeout(() => note.remove(), SHOWN_MS);
+    this.answers.tell(text);
   }
 
-  private pending(about: string): HTMLElement {
-    const note = make("div", { class: "answer pending" }, `${about} …`);
-    const answers = part("answers");
-    answers.prepend(note);
-    // What is not answered yet stays.
-    const answered = [...answers.children].filter((each) => !each.classList.contains("pending"));
-    for (const each of answered.slice(Math.max(0, MOST_SHOWN - 1))) each.remove();
-    return note;
-  }
-
-  private settle(note: HTMLElement, about: string, ok: boolean, text: string): void {
-    note.className = `answer ${ok ? "done" : "refused"}`;
-    note.textContent = note.title = `${about}: ${ok ? "acknowledged" : "refused"} · ${text}`;
-    setTimeout(() => note.remove(), SHOWN_MS);
+  /** Show what became of an action beside its control, and keep it in the list of events. */
+  private settle(note: HTMLElement, about: string, outcome: Outcome, text: string, waitedS = 0): void {
+    const words = outcomeText(about, outcome, text, waitedS);
+    this.answers.settle(note, outcome, words);
+    this.store.note(outcome === "acknowledged" ? "info" : "warning", words);
   }
 }

@@ -19,7 +19,6 @@ export class StatusPanel implements Panel {
     private readonly cockpit: Cockpit,
   ) {
     const theme = make("button", { type: "button", id: "theme", class: "plain", "aria-label": "Light or dark" }, "Dark");
-    // where the state is read answers lie over nothing that is worked with
     const answers = make("div", { id: "answers", role: "log", "aria-live": "polite", "aria-label": "Answers to your actions" });
     root.append(make("h1", {}, "telenano"), make("div", { class: "about" }, this.source, this.role), make("div", { class: "said" }, this.banners, answers), theme, this.stop, this.rearm);
     addEventListener("keydown", (event) => {
