@@ -104,10 +104,10 @@ def test_titles_of_scopes_and_the_name_of_the_profile_are_whole_at_1366_px(
         assert min(heights) > 60.0, layout
 
 
-# The boxes of what is shown, by their ids.
+# The boxes of what is shown, by their ids; who holds control is said in other words during an act.
 _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((element) => {
   const { x, y, width, height } = element.getBoundingClientRect();
-  return width === 0 || element.closest("#answers, #events") ? [] : [[element.id, [x, y, width, height]]];
+  return width === 0 || element.closest("#answers, #events, #lease") ? [] : [[element.id, [x, y, width, height]]];
 }))"""
 
 
@@ -117,10 +117,6 @@ def test_what_came_of_a_press_is_beside_it_and_among_the_events_and_moves_nothin
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
-    # Who holds control is said in other words during an act, unless it was taken.
-    page.click("#lease button")
-    page.until("document.querySelector('#lease [data-action=let_go]')", "a lease that was taken")
-    page.value("document.querySelectorAll('.answer').forEach((shown) => shown.remove())")
     before = page.value(_BOXES)
     rig.delay_s = 0.5
     page.page.locator("#couple").click()
@@ -149,3 +145,35 @@ def test_a_page_whose_server_has_gone_calls_nothing_refused(chromium: Any) -> No
     said = page.answered(lambda: page.page.keyboard.press("Escape"))
     assert said.startswith("emergency stop: not sent") and "telenano estop" in said
     page.until("/emergency stop: not sent/.test(document.querySelector('#events').textContent)", "the event")
+
+
+def test_control_goes_from_one_window_to_another_by_what_they_read_on_the_page(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    _, address = rig_page
+    first, second = (open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP) for _ in range(2))
+    assert [page.page.title() for page in (first, second)] == ["telenano, window A", "telenano, window B"]
+
+    def reads(page: Page, text: str) -> None:
+        until(lambda: text in page.page.inner_text("#lease"), text)
+
+    def press(page: Page, words: str) -> None:
+        page.page.locator("#lease button", has_text=words).dispatch_event("click")
+
+    press(first, "Take")
+    reads(first, "You hold control")
+    reads(second, "Window A holds control")
+    press(second, "Ask")
+    reads(second, "you have asked and are next")
+    reads(first, "window B asks for it")
+    press(first, "Hand over to window B")
+    reads(first, "Window B holds control")
+    reads(second, "You hold control")
+    # Without a press on Hand over it comes when the other one lets go, or its window is closed.
+    press(first, "Ask")
+    press(second, "Let go")
+    reads(first, "You hold control")
+    press(second, "Ask")
+    reads(first, "window B asks for it")
+    first.page.context.close()
+    reads(second, "You hold control")

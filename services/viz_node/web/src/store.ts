@@ -47,6 +47,7 @@ export class Clock {
 export class Store {
   role: Snapshot["role"] = "observer";
   me = "";
+  window = "";
   age: NonNullable<Tick["age"]> = [];
   /** The way from the server to this page and back [s], NaN until it is known. */
   wayS = NaN;
@@ -79,6 +80,7 @@ export class Store {
   begin(snapshot: Snapshot): void {
     this.role = snapshot.role;
     this.me = snapshot.me ?? "";
+    this.window = snapshot.window ?? "";
     if (snapshot.lease) this.lease = snapshot.lease;
     this.commands = snapshot.commands;
     this.hand = snapshot.hand;

@@ -32,12 +32,13 @@ export class StatusPanel implements Panel {
   }
 
   write(): void {
-    const { source, role } = this.cockpit.store;
+    const { source, role, window } = this.cockpit.store;
     const { link } = this.cockpit.commands;
     const name = source.name.split("/").at(-1) ?? "";
     this.source.textContent = link !== "open" ? "" : source.kind === "recording" ? `recording ${name}` : "live";
     this.source.title = source.name;
-    this.role.textContent = link !== "open" ? "" : role === "observer" ? "observer: looks, and may stop" : role;
+    this.role.textContent = link !== "open" ? "" : role === "observer" ? "observer: looks, and may stop" : window ? `${role}, window ${window}` : role;
+    document.title = link === "open" && window ? `telenano, window ${window}` : "telenano";
   }
 
   /** Show what an operator must not overlook, at its time and not with the frames, of which a slow machine draws few. */
