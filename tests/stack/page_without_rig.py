@@ -24,12 +24,12 @@ HAND, TIP = "haptic_node@master", "afm_node@slave"
 class SaidRig:
     """Says what hand and tip of a rig would say, and obeys a stop and an arm at once.
 
-    `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `asked`: the
-    commands that came, with `estop` among them; `delay_s`: how long a command takes.
+    `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
+    neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long a command takes.
     """
 
     def __init__(self) -> None:
-        self.is_stopped = self.is_deaf = False
+        self.is_stopped = self.is_deaf = self.is_silent = False
         self.asked: list[str] = []
         self.delay_s = 0.0
         self._force_n = 0.0
@@ -41,6 +41,8 @@ class SaidRig:
         """Return what both nodes say now."""
         from services.viz_node.feed import seen
 
+        if self.is_silent:
+            return []
         pushed_n = 0.0 if self.is_deaf or self.is_stopped else self._force_n
         health = {"state": "running", "overruns": 0, "replay": False}
         rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 2e-9, "deflection_m": 0.0}

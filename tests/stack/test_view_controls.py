@@ -177,3 +177,23 @@ def test_control_goes_from_one_window_to_another_by_what_they_read_on_the_page(
     reads(first, "window B asks for it")
     first.page.context.close()
     reads(second, "You hold control")
+
+
+def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_the_banner(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    rig, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    page.click("#hand-keep")
+    page.press(10.0)
+    page.page.mouse.up()
+    until(lambda: page.last("hand", "force") > 1.0, "a force at the hand")
+    # What is felt drops to none, as in the haptic node where it has heard nothing for too long.
+    rig.is_deaf = True
+    until(lambda: "NOT AS HELD" in page.banners(), "the banner")
+    until(lambda: "the hand presses with 0.0 N" in page.page.inner_text("#hand-text"), "the words at the pad")
+    rig.is_deaf = False
+    until(lambda: "NOT AS HELD" not in page.banners(), "the end of the banner")
+    rig.is_silent = True
+    until(lambda: "nothing is heard of the hand" in page.banners(), "the banner of a silence")

@@ -144,6 +144,7 @@ function draw(now: number): void {
 setInterval(() => {
   store.clock.tick(performance.now());
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
+  cockpit.hand.compare();
   status.draw();
   handPanel.lease.write();
 }, BANNERS_MS);

@@ -55,6 +55,8 @@ export class Store {
   pictureS = NaN;
   /** Between two frames of this page, as requestAnimationFrame has them [s], NaN until it is known. */
   frameS = NaN;
+  /** How the force that this page means and that of the hand are apart, in words; empty where they are not. */
+  apart = "";
   lease: LeaseFacts = { number: 0, holder: "", label: "", what: "page", kept: false, asking: [] };
   commands = false;
   hand = false;
