@@ -25,7 +25,7 @@ class SaidRig:
     """Says what hand and tip of a rig would say, and obeys a stop and an arm at once.
 
     `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
-    neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long a command takes.
+    neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes.
     """
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ const MOST_SHOWN = 3;
 const GAP_PX = 6;
 const CONTROLS = "button, select, input, textarea, summary, canvas, [role=slider]";
 /** What no answer covers: the stop, and what arms after it. */
-const KEPT_FREE = ["estop", "rearm"];
+const KEPT_FREE = ["estop", "rearm", "arm"];
 const LOOKS: Record<Outcome, string> = { acknowledged: "done", refused: "refused", "not sent": "refused", lost: "unknown", "no answer": "unknown" };
 
 /** What came of an action, in one line: who said so, or that nobody did and for how long this page waited [s]. */
@@ -32,14 +32,13 @@ export function placeBeside(control: Box, size: { width: number; height: number 
   const left = Math.max(GAP_PX, Math.min(control.left, view.width - size.width - GAP_PX));
   const covered = (top: number): Box | undefined =>
     [control, ...free].find((box) => box.left < left + size.width && left < box.right && box.top < top + size.height && top < box.bottom);
-  let below = control.bottom + GAP_PX;
-  for (let met = covered(below); met; met = covered(below)) below = met.bottom + GAP_PX;
-  let above = control.top - GAP_PX - size.height;
-  for (let met = covered(above); met; met = covered(above)) above = met.top - GAP_PX - size.height;
   // a control that was scrolled away has its answer at the edge where it went
-  const fits = (top: number): boolean => top >= GAP_PX && top + size.height <= view.height - GAP_PX;
-  const top = fits(below) ? below : fits(above) ? above : Math.max(GAP_PX, Math.min(below, view.height - size.height - GAP_PX));
-  return { left, top };
+  const [first, last] = [GAP_PX, view.height - GAP_PX - size.height];
+  let below = Math.max(first, control.bottom + GAP_PX);
+  for (let met = covered(below); met; met = covered(below)) below = met.bottom + GAP_PX;
+  let above = Math.min(last, control.top - GAP_PX - size.height);
+  for (let met = covered(above); met; met = covered(above)) above = met.top - GAP_PX - size.height;
+  return { left, top: below <= last ? below : Math.max(first, above) };
 }
 
 /** The answers to what was done last, each beside the control that was used; they take no press and move nothing. */

@@ -13,6 +13,7 @@ const LEAST_SHARE = 0.25;
 interface Look {
   at: number;
   meant: number;
+  pressed: number;
   isApart: boolean;
 }
 
@@ -42,7 +43,7 @@ export class Pressing {
     }
     // before it was taken hold of the page meant no force
     if (!this.looks.length) {
-      this.looks.push({ at: now, meant: 0, isApart: false });
+      this.looks.push({ at: now, meant: 0, pressed: 0, isApart: false });
       this.newestAt = now;
     }
     const window = WINDOW_MS + (Number.isFinite(way_s) ? 1e3 * way_s : 0);
@@ -51,12 +52,14 @@ export class Pressing {
     const room = Math.max(LEAST_N, LEAST_SHARE * Math.abs(meant));
     const isSilent = now - this.newestAt > SILENT_MS;
     const isApart = !(pressed >= Math.min(...all) - room && pressed <= Math.max(...all) + room);
-    this.looks.push({ at: now, meant, isApart });
+    this.looks.push({ at: now, meant, pressed, isApart });
     let apart = 0;
     this.looks.forEach((look, i) => (apart += look.isApart ? look.at - (this.looks[i - 1]?.at ?? look.at) : 0));
     if (isSilent || apart >= APART_MS) {
-      const hand = isSilent || Number.isNaN(pressed) ? "nothing is heard of the hand" : `the hand presses with ${pressed.toFixed(1)} N`;
-      this.shown = { text: `this page means ${meant.toFixed(1)} N, and ${hand}`, until: now + SHOWN_MS };
+      // where they agree again for the moment, it is said how they did not
+      const last = this.looks.findLast((look) => look.isApart) ?? { meant, pressed };
+      const hand = isSilent || Number.isNaN(last.pressed) ? "nothing is heard of the hand" : `the hand presses with ${last.pressed.toFixed(1)} N`;
+      this.shown = { text: `this page means ${last.meant.toFixed(1)} N, and ${hand}`, until: now + SHOWN_MS };
     } else if (this.shown && now > this.shown.until) this.shown = undefined;
     return this.shown?.text ?? "";
   }

@@ -94,6 +94,10 @@ test("an answer is below its control, or above it where there is no room, and ne
     for (const kept of [control, stop, arm]) expect(overlap(at, kept)).toBe(false);
     expect(at.top).toBeGreaterThanOrEqual(0);
   }
+  // a control that was scrolled away, up or down, has its answer at that edge, and not over the stop there
+  expect(placeBeside(box(20, -300, 80, 40), NOTE, VIEW, [stop]).top).toBe(6);
+  expect(placeBeside(box(20, 1500, 80, 40), NOTE, VIEW, [stop]).top).toBe(736);
+  expect(placeBeside(box(20, 1500, 80, 40), NOTE, VIEW, [stop, arm]).top).toBe(674);
   // two answers at one control are one below the other
   const first = placeBeside(button, NOTE, VIEW, []);
   expect(placeBeside(button, NOTE, VIEW, [box(first.left, first.top, NOTE.width, NOTE.height)]).top).toBe(192);
