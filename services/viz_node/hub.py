@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, wait
 from functools import partial
+from string import ascii_uppercase
 from typing import Any, Protocol, TypeVar
 
 import msgpack
@@ -323,7 +324,7 @@ class Hub:
 
     def _who_has_it(self) -> str:
         holder = self.desk.lease.holder
-        return f"{holder.label if holder else 'nobody'} has the hand now"
+        return f"{holder.label if holder else 'nobody'} holds control now"
 
     def _told(self) -> set[Session]:
         """Return the pages that are told everything: all but those of participants."""
@@ -337,7 +338,7 @@ class Hub:
 
     def join(self, role: Role, person: Person | None = None) -> Session:
         """Return the session of a new page, with a snapshot waiting for it."""
-        session = Session(role, person)
+        session = Session(role, person, self._free_window() if role is Role.OPERATOR and person is None else "")
         # what has come since belongs to the pages that are there
         self.tick()
         self.sessions.add(session)
@@ -347,6 +348,14 @@ class Hub:
             with contextlib.suppress(TelenanoError):
                 self._outlet()
         return session
+
+    def _free_window(self) -> str:
+        """Return the first letter that no window has, here or in the lease, which other servers share."""
+        lease = self.desk.lease
+        parties = [each.party for each in self.sessions] + [each.party for each in lease.asking]
+        taken = {each.window for each in [*parties, lease.holder] if each is not None}
+        letters = (first + second for first in ("", *ascii_uppercase) for second in ascii_uppercase)
+        return next((letter for letter in letters if letter not in taken), "")
 
     def leave(self, session: Session) -> None:
         """Forget a page; what it asked for and nobody has carried out yet is given up."""
@@ -386,6 +395,7 @@ class Hub:
                 "forms": self._forms,
                 "source": self._source.about(),
                 "me": session.party.id,
+                "window": session.party.window,
                 "panels": [row.about() for row in self.panels.rows],
                 "problems": list(self.panels.problems),
                 "lease": self.desk.facts(),

@@ -60,7 +60,7 @@ class LeaseDesk:
         self._withdrawn = -1
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
-        """Let a page act under a number of the lease, 0 for none; RefusedError says who has the hand."""
+        """Let a page act under a number of the lease, 0 for none; RefusedError says who holds control."""
         self._change(session, lambda lease, now_ns: act(lease, session.party, now_ns, number, presses=presses))
 
     def ended(self, session: Session) -> None:
@@ -78,7 +78,7 @@ class LeaseDesk:
         }
         self._change(session, steps[request.action])
         holder = self.lease.holder
-        return "nobody has the hand" if holder is None else f"{holder.label} has the hand"
+        return "nobody holds control" if holder is None else f"{holder.label} holds control"
 
     def leave(self, session: Session) -> None:
         """Note that the connection of a page is gone; a hand that pressed then has vanished."""

@@ -62,12 +62,12 @@ class PageNode(Node):
         self._hub.close()
 
     def _say_who(self, holder: Party | None) -> None:
-        """Publish who has the hand, for a recording; whoever has no name and acts for a moment is none to be named."""
+        """Publish who holds control, for a recording; whoever has no name and acts for a moment is none to be named."""
         named = holder if holder is not None and (holder.name or self._hub.desk.lease.kept) else None
         if named != self._said:
             self._said = named
             by = {"by": named.name} if named is not None and named.name else {}
-            text = f"{named.label if named else 'nobody'} has the hand"
+            text = f"{named.label if named else 'nobody'} holds control"
             self.event("node", "info", text, role=named.role if named else "", **by)
 
     def _count(self) -> None:

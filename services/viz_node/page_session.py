@@ -19,12 +19,13 @@ REQUESTS_PER_S = 200
 class Session:
     """One page: its role and its person, and the frames that wait to be sent to it.
 
-    `party`: what it is to the lease of the hand; `heard_s`: when it was heard last, on the monotonic clock [s].
+    `party`: what it is to the lease of control, with the letter of its window where it has one; `heard_s`: when it was
+    heard last, on the monotonic clock [s].
     """
 
-    def __init__(self, role: Role, person: Person | None = None) -> None:
+    def __init__(self, role: Role, person: Person | None = None, window: str = "") -> None:
         self.role, self.person = role, person
-        self.party = Party(secrets.token_hex(8), "" if person is None else person.name, role.value)
+        self.party = Party(secrets.token_hex(8), "" if person is None else person.name, role.value, window=window)
         self.heard_s = 0.0
         # the newest ways to the page and back [s]
         self.ways_s: deque[float] = deque(maxlen=9)

@@ -166,7 +166,7 @@ def send_controls(
         RigError: Nodes do not answer, no rig is there, the tip was not placed, the command is no longer wanted, or an
             emergency stop made it void; the message says which of several commands were carried out.
         EndpointError: Another console is at work.
-        RefusedError: Somebody else has the hand.
+        RefusedError: Somebody else holds control.
     """
     if by is None:
         by = os.environ.get(NAME_VARIABLE, "")[:MOST_LETTERS]

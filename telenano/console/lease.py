@@ -1,10 +1,11 @@
-"""Who has the hand of a rig: one lease of the hand, of the instrument's programs and of the session's commands.
+"""Who holds control of a rig: one lease of the hand, of the instrument's programs and of the session's commands.
 
 Pure steps in virtual time: a lease, who asks for what, and the time in; the next lease out, or RefusedError with the
 reason. An emergency stop asks nothing of it and changes nothing in it.
 
-Who acts while nobody has the hand has it for as long as the act takes; *Take* keeps it until it is handed over, let go
-of, taken, or lost by silence. Whoever asks for something has a number of the lease in view, which changes with each
+Who acts while nobody holds control has it for as long as the act takes; *Take* keeps it until it is handed over, let go
+of, taken, or lost by silence. What nobody holds any more goes to the first who asks and may take it, once a tip whose
+holder vanished is withdrawn. Whoever asks for something has a number of the lease in view, which changes with each
 holder, so that what was said under an earlier lease is refused.
 """
 
@@ -19,9 +20,11 @@ from telenano.wire.errors import RefusedError
 VANISHED_NS = 1_000_000_000
 # A holder reports at this interval that it is there [s].
 BEAT_S = 0.25
-# Who asks for the hand, and of whom nothing was heard for this time, does not ask any more.
+# Who asks for control, and of whom nothing was heard for this time, does not ask any more.
 ASKED_NS = 3 * VANISHED_NS
 _MOST_ASKING = 16
+# They have control when it is handed over, or never.
+_NEVER_TAKE = ("observer", "participant", "pupil")
 # The name of a person has this number of letters at most.
 MOST_LETTERS = 48
 # Commands that only end a motion, or move nothing, need no lease.
@@ -33,17 +36,21 @@ class Party(NamedTuple):
     """A page or a process that may have the hand.
 
     `id`: of this page or process alone; `name`: that its person was given, or empty; `role`: observer, pupil,
-    participant, operator or teacher; `what`: page, or what kind of process.
+    participant, operator or teacher; `what`: page, or what kind of process; `window`: the letter of a page whose person
+    was given no name, or empty.
     """
 
     id: str
     name: str = ""
     role: str = "operator"
     what: str = PAGE
+    window: str = ""
 
     @property
     def label(self) -> str:
         """How others are told of it."""
+        if self.window and not self.name:
+            return f"window {self.window}"
         who = {"operator": "the operator's page", "participant": "the participant"}.get(self.role, f"a {self.role}")
         return self.name or (who if self.what == PAGE else f"the {self.what} at the rig")
 
@@ -59,14 +66,14 @@ class Party(NamedTuple):
 
 
 class Asking(NamedTuple):
-    """A party that asks for the hand, and when it was seen last [ns]."""
+    """A party that asks for control, and when it was seen last [ns]."""
 
     party: Party
     seen_ns: int
 
 
 class Lease(NamedTuple):
-    """Who has the hand. All times are of the monotonic clock of the machine [ns].
+    """Who holds control. All times are of the monotonic clock of the machine [ns].
 
     `number`: counts up with each holder, and with each time that nobody has it; `kept`: it lasts longer than the act;
     `presses`: the hand of the holder pushes; `withdraw`: who pressed has vanished, and the tip is to be withdrawn.
@@ -81,19 +88,26 @@ class Lease(NamedTuple):
     asking: tuple[Asking, ...] = ()
 
     def is_held_by(self, party: Party) -> bool:
-        """Whether a party has the hand."""
+        """Whether a party holds control."""
         return self.holder is not None and self.holder.id == party.id
 
 
 def current(lease: Lease, now_ns: int) -> Lease:
     """Return the lease as it is now: without a holder who has vanished, and those who asked and have left.
 
+    What nobody holds is granted to the first who asks, was heard within VANISHED_NS, and may take it.
     A time ahead is of before the machine began.
     """
     asking = tuple(each for each in lease.asking if 0 <= now_ns - each.seen_ns <= ASKED_NS)
     lease = lease if asking == lease.asking else lease._replace(asking=asking)
     if lease.holder is not None and not 0 <= now_ns - lease.seen_ns <= VANISHED_NS:
-        return _vacant(lease, now_ns, withdraw=lease.presses)
+        lease = _vacant(lease, now_ns, withdraw=lease.presses)
+    # Who gets control decides for themselves, so a tip that is to be withdrawn is withdrawn before.
+    if lease.holder is None and not lease.withdraw:
+        heard = (each for each in lease.asking if now_ns - each.seen_ns <= VANISHED_NS)
+        first = next((each for each in heard if each.party.role not in _NEVER_TAKE), None)
+        if first is not None:
+            return _granted(lease, first.party, now_ns, kept=True)._replace(seen_ns=first.seen_ns)
     return lease
 
 
@@ -101,7 +115,7 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
     """Let a party act: its command, or the force of its hand. `number`: of the lease that it has in view, 0 for none.
 
     Raises:
-        RefusedError: Another has the hand, the role has none, or what was said belongs to an earlier lease.
+        RefusedError: Another holds control, the role has none, or what was said belongs to an earlier lease.
     """
     lease = current(lease, now_ns)
     holder = lease.holder
@@ -109,54 +123,54 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
         raise RefusedError("an observer looks, and may stop, and not command")
     if holder is None:
         if number:
-            raise RefusedError("nobody has the hand any more: this was said under an earlier lease")
+            raise RefusedError("nobody holds control any more: this was said under an earlier lease")
         if party.role == "pupil":
-            raise RefusedError("a pupil has the hand when it is handed over: ask for it")
+            raise RefusedError("a pupil holds control when it is handed over: ask for it")
         return _granted(lease, party, now_ns, kept=False, presses=presses)
     if holder.id != party.id:
         if party.role == "participant" and holder.what == EXPERIMENT:
             return lease
         if _are_the_owners(party, holder) and holder.what != EXPERIMENT and not presses:
             return lease
-        raise RefusedError(f"{holder.label} has the hand: ask for it")
+        raise RefusedError(f"{holder.label} holds control: ask for it")
     if (number or lease.kept) and number != lease.number and party.what == PAGE:
         raise RefusedError("this was said under an earlier lease")
     return lease._replace(seen_ns=now_ns, presses=presses or lease.presses)
 
 
 def take(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Let a party keep the hand: that nobody else has, or a teacher's without being granted.
+    """Let a party keep control: what nobody else holds, or a teacher's without being granted.
 
     Raises:
         RefusedError: The role may not.
     """
     lease = current(lease, now_ns)
     holder = lease.holder
-    if party.role in ("observer", "participant", "pupil") and not lease.is_held_by(party):
-        raise RefusedError(f"a {party.role} cannot take the hand")
+    if party.role in _NEVER_TAKE and not lease.is_held_by(party):
+        raise RefusedError(f"a {party.role} cannot take control")
     if lease.is_held_by(party):
         return lease._replace(kept=True, seen_ns=now_ns)
     if holder is not None and party.role != "teacher" and not _are_the_owners(party, holder):
-        raise RefusedError(f"{holder.label} has the hand: ask for it")
+        raise RefusedError(f"{holder.label} holds control: ask for it")
     return _granted(lease, party, now_ns, kept=True)
 
 
 def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Ask for the hand; who may take what nobody has gets it at once. A person asks once, by the page used last.
+    """Ask for control; who may take what nobody has gets it at once. A person asks once, by the page used last.
 
     Raises:
         RefusedError: The role may not, or too many ask.
     """
     lease = current(lease, now_ns)
     if party.role in ("observer", "participant"):
-        raise RefusedError(f"a {party.role} cannot have the hand")
+        raise RefusedError(f"a {party.role} cannot hold control")
     if lease.holder is None and party.role != "pupil":
         return take(lease, party, now_ns)
     if lease.is_held_by(party):
         return lease
     others = tuple(each for each in lease.asking if each.party.person != party.person)
     if len(others) >= _MOST_ASKING:
-        raise RefusedError(f"{len(others)} ask for the hand already")
+        raise RefusedError(f"{len(others)} ask for control already")
     return lease._replace(asking=(*others, Asking(party, now_ns)))
 
 
@@ -171,16 +185,16 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
         number: Of the lease that the party has in view.
 
     Raises:
-        RefusedError: The party has not the hand, was speaking of an earlier lease, or that one does not ask.
+        RefusedError: The party does not hold control, was speaking of an earlier lease, or that one does not ask.
     """
     lease = current(lease, now_ns)
     if party.role != "teacher" and not lease.is_held_by(party):
-        raise RefusedError("only who has the hand, or a teacher, hands it over")
+        raise RefusedError("only who holds control, or a teacher, hands it over")
     if number != lease.number:
         raise RefusedError("this was said under an earlier lease")
     receiver = next((each.party for each in lease.asking if to in ("", each.party.id)), None)
     if receiver is None:
-        raise RefusedError("nobody asks for the hand" if not to else "that one does not ask any more")
+        raise RefusedError("nobody asks for control" if not to else "that one does not ask any more")
     return _granted(lease, receiver, now_ns, kept=True)
 
 

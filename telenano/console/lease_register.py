@@ -156,7 +156,7 @@ def acting() -> Iterator[Hold]:
     if _held:
         if not _held[-1].is_held():
             holder = LeaseRegister().look().holder
-            raise RefusedError(f"{holder.label if holder else 'nobody'} has the hand now: this process lost it")
+            raise RefusedError(f"{holder.label if holder else 'nobody'} holds control now: this process lost it")
         yield _held[-1]
         return
     party = this_process()

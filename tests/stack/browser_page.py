@@ -165,7 +165,7 @@ class Page:
         """Do something and return the answer that the page shows to it."""
         self.value("document.querySelectorAll('.answer').forEach((shown) => shown.remove())")
         action()
-        shown = self.page.locator(".answer.done, .answer.refused")
+        shown = self.page.locator(".answer.done, .answer.refused, .answer.unknown")
         until(shown.count, "an answer on the page")
         return str(shown.first.inner_text())
 

@@ -9,7 +9,7 @@ import uvicorn
 
 from services.viz_node import server
 from services.viz_node.feed import Seen
-from services.viz_node.hub import Hub
+from services.viz_node.hub import Commander, Hub
 from services.viz_node.source import NoTransport
 from telenano.serving.access import Access
 
@@ -68,8 +68,10 @@ class LonePageServer:
         port: int,
         page: Path | None = None,
         news: Callable[[], list[Seen]] = list,
+        commander: Commander | None = None,
+        forms: Callable[[], Mapping[str, Any]] | None = None,
     ) -> None:
-        self.hub = Hub(_Source(news), _Commander(), open_hand=lambda: _Device(push))
+        self.hub = Hub(_Source(news), commander or _Commander(), forms, open_hand=lambda: _Device(push))
         app = server.make_app(self.hub, access, page)
         self._server = uvicorn.Server(uvicorn.Config(app, host=host, port=port, log_level="warning"))
 

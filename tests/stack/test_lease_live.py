@@ -167,7 +167,7 @@ def test_who_vanishes_loses_the_hand_and_the_tip_is_withdrawn_and_a_hand_that_is
         # the lease is the page's all the while, and an emergency stop asks for none
         assert (holder(register), register.look().number, page.has_it()) == ("Tina", number, True)
         refused = rig.telenano("session", "set", "--target", "controller", "law=wave")
-        assert refused.returncode != 0 and "Tina has the hand" in refused.stderr
+        assert refused.returncode != 0 and "Tina holds control" in refused.stderr
         stop = rig.telenano("estop")
         assert stop.returncode == 0, stop.stdout + stop.stderr
         rig.wait_until(lambda: newest(rig, "afm/state")["mode"] == "estop", "an emergency stop beside the lease")

@@ -255,7 +255,7 @@ def test_the_hand_that_a_stall_has_lost_is_taken_again_and_one_that_a_page_has_i
     assert told == ["the experiment stood still for a second and lost the hand: it has taken it again"]
     page = Party("page", "Tina", "teacher")
     register.change(lambda lease, now_ns: take(lease, page, now_ns))
-    with pytest.raises(RefusedError, match="Tina has the hand"):
+    with pytest.raises(RefusedError, match="Tina holds control"):
         rig._command("stop", "haptic_node@master")
     rig.close()
     assert register.look().is_held_by(page)

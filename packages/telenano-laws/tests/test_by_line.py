@@ -239,7 +239,7 @@ def test_a_refusal_that_is_no_fault_of_the_law_is_asked_again() -> None:
     made = policy()
 
     def busy(command: Command) -> str:
-        raise TelenanoError("Paul has the hand: ask for it")
+        raise TelenanoError("Paul holds control: ask for it")
 
     assert not carry_out(made, Decision("bounded_model", "because"), busy)
     assert not made.doubts(CANDIDATES[1], EVEN)

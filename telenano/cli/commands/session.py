@@ -40,7 +40,7 @@ def session(
 
     `set` without --target is for the nodes that have the key; those that do not know it do not count.
 
-    Where a person at a page has the hand it is refused, but for stop, estop and mark. TELENANO_NAME names who gives it.
+    While a person at a page holds control, only stop, estop and mark are taken. TELENANO_NAME names who sends it.
     """
     if command == "estop":
         raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))

@@ -1,5 +1,6 @@
 """The lease of the hand as a pure machine: who may do what, and what becomes of who vanishes."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -34,6 +35,7 @@ OBSERVER = Party("o", "Olga", "observer")
 PUPIL, OTHER = Party("p", "Paul", "pupil"), Party("q", "Petra", "pupil")
 OWNER, SECOND = Party("1"), Party("2")
 TEACHER = Party("t", "Tina", "teacher")
+NAMED = Party("n", "Nina")
 PARTICIPANT = Party("x", "", "participant")
 CONSOLE, PROGRAM = Party("c", what="console"), Party("g", what="program")
 EXPERIMENT = Party("e", what="experiment")
@@ -46,7 +48,7 @@ def held_by(party: Party, now_ns: int = 5) -> Lease:
 def test_who_acts_has_the_hand_for_as_long_as_the_act_takes() -> None:
     lease = act(Lease(), OWNER, 5)
     assert (lease.holder, lease.kept) == (OWNER, False)
-    with pytest.raises(RefusedError, match="the operator's page has the hand"):
+    with pytest.raises(RefusedError, match="the operator's page holds control"):
         act(lease, SECOND, 6)
     assert act(ended(lease, OWNER, 7), SECOND, 8).holder == SECOND
     # what was taken stays
@@ -64,7 +66,7 @@ def test_a_pupil_has_the_hand_when_it_is_handed_over_and_gives_it_back() -> None
     with pytest.raises(RefusedError, match="ask for it"):
         act(Lease(), PUPIL, 5)
     lease = ask(held_by(OWNER), PUPIL, 6)
-    with pytest.raises(RefusedError, match="only who has the hand, or a teacher"):
+    with pytest.raises(RefusedError, match="only who holds control, or a teacher"):
         hand_over(lease, PUPIL, "p", 7, lease.number)
     lease = hand_over(lease, OWNER, "", 7, lease.number)
     assert (lease.holder, lease.asking) == (PUPIL, ())
@@ -82,7 +84,7 @@ def test_a_person_asks_once_however_many_pages_are_open() -> None:
     for number in range(15):
         lease = ask(lease, Party(f"x{number}", f"Pupil {number}", "pupil"), 6)
     assert len(lease.asking) == 16
-    with pytest.raises(RefusedError, match="16 ask for the hand already"):
+    with pytest.raises(RefusedError, match="16 ask for control already"):
         ask(lease, OTHER, 6)
     # pages without a name are of the one whose rig it is
     lease = ask(ask(held_by(TEACHER), OWNER, 6), SECOND, 6)
@@ -116,7 +118,7 @@ def test_a_teacher_takes_it_without_being_granted_and_grants_what_others_have() 
     lease = ask(held_by(PUPIL), OTHER, 6)
     assert hand_over(lease, TEACHER, "q", 7, lease.number).holder == OTHER
     for party in (OWNER, SECOND):
-        with pytest.raises(RefusedError, match="Paul has the hand"):
+        with pytest.raises(RefusedError, match="Paul holds control"):
             take(held_by(PUPIL), party, 6)
 
 
@@ -130,7 +132,7 @@ def test_the_owner_at_a_terminal_commands_beside_the_own_page_and_not_beside_a_p
     for lease in (held_by(PUPIL), held_by(EXPERIMENT)):
         with pytest.raises(RefusedError):
             act(lease, CONSOLE, 6)
-    with pytest.raises(RefusedError, match="Paul has the hand"):
+    with pytest.raises(RefusedError, match="Paul holds control"):
         take(held_by(PUPIL), PROGRAM, 6)
 
 
@@ -165,6 +167,62 @@ def test_who_vanishes_loses_it_and_the_tip_is_withdrawn_if_it_was_pressed() -> N
     assert seen(pressed, OWNER, VANISHED_NS + 1).holder is None
 
 
+@pytest.mark.parametrize("end", [ended, let_go])
+def test_who_asks_gets_what_nobody_holds_any_more(end: Callable[[Lease, Party, int], Lease]) -> None:
+    lease = ask(act(Lease(), OWNER, 5), SECOND, 6)
+    # An act that goes on is not cut off.
+    assert current(lease, 7).holder == OWNER
+    lease = current(end(lease, OWNER, 8), 9)
+    assert (lease.holder, lease.kept, lease.asking) == (SECOND, True, ())
+    # What the one before says now is refused by the name of the new one.
+    with pytest.raises(RefusedError, match="the operator's page holds control: ask for it"):
+        act(lease, OWNER, 10)
+
+
+def test_of_those_who_ask_the_first_who_was_heard_and_may_take_it_gets_it() -> None:
+    lease = held_by(TEACHER)
+    for party in (PUPIL, SECOND, NAMED):
+        lease = ask(lease, party, 6)
+    now_ns = VANISHED_NS + 20
+    lease = still_asks(lease._replace(seen_ns=now_ns), {"p": now_ns, "n": now_ns - 3}, now_ns)
+    lease = current(let_go(lease, TEACHER, now_ns), now_ns)
+    # A pupil has it when it is handed over, and the second page was not heard.
+    assert lease.holder == NAMED
+    assert [each.party for each in lease.asking] == [PUPIL, SECOND]
+    # It is lost by silence since it was heard last, and not since it was granted.
+    assert current(lease, now_ns - 3 + VANISHED_NS).holder == NAMED
+    assert current(lease, now_ns - 2 + VANISHED_NS).holder is None
+    # Nobody who may take it is heard: it stays free until one is.
+    alone = current(let_go(ask(ask(held_by(TEACHER), PUPIL, 6), SECOND, 6), TEACHER, now_ns), now_ns)
+    assert alone.holder is None
+    assert still_asks(alone, {"2": now_ns + 1}, now_ns + 2).holder == SECOND
+    # A page that was loaded again has left, and asks no more.
+    left = let_go(ask(held_by(TEACHER), SECOND, 6), SECOND, 7)
+    assert current(let_go(left, TEACHER, 8), 9).holder is None
+
+
+def test_a_pressed_tip_is_withdrawn_before_another_who_asks_gets_control() -> None:
+    pressed = act(take(Lease(), OWNER, 0), OWNER, 0, 1, presses=True)
+    asked = still_asks(ask(pressed, NAMED, 1), {"n": VANISHED_NS}, VANISHED_NS)
+    for gone in (current(asked, VANISHED_NS + 1), let_go(asked, OWNER, VANISHED_NS, vanished=True)):
+        gone = current(gone, VANISHED_NS + 2)
+        assert (gone.holder, gone.withdraw) == (None, True)
+        after = current(withdrawn(gone, VANISHED_NS + 3, gone.number), VANISHED_NS + 4)
+        assert (after.holder, after.withdraw) == (NAMED, False)
+        # The holder who is back finds that another holds it.
+        with pytest.raises(RefusedError, match="Nina holds control"):
+            act(after, OWNER, VANISHED_NS + 5, 1, presses=True)
+
+
+def test_windows_without_a_name_are_told_apart_by_their_letters() -> None:
+    assert Party("1", window="A").label == "window A"
+    assert Party("n", "Nina", window="A").label == "Nina"
+    lease = ask(take(Lease(), Party("1", window="A"), 5), Party("2", window="B"), 6)
+    assert unpacked(packed(lease)) == lease
+    # A lease that an earlier version kept has no letters.
+    assert unpacked(packed(lease).replace(b',"A"', b"").replace(b',"B"', b"")).holder == Party("1")
+
+
 def test_a_server_that_stood_still_for_a_moment_keeps_the_hand_of_its_page_unless_another_took_it() -> None:
     taken = take(Lease(), OWNER, 0)
     late_ns = 2 * VANISHED_NS
@@ -190,10 +248,10 @@ def test_processes_share_the_lease_by_a_file(tmp_path: Path, monkeypatch: pytest
             assert same is hold
         register.change(lambda lease, now_ns: take(lease, TEACHER, now_ns))
         assert not hold.is_held()
-        with pytest.raises(RefusedError, match="Tina has the hand now"), acting():
+        with pytest.raises(RefusedError, match="Tina holds control now"), acting():
             pass
     assert register.look().holder == TEACHER
-    with pytest.raises(RefusedError, match="Tina has the hand"), acting():
+    with pytest.raises(RefusedError, match="Tina holds control"), acting():
         pass
     register.change(lambda lease, now_ns: let_go(lease, TEACHER, now_ns))
     with acting() as hold:

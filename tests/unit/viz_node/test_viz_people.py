@@ -141,9 +141,9 @@ def test_a_pupil_that_sends_what_a_teacher_may_is_refused_and_counted_and_the_lo
     number = teacher.told(TINA)["number"]
     # the page was changed by its person: it sends the number that is the teacher's
     for request in (command(lease=number), command(command="arm"), command(command="couple")):
-        assert pupil.ask(**request)["text"] == f"{TINA} has the hand: ask for it"
+        assert pupil.ask(**request)["text"] == f"{TINA} holds control: ask for it"
     pupil.send({"k": "hand", "force_n": 5.0, "held": True, "lease": number})
-    assert pupil.take("hand")["text"] == f"{TINA} has the hand: ask for it"
+    assert pupil.take("hand")["text"] == f"{TINA} holds control: ask for it"
     for action in ("take", "hand_over"):
         assert pupil.lease(action, number, pupil.snapshot["me"])["ok"] is False
     assert (rig.hand, rig.commander.sent) == ([], [])
@@ -166,21 +166,21 @@ def test_the_hand_goes_from_one_to_the_other_and_what_was_held_is_let_go(
 ) -> None:
     teacher = Named(stack, client, people.add(TINA, "teacher", 30.0))
     pupil = Named(stack, client, people.add(PAUL, "pupil", 30.0))
-    assert pupil.lease("ask")["text"] == "lease: nobody has the hand"
+    assert pupil.lease("ask")["text"] == "lease: nobody holds control"
     asking = teacher.told("")["asking"]
     assert asking == [[pupil.snapshot["me"], PAUL]]
     taken = teacher.lease("take")
-    assert taken["text"] == f"lease: {TINA} has the hand"
+    assert taken["text"] == f"lease: {TINA} holds control"
     # a command that is given before any tick has told of the lease
     number = taken["lease"]["number"]
     assert teacher.ask(**command(lease=number))["ok"] is True
     rig.commander.sent.clear()
-    assert teacher.lease("hand_over", number, asking[0][0])["text"] == f"lease: {PAUL} has the hand"
+    assert teacher.lease("hand_over", number, asking[0][0])["text"] == f"lease: {PAUL} holds control"
     number = pupil.told(PAUL)["number"]
     pupil.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})
     until(lambda: 1.0 in rig.hand)
     assert teacher.lease("take")["ok"] is True
-    assert pupil.take("hand")["text"] == f"Let go: {TINA} has the hand now"
+    assert pupil.take("hand")["text"] == f"Let go: {TINA} holds control now"
     until(lambda: rig.hand[-1] == 0.0)
     # the same force, sent once more
     pupil.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})

@@ -35,7 +35,6 @@ from telenano.wire.errors import EndpointError
 ACCESS = Access("operator-token-0123", "observer-token-0123")
 # far beyond what is expected: only keeps a broken server from holding the suite
 PATIENCE_S = 30.0
-WHO = "the operator's page"
 
 
 class Source(NoTransport):
@@ -117,7 +116,7 @@ def until(condition: Callable[[], bool]) -> None:
     assert condition()
 
 
-# a page that has the hand and presses, until it is killed
+# a page that holds control and presses, until it is killed
 PRESSING = """
 import sys, time, msgpack
 from websockets.sync.client import connect
@@ -153,12 +152,12 @@ def test_the_hand_of_a_page_that_is_killed_is_free_when_its_connection_ends_and_
         taken(other, "snapshot")
         page.kill()
         page.wait(PATIENCE_S)
-        # the tip is withdrawn for it, and the next one has the hand by taking it
+        # the tip is withdrawn for it, and the next one holds control by taking it
         until(lambda: rig.commander.sent == [("stop", "afm_node@slave", {})])
         assert rig.hand[-1] == 0.0
         other.send(msgpack.packb({"k": "lease", "id": "y", "action": "take"}))
         assert taken(other, "answer")["ok"] is True
-        until(lambda: order == ["nobody", WHO, "nobody", WHO])
+        until(lambda: order == ["nobody", "window A", "nobody", "window B"])
 
 
 def silent(stack: ExitStack, address: str, head: bytes = b"") -> socket.socket:

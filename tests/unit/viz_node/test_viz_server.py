@@ -507,11 +507,32 @@ def test_one_page_holds_the_hand_until_it_lets_go(
     push(first, 1.5)
     until(lambda: changes(rig) == [1.5])
     push(second, 9.0)
-    assert second.take("hand")["text"] == "the operator's page has the hand: ask for it"
+    assert second.take("hand")["text"] == "window A holds control: ask for it"
     push(first, 0.0, held=False)
     until(lambda: changes(rig) == [1.5, 0.0])
     push(second, 2.0)
     until(lambda: changes(rig) == [1.5, 0.0, 2.0])
+
+
+def test_a_window_that_asks_gets_control_when_the_other_one_has_done_and_each_has_a_letter(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    pages = [Page(stack, client) for _ in range(2)]
+    snapshots = [page.take("snapshot") for page in pages]
+    assert [each["window"] for each in snapshots] == ["A", "B"]
+    push(pages[0], 1.5)
+    until(lambda: changes(rig) == [1.5])
+    asked = pages[1].ask(k="lease", action="ask")
+    assert asked["text"] == "lease: window A holds control"
+    assert asked["lease"]["asking"] == [[snapshots[1]["me"], "window B"]]
+    push(pages[0], 0.0, held=False)
+    until(lambda: rig.hub.desk.lease.holder is not None and rig.hub.desk.lease.holder.label == "window B")
+    # A window that is loaded again has the letter that it had, and asks for nothing.
+    pages[0].socket.close()
+    until(lambda: len(rig.hub.sessions) == 1)
+    assert Page(stack, client).take("snapshot")["window"] == "A"
+    assert rig.hub.desk.lease.asking == ()
 
 
 def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(

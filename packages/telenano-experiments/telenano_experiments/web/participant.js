@@ -150,7 +150,7 @@ function draw() {
 
 function stop() {
   hand.letGo();
-  void connection.ask({ k: "estop" }).then(({ ok, text }) => (note.textContent = ok ? "Stopped." : `STOP was ${text}`));
+  void connection.ask({ k: "estop" }).then(({ ok, outcome, text }) => (note.textContent = ok ? "Stopped." : `STOP: ${outcome} · ${text}`));
 }
 
 part("estop").addEventListener("click", stop);

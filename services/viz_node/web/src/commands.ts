@@ -1,20 +1,22 @@
+import { outcomeText, type Answers, type Outcome } from "./answers";
 import type { Connection, LinkState } from "./connection";
-import { make, part } from "./dom";
 import type { Values } from "./form";
 import type { Facts } from "./protocol";
 import type { Store } from "./store";
 
-const SHOWN_MS = 7000;
-/** There is room for two lines beside the state of the rig. */
-const MOST_SHOWN = 2;
 /** A slow base may take minutes until the tip is placed; the server itself gives up when it takes twice what the instrument says. */
 const PLACED_MS = 600_000;
 /** Hand and tip: the server arms both, and answers when the tip is placed. */
 const DEVICES = "*";
+/** After the last press of the stop, and after it is first shown, the bar that arms cannot be pressed: a second tap never arms [ms]. */
+const REARM_MS = 1500;
 
-/** Commands of the operator; each shows its acknowledgement or its refusal. */
+/** Commands of the operator; each shows what became of it. */
 export class Commands {
   private stops = 0;
+  /** When the rig was stopped, as this page saw it, or when its stop was pressed last [ms]. */
+  private stoppedAt = -Infinity;
+  private wasStopped = false;
   /** Called when an emergency stop is asked for, before it is answered. */
   onEstop: () => void = () => {};
   /** Called before devices are armed: the tip must not press at once with a force that was held before. */
@@ -24,6 +26,7 @@ export class Commands {
   constructor(
     private readonly connection: Connection,
     private readonly store: Store,
+    private readonly answers: Pick<Answers, "use" | "pending" | "settle" | "tell">,
   ) {}
 
   /** Whether this page commands anything: it is connected, to a rig, and its person may have the hand. */
@@ -43,8 +46,10 @@ export class Commands {
   async estop(): Promise<void> {
     const dead = this.deadStop;
     this.stops++;
+    this.stoppedAt = performance.now();
     this.onEstop();
-    if (dead) this.show("emergency stop", false, dead.long);
+    this.answers.use("estop");
+    if (dead) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
     else await this.ask("emergency stop", { k: "estop" });
   }
 
@@ -52,8 +57,16 @@ export class Commands {
     return this.ask(about, { k: "command", command, target, parameters, lease: this.store.ownLease });
   }
 
+  /** Whether the bar that arms is shown at a time [ms], and whether it can be pressed yet. */
+  rearm(now: number): "hidden" | "waits" | "ready" {
+    const isStopped = this.may && this.isStopped;
+    if (isStopped && !this.wasStopped) this.stoppedAt = now;
+    this.wasStopped = isStopped;
+    return !isStopped ? "hidden" : now - this.stoppedAt < REARM_MS ? "waits" : "ready";
+  }
+
   /** Whether a device is in emergency stop, as far as the page knows. */
-  private get isLatched(): boolean {
+  get isStopped(): boolean {
     return this.store.fact("afm/state/slave", "mode") === "estop" || this.store.fact("haptic/state/master", "estop") === true;
   }
 
@@ -66,8 +79,8 @@ export class Commands {
 
   /** Return whether hand and tip may be armed at the end of something that begins now: not after a stop that comes meanwhile. */
   mayArmLater(): () => boolean {
-    const { stops, isLatched } = this;
-    return () => stops === this.stops && (isLatched || !this.isLatched);
+    const { stops, isStopped } = this;
+    return () => stops === this.stops && (isStopped || !this.isStopped);
   }
 
   /** Couple hand and tip anew: the tip is withdrawn, and armed when the hand is at rest. */
@@ -77,38 +90,27 @@ export class Commands {
   }
 
   async ask(about: string, fields: Facts, patienceMs?: number): Promise<boolean> {
-    const note = this.pending(about);
+    const note = this.answers.pending(about);
     const answer = await this.connection.ask(fields, patienceMs);
     this.store.takeLease(answer.lease);
-    this.settle(note, about, answer.ok, answer.text);
+    this.settle(note, about, answer.outcome, answer.text, answer.waited_s);
     return answer.ok;
   }
 
   /** Show the answer to what needs no server. */
   show(about: string, ok: boolean, text: string): void {
-    this.settle(this.pending(about), about, ok, text);
+    this.settle(this.answers.pending(about), about, ok ? "acknowledged" : "refused", text);
   }
 
   /** Say something that is neither an acknowledgement nor a refusal. */
   tell(text: string): void {
-    const note = this.pending("");
-    note.textContent = note.title = text;
-    setTimeout(() => note.remove(), SHOWN_MS);
+    this.answers.tell(text);
   }
 
-  private pending(about: string): HTMLElement {
-    const note = make("div", { class: "answer pending" }, `${about} …`);
-    const answers = part("answers");
-    answers.prepend(note);
-    // What is not answered yet stays.
-    const answered = [...answers.children].filter((each) => !each.classList.contains("pending"));
-    for (const each of answered.slice(Math.max(0, MOST_SHOWN - 1))) each.remove();
-    return note;
-  }
-
-  private settle(note: HTMLElement, about: string, ok: boolean, text: string): void {
-    note.className = `answer ${ok ? "done" : "refused"}`;
-    note.textContent = note.title = `${about}: ${ok ? "acknowledged" : "refused"} · ${text}`;
-    setTimeout(() => note.remove(), SHOWN_MS);
+  /** Show what became of an action beside its control, and keep it in the list of events. */
+  private settle(note: HTMLElement, about: string, outcome: Outcome, text: string, waitedS = 0): void {
+    const words = outcomeText(about, outcome, text, waitedS);
+    this.answers.settle(note, outcome, words);
+    this.store.note(outcome === "acknowledged" ? "info" : "warning", words);
   }
 }

@@ -1,3 +1,4 @@
+import type { Outcome } from "./answers";
 import { PROTOCOL, pack, read, type Answer, type Facts, type ServerFrame } from "./protocol";
 import type { FromSocket, ToSocket } from "./socket.worker";
 
@@ -5,6 +6,12 @@ const FIRST_RETRY_MS = 300;
 const LONGEST_RETRY_MS = 3000;
 /** The server sends thirty times a second while something changes, and answers within 5 s. */
 const ANSWER_MS = 12_000;
+
+/** What became of a request, and how long this page waited for it [s]. */
+export interface Reply extends Answer {
+  outcome: Outcome;
+  waited_s: number;
+}
 
 export type LinkState = "connecting" | "open" | "lost" | "refused";
 
@@ -18,7 +25,7 @@ export class Connection {
   private retry = FIRST_RETRY_MS;
   private issued = 0;
   private readonly sender = crypto.getRandomValues(new Uint32Array(2)).join("");
-  private readonly waiting = new Map<string, (answer: Answer) => void>();
+  private readonly waiting = new Map<string, (answer: Answer, outcome: Outcome) => void>();
 
   constructor(
     private readonly url: string,
@@ -46,7 +53,7 @@ export class Connection {
   private take(frame: ServerFrame): void {
     if (frame.k === "refused") this.refusal = frame.text;
     else if (frame.k === "answer") {
-      this.waiting.get(frame.id)?.(frame);
+      this.waiting.get(frame.id)?.(frame, frame.ok ? "acknowledged" : "refused");
       this.waiting.delete(frame.id);
     } else {
       if (frame.k === "snapshot") {
@@ -60,7 +67,7 @@ export class Connection {
   private lose(): void {
     this.isOpen = false;
     for (const [id, answered] of this.waiting) {
-      answered({ k: "answer", id, ok: false, text: "the connection to the server was lost before the answer came" });
+      answered({ k: "answer", id, ok: false, text: "the connection to the server was lost before the answer came" }, "lost");
     }
     this.waiting.clear();
     // a wrong token stays wrong; a full server may have room later
@@ -72,21 +79,23 @@ export class Connection {
     }
   }
 
-  /** Send a request and wait for its answer; one that never comes is a refusal in words. */
-  ask(fields: Facts, patienceMs = ANSWER_MS): Promise<Answer> {
+  /** Send a request and wait for its answer; where none comes the outcome says which of three things happened. */
+  ask(fields: Facts, patienceMs = ANSWER_MS): Promise<Reply> {
     const id = `${this.sender}-${this.issued++}`;
     if (!this.send({ ...fields, id })) {
-      return Promise.resolve({ k: "answer", id, ok: false, text: "not sent: there is no connection to the server" });
+      return Promise.resolve({ k: "answer", id, ok: false, text: "there is no connection to the server", outcome: "not sent", waited_s: 0 });
     }
+    const asked = performance.now();
     return new Promise((resolve) => {
+      const answered = (answer: Answer, outcome: Outcome): void => {
+        clearTimeout(timer);
+        resolve({ ...answer, outcome, waited_s: (performance.now() - asked) / 1e3 });
+      };
       const timer = setTimeout(() => {
         this.waiting.delete(id);
-        resolve({ k: "answer", id, ok: false, text: "no answer came: the rig may be gone" });
+        answered({ k: "answer", id, ok: false, text: "no answer came: the rig may be gone" }, "no answer");
       }, patienceMs);
-      this.waiting.set(id, (answer) => {
-        clearTimeout(timer);
-        resolve(answer);
-      });
+      this.waiting.set(id, answered);
     });
   }
 

@@ -1,5 +1,6 @@
 import type { Connection } from "./connection";
 import { colour, make } from "./dom";
+import { Pressing } from "./pressing";
 import type { HandNotice } from "./protocol";
 import { LIMIT_N, springForce } from "./spring";
 import type { Store } from "./store";
@@ -68,6 +69,7 @@ export class Hand {
   private refusal = "";
   /** How late the server finds this hand [s]; 0 where it counts. */
   private lateS = 0;
+  private readonly pressing = new Pressing();
   private rumbledAt = 0;
   private followed = false;
 
@@ -203,6 +205,13 @@ export class Hand {
     this.followed = !reason;
   }
 
+  /** Compare the force that this page means with that of the hand, and say in the state of the rig where they are apart. */
+  compare(): void {
+    const { store } = this;
+    const meant = this.meant === undefined ? undefined : this.force;
+    store.apart = this.pressing.look(store.clock.ms, meant, store.last("hand", "force"), store.rings.get("hand")?.newest ?? NaN, store.wayS);
+  }
+
   draw(): void {
     if (this.isOffered) this.readGamepad();
     if (!this.pad.clientHeight) return;
@@ -243,13 +252,16 @@ export class Hand {
     const isFar = this.meant !== undefined && this.meant >= TOP_M + TRAVEL_M;
     const own = this.meant === undefined ? "Drag down, here or in the scene" : isFar ? "Held at the end of the way: no more force" : "Held: let go, or Keep holding";
     const slow = this.meant === undefined ? "" : slowText(this.lateS, this.store.wayS);
-    if (slow) {
+    const apart = this.meant === undefined || !this.store.apart ? "" : `Not as held: ${this.store.apart}`;
+    const mark = slow ? "too slow" : apart ? "not as held" : "";
+    if (mark) {
       pen.fillStyle = colour("stop");
       // at the right edge, because the marks of the way are at the left one
-      pen.fillText("too slow", width - pen.measureText("too slow").width - 4, height - 6);
+      pen.fillText(mark, width - pen.measureText(mark).width - 4, height - 6);
     }
     this.pad.dataset["slow"] = String(slow !== "");
-    const text = this.refusal || slow || own;
+    this.pad.dataset["apart"] = String(apart !== "");
+    const text = this.refusal || slow || apart || own;
     if (this.text.textContent !== text) this.text.textContent = text;
     this.pad.dataset["held"] = String(this.meant !== undefined);
     this.pad.setAttribute("aria-valuenow", force.toFixed(2));

@@ -10,13 +10,13 @@ export interface LeaseAction {
   to?: string;
 }
 
-/** Who has the hand, in words, and what this page may do about it; the server decides. */
+/** Who holds control, in words, and what this page may do about it; the server decides. */
 export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: string; actions: LeaseAction[] } {
   const isMine = lease.holder !== "" && lease.holder === me;
   const first = lease.asking.find(([id]) => id !== me);
   const asks = first ? `; ${first[1]} asks for it` : "";
-  const mine = lease.kept ? "You have the hand" : "You have the hand for now";
-  const text = isMine ? mine : lease.holder ? `Hand: ${lease.label}` : "Nobody has the hand";
+  const mine = lease.kept ? "You hold control" : "You hold control for now";
+  const text = isMine ? mine : lease.holder ? `${lease.label[0]?.toUpperCase()}${lease.label.slice(1)} holds control` : "Nobody holds control";
   const actions: LeaseAction[] = [];
   if (role === "observer" || role === "participant") return { text, actions };
   const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];
@@ -30,12 +30,13 @@ export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: s
   if (role === "teacher") return { text: text + asks, actions: [{ text: "Take", action: "take" }, ...handOver] };
   if (role === "operator" && (isFree || isOwnProcess)) return { text: text + asks, actions: [{ text: "Take", action: "take" }] };
   const hasAsked = lease.asking.some(([id]) => id === me);
-  return { text: hasAsked ? `${text}; you have asked` : text, actions: hasAsked ? [] : [{ text: "Ask", action: "ask" }] };
+  const turn = lease.asking[0]?.[0] !== me ? ` after ${lease.asking[0]?.[1]}` : role === "operator" ? " and are next" : "";
+  return { text: hasAsked ? `${text}; you have asked${turn}` : text, actions: hasAsked ? [] : [{ text: "Ask", action: "ask" }] };
 }
 
-/** Who has the hand, with *Ask*, *Hand over*, *Take* and *Let go*. */
+/** Who holds control, with *Ask*, *Hand over*, *Take* and *Let go*. */
 export class LeaseBar {
-  readonly root = make("div", { id: "lease", role: "group", "aria-label": "Who has the hand" });
+  readonly root = make("div", { id: "lease", role: "group", "aria-label": "Who holds control" });
   private readonly words = make("span", { id: "lease-text", role: "status" });
   private readonly buttons = make("span", { class: "row tight" });
   private shown = "";

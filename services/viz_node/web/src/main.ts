@@ -1,4 +1,5 @@
 import "./styles.css";
+import { Answers } from "./answers";
 import type { Cockpit } from "./cockpit";
 import { Commands } from "./commands";
 import { medianFrame } from "./age";
@@ -32,7 +33,7 @@ addEventListener("hashchange", () => location.reload());
 const url = socketUrl(location.href);
 const store = new Store();
 const connection = new Connection(url, token);
-const commands = new Commands(connection, store);
+const commands = new Commands(connection, store, new Answers());
 const cockpit: Cockpit = {
   store,
   connection,
@@ -143,6 +144,7 @@ function draw(now: number): void {
 setInterval(() => {
   store.clock.tick(performance.now());
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
+  cockpit.hand.compare();
   status.draw();
   handPanel.lease.write();
 }, BANNERS_MS);

@@ -70,7 +70,7 @@ export interface SourceAbout {
 
 export type Facts = Record<string, unknown>;
 
-/** Who has the hand: the number of the lease, the id and the name of its holder, whether it was taken, who asks. */
+/** Who holds control: the number of the lease, the id and the name of its holder, whether it was taken, who asks. */
 export interface LeaseFacts {
   number: number;
   holder: string;
@@ -116,6 +116,8 @@ export interface Snapshot extends Changes {
   role: Role;
   /** What this page is called in a lease. */
   me?: string;
+  /** The letter of this window, where its person was given no name. */
+  window?: string;
   commands: boolean;
   hand: boolean;
   streams: StreamAbout[];

@@ -24,6 +24,7 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();
   if (lost.length) found.push(["bad", `LOST: ${lost.join(", ")}`]);
+  if (store.apart) found.push(["bad", `NOT AS HELD: ${store.apart}`]);
   if (swing) found.push(["bad", `OSCILLATES: ${swing.peakToPeak.toFixed(1)} N peak to peak at ${swing.hertz.toFixed(1)} Hz`]);
   if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
   const delay = roundTripOf(store);

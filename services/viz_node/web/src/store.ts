@@ -18,6 +18,8 @@ import {
 const CAPACITY = 60_000;
 const SLOW_CAPACITY = 12_000;
 const EVENTS_KEPT = 200;
+/** The source of what this page itself notes among the events of the nodes. */
+const PAGE = "this page";
 
 /** node/health comes twice a second: a node of which none came for this long is lost [ms]. */
 export const LOST_MS = 900;
@@ -45,6 +47,7 @@ export class Clock {
 export class Store {
   role: Snapshot["role"] = "observer";
   me = "";
+  window = "";
   age: NonNullable<Tick["age"]> = [];
   /** The way from the server to this page and back [s], NaN until it is known. */
   wayS = NaN;
@@ -52,6 +55,8 @@ export class Store {
   pictureS = NaN;
   /** Between two frames of this page, as requestAnimationFrame has them [s], NaN until it is known. */
   frameS = NaN;
+  /** How the force that this page means and that of the hand are apart, in words; empty where they are not. */
+  apart = "";
   lease: LeaseFacts = { number: 0, holder: "", label: "", what: "page", kept: false, asking: [] };
   commands = false;
   hand = false;
@@ -71,11 +76,13 @@ export class Store {
   /** How the force swings at the playhead of a recording. */
   recordedSwing: () => Oscillation | undefined = () => undefined;
   private seen = new Set<string>();
+  private noted = 0;
 
   /** Begin anew with what the server knows. Curves stay, as after a lost connection, unless `forget`. */
   begin(snapshot: Snapshot): void {
     this.role = snapshot.role;
     this.me = snapshot.me ?? "";
+    this.window = snapshot.window ?? "";
     if (snapshot.lease) this.lease = snapshot.lease;
     this.commands = snapshot.commands;
     this.hand = snapshot.hand;
@@ -84,6 +91,8 @@ export class Store {
     this.originNs = snapshot.origin_ns ?? 0;
     this.nodes.clear();
     this.state.clear();
+    // what this page noted is in no snapshot, and it matters most after a lost connection
+    const own = snapshot.source.kind === "live" ? this.events.filter(({ src }) => src === PAGE) : [];
     this.events = [];
     this.seen.clear();
     this.rings.clear();
@@ -95,6 +104,7 @@ export class Store {
     this.onRestart();
     const { nodes, state, events, lines } = snapshot;
     this.take({ k: "tick", ...(nodes && { nodes }), ...(state && { state }), ...(events && { events }), ...(lines && { lines }) });
+    if (own.length) this.events = [...this.events, ...own].sort((one, other) => one.t - other.t);
   }
 
   take(tick: Tick): void {
@@ -113,6 +123,12 @@ export class Store {
     this.takeLease(tick.lease);
     if (tick.age) this.age = tick.age;
     if (tick.origin_ns) this.originNs = tick.origin_ns;
+  }
+
+  /** Note what became of an action of this page among the events; a recording has only its own. */
+  note(level: EventFacts["level"], text: string): void {
+    if (this.source.kind !== "live") return;
+    this.take({ k: "tick", events: [{ src: PAGE, seq: this.noted++, t: Date.now() * 1e6, kind: "answer", level, text }] });
   }
 
   /** Take what the lease has become, and not what it was before: a tick may arrive after the answer that is newer. */

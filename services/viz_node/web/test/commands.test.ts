@@ -3,7 +3,7 @@ import { Commands } from "../src/commands";
 import { Store } from "../src/store";
 
 /** A page whose server answers each request when the test says so. */
-function page(): { commands: Commands; store: Store; asked: object[]; answers: HTMLElement[]; answer: (ok: boolean, text: string) => void } {
+function page(): { commands: Commands; store: Store; asked: object[]; notes: string[]; answer: (ok: boolean, text: string) => void } {
   const store = new Store();
   const asked: object[] = [];
   const waiting: ((answer: object) => void)[] = [];
@@ -11,26 +11,29 @@ function page(): { commands: Commands; store: Store; asked: object[]; answers: H
     asked.push(fields);
     return new Promise((resolve) => waiting.push(resolve));
   };
-  const answers: HTMLElement[] = [];
-  const commands = new Commands({ ask } as never, store);
-  vi.spyOn(commands as never as { pending: (about: string) => HTMLElement }, "pending").mockImplementation((about: string) => {
-    const note = { className: "answer pending", textContent: about, remove: () => {} } as never as HTMLElement;
-    answers.push(note);
-    return note;
-  });
-  return { commands, store, asked, answers, answer: (ok, text) => waiting.shift()!({ ok, text, lease: 0 }) };
+  const notes: string[] = [];
+  const answers = {
+    use: () => {},
+    tell: () => {},
+    pending: (about: string) => notes.push(`${about} …`) as never as HTMLElement,
+    settle: (_: HTMLElement, outcome: string, words: string) => void notes.push(`${outcome}: ${words}`),
+  };
+  const commands = new Commands({ ask } as never, store, answers);
+  return { commands, store, asked, notes, answer: (ok, text) => waiting.shift()!({ ok, text, outcome: ok ? "acknowledged" : "refused", waited_s: 0.1 }) };
 }
 
 test("hand and tip are armed by one request, whose result is shown", async () => {
   for (const ok of [true, false]) {
-    const { commands, asked, answers, answer } = page();
+    const { commands, store, asked, notes, answer } = page();
     commands.link = "open";
     const done = commands.arm();
     expect(asked.map((fields) => [(fields as { command: string }).command, (fields as { target: string }).target])).toEqual([["arm", "*"]]);
-    expect(answers[0]!.className).toBe("answer pending");
+    expect(notes).toEqual(["arm hand and tip …"]);
     answer(ok, "afm_node@slave: the tip is placed");
     expect(await done).toBe(ok);
-    expect(answers[0]!.textContent).toBe(`arm hand and tip: ${ok ? "acknowledged" : "refused"} · afm_node@slave: the tip is placed`);
+    const words = `arm hand and tip: ${ok ? "acknowledged" : "refused"} · afm_node@slave: the tip is placed`;
+    expect(notes[1]).toBe(`${ok ? "acknowledged" : "refused"}: ${words}`);
+    expect(store.events.map(({ src, level, text }) => [src, level, text])).toEqual([["this page", ok ? "info" : "warning", words]]);
   }
 });
 
@@ -46,4 +49,42 @@ test("what takes a while arms at its end only where no stop came meanwhile, from
   expect(knows()).toBe(true);
   void commands.estop();
   expect(knows()).toBe(false);
+});
+
+test("the bar that arms is there while the rig is stopped, and cannot be pressed for 1.5 s after a press of the stop", () => {
+  vi.useFakeTimers();
+  const { commands, store } = page();
+  commands.link = "open";
+  store.role = "operator";
+  store.commands = true;
+  const state = (hand: boolean): void => store.take({ k: "tick", state: { "haptic/state/master": { estop: hand } } });
+  const after = (ms: number): string => {
+    vi.advanceTimersByTime(ms);
+    return commands.rearm(performance.now());
+  };
+  expect(after(0)).toBe("hidden");
+  void commands.estop();
+  state(true);
+  expect([after(0), after(1400), after(200)]).toEqual(["waits", "waits", "ready"]);
+  // each further press counts, and so does a stop that came from elsewhere
+  void commands.estop();
+  expect([after(1400), after(200)]).toEqual(["waits", "ready"]);
+  state(false);
+  expect(after(50)).toBe("hidden");
+  state(true);
+  expect([after(50), after(1400), after(200)]).toEqual(["waits", "waits", "ready"]);
+  // not on a page that may not arm, or whose connection is lost
+  store.role = "observer";
+  expect(after(50)).toBe("hidden");
+  store.role = "operator";
+  commands.link = "lost";
+  expect(after(50)).toBe("hidden");
+  vi.useRealTimers();
+});
+
+test("a stop that cannot be sent is not called refused", async () => {
+  const { commands, notes } = page();
+  commands.link = "lost";
+  await commands.estop();
+  expect(notes[1]).toMatch(/^not sent: emergency stop: not sent · .*type: telenano estop$/);
 });

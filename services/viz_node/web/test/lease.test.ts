@@ -11,28 +11,36 @@ const said = (facts: LeaseFacts, role: Parameters<typeof leaseOffer>[2]): string
   return [text, ...actions.map((each) => each.text)];
 };
 
-describe("the lease of the hand on the page", () => {
+describe("the lease of control on the page", () => {
   test("an observer sees who has it and is offered nothing", () => {
-    expect(said(lease(paul), "observer")).toEqual(["Hand: Paul"]);
-    expect(said(lease(), "observer")).toEqual(["Nobody has the hand"]);
+    expect(said(lease(paul), "observer")).toEqual(["Paul holds control"]);
+    expect(said(lease(), "observer")).toEqual(["Nobody holds control"]);
   });
   test("an operator takes what nobody has, and asks for what another has", () => {
-    expect(said(lease(), "operator")).toEqual(["Nobody has the hand", "Take"]);
-    expect(said(lease(paul), "operator")).toEqual(["Hand: Paul", "Ask"]);
-    expect(said(lease({ ...paul, asking: [[ME, "Otto"]] }), "operator")).toEqual(["Hand: Paul; you have asked"]);
+    expect(said(lease(), "operator")).toEqual(["Nobody holds control", "Take"]);
+    expect(said(lease(paul), "operator")).toEqual(["Paul holds control", "Ask"]);
+    expect(said(lease({ ...paul, asking: [[ME, "Otto"]] }), "operator")).toEqual(["Paul holds control; you have asked and are next"]);
     // what lasts as long as an act is not taken
-    expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["You have the hand for now", "Take"]);
-    expect(said(lease({ holder: "x", label: "the program at the rig", what: "program", kept: true }), "operator")).toEqual(["Hand: the program at the rig", "Take"]);
+    expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["You hold control for now", "Take"]);
+    expect(said(lease({ holder: "x", label: "the program at the rig", what: "program", kept: true }), "operator")).toEqual(["The program at the rig holds control", "Take"]);
   });
   test("who asks is shown to each page that could give the hand, also while it has it for an act alone", () => {
     const asking: [string, string][] = [["q", "Petra"]];
     const forNow = { holder: ME, label: "Otto", what: "page" };
-    expect(said(lease({ ...forNow, asking }), "operator")).toEqual(["You have the hand for now; Petra asks for it", "Take", "Hand over to Petra"]);
-    expect(said(lease({ ...forNow, asking }), "pupil")).toEqual(["You have the hand for now; Petra asks for it", "Hand over to Petra"]);
-    expect(said(lease({ asking }), "operator")).toEqual(["Nobody has the hand; Petra asks for it", "Take"]);
+    expect(said(lease({ ...forNow, asking }), "operator")).toEqual(["You hold control for now; Petra asks for it", "Take", "Hand over to Petra"]);
+    expect(said(lease({ ...forNow, asking }), "pupil")).toEqual(["You hold control for now; Petra asks for it", "Hand over to Petra"]);
+    expect(said(lease({ asking }), "operator")).toEqual(["Nobody holds control; Petra asks for it", "Take"]);
     // a second page of the same address is another page
-    const second: [string, string][] = [["me2", "the operator's page"]];
-    expect(said(lease({ ...forNow, kept: true, asking: second }), "operator")).toEqual(["You have the hand; the operator's page asks for it", "Hand over to the operator's page", "Let go"]);
+    const second: [string, string][] = [["me2", "window B"]];
+    expect(said(lease({ ...forNow, kept: true, asking: second }), "operator")).toEqual(["You hold control; window B asks for it", "Hand over to window B", "Let go"]);
+  });
+  test("a window without a name sees by their letters who holds control and who asks", () => {
+    const other = { holder: "a", label: "window A", what: "page", kept: true };
+    expect(said(lease(other), "operator")).toEqual(["Window A holds control", "Ask"]);
+    expect(said(lease({ ...other, asking: [[ME, "window B"]] }), "operator")).toEqual(["Window A holds control; you have asked and are next"]);
+    // a pupil has it when it is handed over, and another asked before
+    expect(said(lease({ ...other, asking: [[ME, "Paul"]] }), "pupil")).toEqual(["Window A holds control; you have asked"]);
+    expect(said(lease({ ...other, asking: [["c", "Nina"], [ME, "window B"]] }), "operator")).toEqual(["Window A holds control; you have asked after Nina"]);
   });
   test("a command names the lease that was taken, and not that of the command before it", () => {
     const store = new Store();
@@ -54,15 +62,15 @@ describe("the lease of the hand on the page", () => {
     expect(store.ownLease).toBe(0);
   });
   test("a pupil asks, a teacher takes and hands over", () => {
-    expect(said(lease(), "pupil")).toEqual(["Nobody has the hand", "Ask"]);
-    expect(said(lease(paul), "teacher")).toEqual(["Hand: Paul", "Take"]);
-    expect(said(lease({ ...paul, asking: [["q", "Petra"]] }), "teacher")).toEqual(["Hand: Paul; Petra asks for it", "Take", "Hand over to Petra"]);
+    expect(said(lease(), "pupil")).toEqual(["Nobody holds control", "Ask"]);
+    expect(said(lease(paul), "teacher")).toEqual(["Paul holds control", "Take"]);
+    expect(said(lease({ ...paul, asking: [["q", "Petra"]] }), "teacher")).toEqual(["Paul holds control; Petra asks for it", "Take", "Hand over to Petra"]);
   });
   test("who has it hands it over to the first who asks, or lets go", () => {
     const mine = { holder: ME, label: "Otto", what: "page", kept: true };
-    expect(said(lease(mine), "pupil")).toEqual(["You have the hand", "Let go"]);
+    expect(said(lease(mine), "pupil")).toEqual(["You hold control", "Let go"]);
     expect(leaseOffer(lease({ ...mine, asking: [["q", "Petra"]] }), ME, "pupil")).toEqual({
-      text: "You have the hand; Petra asks for it",
+      text: "You hold control; Petra asks for it",
       actions: [
         { text: "Hand over to Petra", action: "hand_over", to: "q" },
         { text: "Let go", action: "let_go" },

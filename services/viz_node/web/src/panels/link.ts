@@ -31,7 +31,7 @@ export class LinkPanel implements Panel {
     this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
-    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line, this.age, this.pictures.root);
+    root.append(make("div", { class: "row wrap" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line, this.age, this.pictures.root);
   }
 
   begin(): void {

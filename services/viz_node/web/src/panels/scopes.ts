@@ -251,7 +251,7 @@ export class ScopesPanel implements Panel {
     const { title } = plot.spec;
     const enlarge = make("button", { type: "button", class: "enlarge", title: "Enlarge, or all of them", "aria-label": `Enlarge ${title}`, "aria-pressed": String(this.enlarged === i), onclick: () => this.enlarge(i) }, "⤢");
     const more = make("button", { type: "button", class: "more", title: "Curves, range, spectrum, place", "aria-label": `Change ${title}`, onclick: () => this.openSheet(i) }, "⋯");
-    const name = make("div", { class: "name", draggable: "true" }, make("b", { title: plot.title }, plot.title), make("span", { class: "keys", title: plot.keys.map(([label]) => label).join(", ") }, ...keys), enlarge, more);
+    const name = make("div", { class: "name", draggable: "true" }, make("div", { class: "words" }, make("b", {}, plot.title), make("span", { class: "keys" }, ...keys)), enlarge, more);
     const element = make("div", { class: "plot", role: "group", "aria-label": plot.title }, name, plot.area);
     plot.onTime = (time, begins) => this.place(time, begins, plot.stream);
     plot.area.addEventListener("keydown", (event) => this.moveByKey(event, plot.stream));

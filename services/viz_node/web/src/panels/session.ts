@@ -39,7 +39,7 @@ export class SessionPanel implements Panel {
   write(): void {
     const { store } = this.cockpit;
     const runs = Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0;
-    const isStopped = store.fact("haptic/state/master", "estop") === true || store.fact("afm/state/slave", "mode") === "estop";
+    const { isStopped } = this.cockpit.commands;
     const isKnown = store.state.has("haptic/state/master");
     // the programme of the operator goes on behind an emergency stop, and nothing follows it
     this.start.setAttribute("aria-pressed", String(runs && !isStopped));

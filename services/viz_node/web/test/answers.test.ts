@@ -1,0 +1,104 @@
+import { afterEach, beforeEach, expect, test, vi } from "vitest";
+import { outcomeText, placeBeside, type Box } from "../src/answers";
+import { Connection, type Reply } from "../src/connection";
+import { pack, read } from "../src/protocol";
+import { Store } from "../src/store";
+
+/** The thread of the socket, as far as the page sees it. */
+class Socket {
+  static newest: Socket;
+  onmessage: (event: { data: object }) => void = () => {};
+  readonly sent: Record<string, unknown>[] = [];
+  constructor() {
+    Socket.newest = this;
+  }
+  postMessage(message: { frame?: Uint8Array<ArrayBuffer> }): void {
+    if (message.frame) this.sent.push(read(message.frame.slice().buffer) as never);
+  }
+  say(data: object): void {
+    this.onmessage({ data });
+  }
+  answer(ok: boolean, text: string): void {
+    this.say({ k: "frame", frame: pack({ k: "answer", id: this.sent.at(-1)!["id"], ok, text }).slice().buffer });
+  }
+}
+
+beforeEach(() => {
+  vi.useFakeTimers();
+  vi.stubGlobal("Worker", Socket);
+});
+afterEach(() => {
+  vi.unstubAllGlobals();
+  vi.useRealTimers();
+});
+
+/** What a page says of a request, as it happened. */
+async function said(happens: (connection: Connection, socket: Socket) => Promise<Reply>): Promise<string> {
+  const connection = new Connection("ws://rig/bus", "token");
+  const { outcome, text, waited_s } = await happens(connection, Socket.newest);
+  return outcomeText("Start", outcome, text, waited_s);
+}
+
+test("each of the five things that can become of a request is called by its name", async () => {
+  const begun = (after: (socket: Socket) => void) => (connection: Connection, socket: Socket): Promise<Reply> => {
+    socket.say({ k: "open" });
+    const reply = connection.ask({ k: "command" });
+    after(socket);
+    return reply;
+  };
+  expect(await said(begun((socket) => socket.answer(true, "started")))).toBe("Start: acknowledged · started");
+  expect(await said(begun((socket) => socket.answer(false, "it runs")))).toBe("Start: refused · it runs");
+  expect(await said((connection) => connection.ask({ k: "command" }))).toBe("Start: not sent · there is no connection to the server");
+  const lost = begun((socket) => {
+    vi.advanceTimersByTime(400);
+    socket.say({ k: "closed" });
+  });
+  expect(await said(lost)).toBe("Start: connection lost after 0.4 s, before the answer · it may have been carried out, or not");
+  expect(await said(begun(() => vi.advanceTimersByTime(12_000)))).toMatch(/^Start: no answer in 12 s · it may have been carried out, or not/);
+  // an answer that comes later is not that of another request
+  const late = begun((socket) => {
+    vi.advanceTimersByTime(12_000);
+    socket.answer(true, "late");
+  });
+  expect(await said(late)).toMatch(/no answer/);
+});
+
+test("what this page noted stays among the events over a lost connection, at its time", () => {
+  const store = new Store();
+  const events = (t: number): object[] => [{ src: "afm_node@slave", seq: 1, t, kind: "mode", level: "info", text: "node" }];
+  const snapshot = (kind: string, t: number): never => ({ k: "snapshot", role: "operator", commands: true, hand: true, forms: {}, source: { kind, name: "" }, streams: [], events: events(t) }) as never;
+  store.begin(snapshot("live", 1));
+  store.note("warning", "Start: connection lost");
+  store.begin(snapshot("live", (Date.now() + 1000) * 1e6));
+  expect(store.events.map(({ text }) => text)).toEqual(["Start: connection lost", "node"]);
+  // a recording has the events of its own time alone
+  store.begin(snapshot("recording", 1));
+  store.note("info", "no event of it");
+  expect(store.events.map(({ text }) => text)).toEqual(["node"]);
+});
+
+const VIEW = { width: 390, height: 844 };
+const NOTE = { width: 200, height: 40 };
+const box = (left: number, top: number, width: number, height: number): Box => ({ left, top, right: left + width, bottom: top + height });
+const overlap = (at: { left: number; top: number }, other: Box): boolean => at.left < other.right && other.left < at.left + NOTE.width && at.top < other.bottom && other.top < at.top + NOTE.height;
+
+test("an answer is below its control, or above it where there is no room, and never over the stop", () => {
+  const button = box(20, 100, 80, 40);
+  expect(placeBeside(button, NOTE, VIEW, [])).toEqual({ left: 20, top: 146 });
+  // at the right edge it begins further to the left
+  expect(placeBeside(box(300, 100, 80, 40), NOTE, VIEW, []).left).toBe(184);
+  const stop = box(8, 782, 374, 54);
+  const arm = box(8, 720, 374, 50);
+  for (const control of [stop, arm, box(20, 690, 80, 40), box(20, 640, 80, 40)]) {
+    const at = placeBeside(control, NOTE, VIEW, [stop, arm]);
+    for (const kept of [control, stop, arm]) expect(overlap(at, kept)).toBe(false);
+    expect(at.top).toBeGreaterThanOrEqual(0);
+  }
+  // a control that was scrolled away, up or down, has its answer at that edge, and not over the stop there
+  expect(placeBeside(box(20, -300, 80, 40), NOTE, VIEW, [stop]).top).toBe(6);
+  expect(placeBeside(box(20, 1500, 80, 40), NOTE, VIEW, [stop]).top).toBe(736);
+  expect(placeBeside(box(20, 1500, 80, 40), NOTE, VIEW, [stop, arm]).top).toBe(674);
+  // two answers at one control are one below the other
+  const first = placeBeside(button, NOTE, VIEW, []);
+  expect(placeBeside(button, NOTE, VIEW, [box(first.left, first.top, NOTE.width, NOTE.height)]).top).toBe(192);
+});

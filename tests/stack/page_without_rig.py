@@ -1,0 +1,111 @@
+"""The page, its server and a browser without the processes of a rig, whose state a test sets: quick, and repeatable.
+
+with served(SaidRig()) as (rig, address):
+    rig.is_stopped = True
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+from browser_page import PAGE_FOLDER
+from free_ports import free_ports
+from wire_contract import examples
+
+from telenano.wire.topics import TOPICS
+
+TOKEN, OBSERVER_TOKEN = "operator-token-0123", "observer-token-0123"
+HAND, TIP = "haptic_node@master", "afm_node@slave"
+
+
+class SaidRig:
+    """Says what hand and tip of a rig would say, and obeys a stop and an arm at once.
+
+    `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
+    neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes.
+    """
+
+    def __init__(self) -> None:
+        self.is_stopped = self.is_deaf = self.is_silent = False
+        self.asked: list[str] = []
+        self.delay_s = 0.0
+        self._force_n = 0.0
+
+    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
+        self._force_n = force_n
+
+    def news(self) -> list[Any]:
+        """Return what both nodes say now."""
+        from services.viz_node.feed import seen
+
+        if self.is_silent:
+            return []
+        pushed_n = 0.0 if self.is_deaf or self.is_stopped else self._force_n
+        health = {"state": "running", "overruns": 0, "replay": False}
+        rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 2e-9, "deflection_m": 0.0}
+        said: list[tuple[str, str, dict[str, Any]]] = [
+            (
+                "haptic/state",
+                HAND,
+                {
+                    "session_s": 1.0,
+                    "estop": self.is_stopped,
+                    "position_m": (0.0, 0.0, 0.0),
+                    "reference_m": (0.0, 0.0, 0.0),
+                },
+            ),
+            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests}),
+            ("node/health", HAND, health),
+            ("node/health", TIP, health),
+        ]
+        said[0][2]["operator_force_n"] = (0.0, 0.0, -pushed_n)
+        found = []
+        for topic, src, changes in said:
+            now_ns = time.time_ns()
+            message = msgspec.structs.replace(examples(TOPICS[topic])["ordinary"], t_ns=now_ns, src=src, **changes)
+            found.append(seen(topic, src, now_ns, message))
+        return found
+
+    def send(
+        self,
+        command: str,
+        target: str,
+        parameters: Mapping[str, Any],
+        is_wanted: Callable[[], bool],
+        issued_ns: int,
+        by: str,
+    ) -> dict[str, tuple[str, str]]:
+        self.asked.append(command)
+        time.sleep(self.delay_s)
+        if command == "arm":
+            self.is_stopped = False
+        return {TIP: ("refused", "the tip is stopped") if self.is_stopped else ("ack", "done")}
+
+    def estop(self, by: str) -> dict[str, tuple[str, str]]:
+        self.asked.append("estop")
+        self.is_stopped = True
+        return {HAND: ("ack", "stopped"), TIP: ("ack", "stopped")}
+
+
+@contextmanager
+def served(rig: SaidRig) -> Iterator[tuple[SaidRig, str]]:
+    """Serve the page of such a rig; yield the rig and the address without its token."""
+    from lone_page_server import LonePageServer
+
+    from services.viz_node.commander import forms
+    from telenano.serving.access import Access
+
+    (port,) = free_ports(1)
+    access = Access(TOKEN, OBSERVER_TOKEN)
+    place: dict[str, Any] = {"host": "127.0.0.1", "port": port, "page": PAGE_FOLDER}
+    server = LonePageServer(rig.push, access, news=rig.news, commander=rig, forms=forms, **place)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield rig, f"http://127.0.0.1:{port}/"
+    finally:
+        server.end()
+        thread.join()
