@@ -324,7 +324,7 @@ class Hub:
 
     def _who_has_it(self) -> str:
         holder = self.desk.lease.holder
-        return f"{holder.label if holder else 'nobody'} holds control now"
+        return f"{holder.label} holds control now" if holder else "control is free now"
 
     def _told(self) -> set[Session]:
         """Return the pages that are told everything: all but those of participants."""

@@ -78,7 +78,7 @@ class LeaseDesk:
         }
         self._change(session, steps[request.action])
         holder = self.lease.holder
-        return "nobody holds control" if holder is None else f"{holder.label} holds control"
+        return "control is free" if holder is None else f"{holder.label} holds control"
 
     def leave(self, session: Session) -> None:
         """Note that the connection of a page is gone; a hand that pressed then has vanished."""

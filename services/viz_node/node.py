@@ -67,7 +67,7 @@ class PageNode(Node):
         if named != self._said:
             self._said = named
             by = {"by": named.name} if named is not None and named.name else {}
-            text = f"{named.label if named else 'nobody'} holds control"
+            text = f"{named.label} holds control" if named else "control is free"
             self.event("node", "info", text, role=named.role if named else "", **by)
 
     def _count(self) -> None:

@@ -123,7 +123,7 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
         raise RefusedError("an observer looks, and may stop, and not command")
     if holder is None:
         if number:
-            raise RefusedError("nobody holds control any more: this was said under an earlier lease")
+            raise RefusedError("control is free: this belongs to an earlier lease")
         if party.role == "pupil":
             raise RefusedError("a pupil holds control when it is handed over: ask for it")
         return _granted(lease, party, now_ns, kept=False, presses=presses)
@@ -134,7 +134,7 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
             return lease
         raise RefusedError(f"{holder.label} holds control: ask for it")
     if (number or lease.kept) and number != lease.number and party.what == PAGE:
-        raise RefusedError("this was said under an earlier lease")
+        raise RefusedError("this belongs to an earlier lease")
     return lease._replace(seen_ns=now_ns, presses=presses or lease.presses)
 
 
@@ -191,10 +191,10 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
     if party.role != "teacher" and not lease.is_held_by(party):
         raise RefusedError("only who holds control, or a teacher, hands it over")
     if number != lease.number:
-        raise RefusedError("this was said under an earlier lease")
+        raise RefusedError("this belongs to an earlier lease")
     receiver = next((each.party for each in lease.asking if to in ("", each.party.id)), None)
     if receiver is None:
-        raise RefusedError("nobody asks for control" if not to else "that one does not ask any more")
+        raise RefusedError("control was not asked for" if not to else "that one does not ask any more")
     return _granted(lease, receiver, now_ns, kept=True)
 
 

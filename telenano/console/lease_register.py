@@ -156,7 +156,8 @@ def acting() -> Iterator[Hold]:
     if _held:
         if not _held[-1].is_held():
             holder = LeaseRegister().look().holder
-            raise RefusedError(f"{holder.label if holder else 'nobody'} holds control now: this process lost it")
+            now = f"{holder.label} holds control now" if holder else "control is free now"
+            raise RefusedError(f"{now}: this process lost it")
         yield _held[-1]
         return
     party = this_process()

@@ -226,7 +226,7 @@ class OperatorForce(Message):
     force_n: Annotated[
         ForceVector, about("Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z")
     ]
-    by: Annotated[PersonName | None, about("Name of who has the hand, where they were given one")] = None
+    by: Annotated[PersonName | None, about("Name of the holder of control, where one was given")] = None
 
 
 class HapticCommand(_OfHand):

@@ -166,7 +166,7 @@ def test_the_hand_goes_from_one_to_the_other_and_what_was_held_is_let_go(
 ) -> None:
     teacher = Named(stack, client, people.add(TINA, "teacher", 30.0))
     pupil = Named(stack, client, people.add(PAUL, "pupil", 30.0))
-    assert pupil.lease("ask")["text"] == "lease: nobody holds control"
+    assert pupil.lease("ask")["text"] == "lease: control is free"
     asking = teacher.told("")["asking"]
     assert asking == [[pupil.snapshot["me"], PAUL]]
     taken = teacher.lease("take")

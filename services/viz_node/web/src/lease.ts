@@ -16,7 +16,7 @@ export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: s
   const first = lease.asking.find(([id]) => id !== me);
   const asks = first ? `; ${first[1]} asks for it` : "";
   const mine = lease.kept ? "You hold control" : "You hold control for now";
-  const text = isMine ? mine : lease.holder ? `${lease.label[0]?.toUpperCase()}${lease.label.slice(1)} holds control` : "Nobody holds control";
+  const text = isMine ? mine : lease.holder ? `${lease.label[0]?.toUpperCase()}${lease.label.slice(1)} holds control` : "Control is free";
   const actions: LeaseAction[] = [];
   if (role === "observer" || role === "participant") return { text, actions };
   const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];

@@ -14,10 +14,10 @@ const said = (facts: LeaseFacts, role: Parameters<typeof leaseOffer>[2]): string
 describe("the lease of control on the page", () => {
   test("an observer sees who has it and is offered nothing", () => {
     expect(said(lease(paul), "observer")).toEqual(["Paul holds control"]);
-    expect(said(lease(), "observer")).toEqual(["Nobody holds control"]);
+    expect(said(lease(), "observer")).toEqual(["Control is free"]);
   });
   test("an operator takes what nobody has, and asks for what another has", () => {
-    expect(said(lease(), "operator")).toEqual(["Nobody holds control", "Take"]);
+    expect(said(lease(), "operator")).toEqual(["Control is free", "Take"]);
     expect(said(lease(paul), "operator")).toEqual(["Paul holds control", "Ask"]);
     expect(said(lease({ ...paul, asking: [[ME, "Otto"]] }), "operator")).toEqual(["Paul holds control; you have asked and are next"]);
     // what lasts as long as an act is not taken
@@ -29,7 +29,7 @@ describe("the lease of control on the page", () => {
     const forNow = { holder: ME, label: "Otto", what: "page" };
     expect(said(lease({ ...forNow, asking }), "operator")).toEqual(["You hold control for now; Petra asks for it", "Take", "Hand over to Petra"]);
     expect(said(lease({ ...forNow, asking }), "pupil")).toEqual(["You hold control for now; Petra asks for it", "Hand over to Petra"]);
-    expect(said(lease({ asking }), "operator")).toEqual(["Nobody holds control; Petra asks for it", "Take"]);
+    expect(said(lease({ asking }), "operator")).toEqual(["Control is free; Petra asks for it", "Take"]);
     // a second page of the same address is another page
     const second: [string, string][] = [["me2", "window B"]];
     expect(said(lease({ ...forNow, kept: true, asking: second }), "operator")).toEqual(["You hold control; window B asks for it", "Hand over to window B", "Let go"]);
@@ -62,7 +62,7 @@ describe("the lease of control on the page", () => {
     expect(store.ownLease).toBe(0);
   });
   test("a pupil asks, a teacher takes and hands over", () => {
-    expect(said(lease(), "pupil")).toEqual(["Nobody holds control", "Ask"]);
+    expect(said(lease(), "pupil")).toEqual(["Control is free", "Ask"]);
     expect(said(lease(paul), "teacher")).toEqual(["Paul holds control", "Take"]);
     expect(said(lease({ ...paul, asking: [["q", "Petra"]] }), "teacher")).toEqual(["Paul holds control; Petra asks for it", "Take", "Hand over to Petra"]);
   });
