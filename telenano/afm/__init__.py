@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.afm.cantilever import Plant as Plant
     from telenano.afm.cantilever import deflection_m as deflection_m
     from telenano.afm.cantilever import equilibrium as equilibrium
     from telenano.afm.cantilever import initial_state as initial_state
