@@ -11,8 +11,9 @@ from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
-from telenano.wire import TOPICS, WireError, accept, fields_of
+from telenano.wire import Topic, WireError, accept, fields_of
 from telenano.wire.schema import json_schema
+from telenano.wire.topics import row_of
 
 ROOT = Path(__file__).parents[3]
 TRUTH = "afm/particles"
@@ -28,6 +29,14 @@ SAYS_IT = {
 }
 
 
+@pytest.fixture
+def row() -> Topic:
+    """The row of the topic, for which its package is imported."""
+    found = row_of(TRUTH)
+    assert found is not None
+    return found
+
+
 def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
     folders = ("services", "telenano", "packages")
     names = set()
@@ -39,15 +48,14 @@ def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
     assert names == SAYS_IT
 
 
-def test_the_truth_is_recorded_and_goes_to_no_other_machine_and_to_no_node() -> None:
-    row = TOPICS[TRUTH]
+def test_the_truth_is_recorded_and_goes_to_no_other_machine_and_to_no_node(row: Topic) -> None:
     assert row.recorded and row.bridged is None and row.publishers == ("afm_node",)
     inputs = (afm.INPUTS, *(half.inputs for half in HALVES.values()), haptic.INPUTS, TOPICS_SHOWN)
     assert not any(TRUTH in topics for topics in inputs)
 
 
-def test_a_message_of_the_truth_is_marked_as_simulated() -> None:
+def test_a_message_of_the_truth_is_marked_as_simulated(row: Topic) -> None:
     assert json_schema(AfmParticles)["properties"]["simulated"]["const"] is True
-    truth = fields_of(examples(TOPICS[TRUTH])["ordinary"])
+    truth = fields_of(examples(row)["ordinary"])
     with pytest.raises(WireError, match="simulated must be true"):
         accept(TRUTH, msgpack.packb({**truth, "simulated": False}))
