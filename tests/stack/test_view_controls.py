@@ -1,4 +1,7 @@
-"""Controls of the page in a browser, beside a rig whose state the test sets: within reach, uncut, and answered."""
+"""Controls of the page in a browser, beside a rig whose state the test sets: within reach, uncut, and answered.
+
+With TELENANO_PICTURES it keeps the pictures of such states that docs/view.md shows.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -44,6 +47,7 @@ def test_after_a_stop_the_rig_is_armed_within_reach_of_the_thumb_and_no_second_t
     assert set(rig.asked) == {"estop"}
     bar = box(page, "#rearm")
     if size is PHONE:
+        page.picture("stopped-phone")
         # It is above the stop, and both are in the lower quarter of the window.
         assert 0.75 * size["height"] < bar["y"] < bar["y"] + bar["height"] < stop["y"]
     assert bar["height"] >= 44.0
@@ -171,6 +175,8 @@ def test_control_goes_from_one_window_to_another_by_what_they_read_on_the_page(
     press(second, "Ask")
     reads(second, "you have asked and are next")
     reads(first, "window B asks for it")
+    first.value("document.querySelectorAll('.answer').forEach((shown) => shown.remove())")
+    first.picture("asked-laptop")
     press(first, "Hand over to window B")
     reads(first, "Window B holds control")
     reads(second, "You hold control")
@@ -190,14 +196,21 @@ def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_th
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    page.value("addEventListener('pointermove', (event) => { window.lastY = event.clientY; }, true); 0")
     page.click("#hand-keep")
     page.press(10.0)
-    page.page.mouse.up()
     until(lambda: page.last("hand", "force") > 1.0, "a force at the hand")
     # What is felt drops to none, as in the haptic node where it has heard nothing for too long.
     rig.is_deaf = True
     until(lambda: "NOT AS HELD" in page.banners(), "the banner")
     until(lambda: "the hand presses with 0.0 N" in page.page.inner_text("#hand-text"), "the words at the pad")
+    page.picture("not-as-held-laptop")
+    # What is said takes room of the pad, and the hand that is still dragged means no other place by it.
+    before = page.value("telenano.cockpit.hand.force")
+    at = box(page, "#hand-pad")
+    page.page.mouse.move(at["x"] + 121.0, page.value("window.lastY"))
+    assert page.value("telenano.cockpit.hand.force") == pytest.approx(before, rel=0.02)
+    page.page.mouse.up()
     rig.is_deaf = False
     until(lambda: "NOT AS HELD" not in page.banners(), "the end of the banner")
     rig.is_silent = True

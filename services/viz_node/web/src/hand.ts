@@ -65,7 +65,8 @@ export class Hand {
   may: () => boolean = () => false;
   private meant: number | undefined;
   private across: [number, number] | undefined;
-  private grabbedAt = { y: 0, arm: 0 };
+  /** With the height of the pad, which may change while it is held: what is shown beside it must not move the hand. */
+  private grabbedAt = { y: 0, arm: 0, height: 1 };
   private refusal = "";
   /** How late the server finds this hand [s]; 0 where it counts. */
   private lateS = 0;
@@ -81,12 +82,12 @@ export class Hand {
     this.pad.addEventListener("pointerdown", (event) => {
       if (!this.isOffered) return;
       this.pad.setPointerCapture(event.pointerId);
-      this.grabbedAt = { y: event.clientY, arm: this.arm };
+      this.grabbedAt = { y: event.clientY, arm: this.arm, height: this.pad.clientHeight };
       this.hold(this.arm);
     });
     this.pad.addEventListener("pointermove", (event) => {
       if (this.meant === undefined || !this.pad.hasPointerCapture(event.pointerId)) return;
-      this.hold(this.grabbedAt.arm + ((event.clientY - this.grabbedAt.y) / this.pad.clientHeight) * TRAVEL_M);
+      this.hold(this.grabbedAt.arm + ((event.clientY - this.grabbedAt.y) / this.grabbedAt.height) * TRAVEL_M);
     });
     for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) this.pad.addEventListener(name, () => this.release());
     this.pad.addEventListener("keydown", (event) => {
@@ -180,7 +181,7 @@ export class Hand {
   private isGrabbed = false;
 
   private drag(down_m: number, isGrabbed: boolean): void {
-    if (this.meant === undefined || !isGrabbed) this.grabbedAt = { y: 0, arm: this.arm };
+    if (this.meant === undefined || !isGrabbed) this.grabbedAt = { y: 0, arm: this.arm, height: 1 };
     this.hold(this.grabbedAt.arm + down_m);
   }
 
