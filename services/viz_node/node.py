@@ -62,7 +62,7 @@ class PageNode(Node):
         self._hub.close()
 
     def _say_who(self, holder: Party | None) -> None:
-        """Publish who holds control, for a recording; whoever has no name and acts for a moment is none to be named."""
+        """Publish who holds control, for a recording; a party without a name that acts for a moment is not named."""
         named = holder if holder is not None and (holder.name or self._hub.desk.lease.kept) else None
         if named != self._said:
             self._said = named

@@ -72,7 +72,7 @@ def findings(known: list[Word]) -> Iterator[Finding]:
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for name in listed.splitlines():
         path = ROOT / name
-        is_test = name.startswith(("tests/", "benchmarks/")) or "/tests/" in name
+        is_test = name.startswith(("tests/", "benchmarks/")) or bool({"test", "tests"} & set(path.parts))
         if is_test or name in GENERATED or not path.exists():
             continue
         if path.suffix == ".py":
