@@ -475,7 +475,7 @@ def test_a_driver_that_fails_in_its_retraction_is_told_and_its_connection_ended(
     rig.node.make_safe()
     assert closed
     texts = [event.text for event in rig.bench.take("session/event")]
-    assert any("no retraction of the tip (an answer that nobody expected: ZeroDivisionError" in text for text in texts)
+    assert any("no retraction of the tip (an unexpected answer: ZeroDivisionError" in text for text in texts)
 
 
 @pytest.mark.parametrize(

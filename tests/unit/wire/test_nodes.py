@@ -161,7 +161,7 @@ def test_the_endpoints_of_the_link_are_at_both_sites() -> None:
 
 
 def test_the_scenario_has_a_section_for_each_node() -> None:
-    assert set(Scenario.model_fields) == {"name", "description", "duration_s", "realtime", *SERVICES}
+    assert set(Scenario.model_fields) == {"name", "description", "duration_s", "realtime", "instrument", *SERVICES}
 
 
 def test_the_local_site_has_every_node_that_is_not_optional() -> None:
