@@ -420,7 +420,7 @@ def test_questions_are_answered_on_the_terminal_and_the_page_is_the_same_from_th
     code, output, path = typed(tmp_path, "y\nwhat\nn\nend\n", "simulated_impedance")
     assert code == 1, output
     assert "rest (read only, 8 s): put the handle down, or hold it still." in output
-    assert "'what' is none of y, n and end" in output
+    assert "'what' is not y, n or end" in output
     assert "the person has ended it" in output
     with zipfile.ZipFile(path) as archive:
         assert set(archive.namelist()) == {"acceptance.json", "take.npz", "versions.json", "errors.json"}

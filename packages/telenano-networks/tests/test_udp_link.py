@@ -469,7 +469,8 @@ def test_the_command_carries_datagrams_changes_records_and_reports(tmp_path: Pat
     try:
         assert link.stderr is not None
         assert (
-            f"ready: datagrams to 127.0.0.1:{port} go on to {target} over the network custom" in link.stderr.readline()
+            f"ready: datagrams to 127.0.0.1:{port} are forwarded to {target} over the network custom"
+            in link.stderr.readline()
         )
         with closing(opened("127.0.0.1")) as client:
             for number in range(100):
