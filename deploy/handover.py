@@ -150,12 +150,16 @@ def recordings_of(summary: Path) -> dict[Path, str]:
 
 
 def in_out(line: str, folders: list[Path]) -> str:
-    """Return a line of output with the names that the files of sessions have on the machine."""
+    """Return a line of output with the names that the files of sessions have on the machine.
+
+    The command names them from the root, or from the folder of recordings, in which it runs.
+    """
     for summary in (summary for folder in folders for summary in sorted(folder.rglob("summary.json"))):
         place = Path("out") / summary.parent.relative_to(RECORDINGS / "sessions")
         for file, name in recordings_of(summary).items():
-            line = re.sub(rf"{re.escape(str(file))}(?![\w.])", str(place / name), line)
-    return line.replace(f"{RECORDINGS}/sessions/", "out/")
+            paths = "|".join(re.escape(path) for path in (str(file), os.path.relpath(file, RECORDINGS)))
+            line = re.sub(rf"(?<![\w./-])(?:{paths})(?![\w.])", str(place / name), line)
+    return re.sub(rf"(?<![\w./-])(?:{RECORDINGS}/)?sessions/", "out/", line)
 
 
 def hand_over(folder: Path, writer: socket.socket) -> list[str]:

@@ -121,6 +121,8 @@ def test_what_came_of_a_press_is_beside_it_and_among_the_events_and_moves_nothin
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    # the panel of a package comes when its module has been loaded
+    page.page.wait_for_selector("#tab-particles", state="attached")
     before = page.value(_BOXES)
     rig.delay_s = 0.5
     page.page.locator("#couple").click()

@@ -87,6 +87,10 @@ def test_output_names_files_as_they_are_called_on_the_machine(handover: Any) -> 
     line = f"view {recordings}/session_3.mcap {recordings}/session_30.mcap: {folder}/fig12.png\n"
     expected = f"view out/fig12-1/session.mcap {recordings}/session_30.mcap: out/fig12-1/fig12.png\n"
     assert handover.in_out(line, [folder]) == expected
+    # the command runs in the folder of recordings, and shortens what lies in it
+    assert handover.in_out(line.replace(f"{recordings}/", ""), [folder]) == (
+        "view out/fig12-1/session.mcap session_30.mcap: out/fig12-1/fig12.png\n"
+    )
 
 
 def test_a_folder_that_cannot_be_written_is_an_error_with_its_reason(handover: Any, writer: socket.socket) -> None:
