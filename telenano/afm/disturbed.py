@@ -200,6 +200,23 @@ def read_out(params: ConverterParams, noise: Noise, deflection_m: float) -> floa
 
 
 @compiled
+def _read_as(sample: AfmSample, base_m: float, deflection_m: float, force_n: float, voltage_v: float) -> AfmSample:
+    """Return a sample as its cantilever is read: base [m], deflection [m], force [N] and voltage of the bridge [V]."""
+    return AfmSample(
+        base_m=base_m,
+        deflection_m=deflection_m,
+        force_n=force_n,
+        bridge_voltage_v=voltage_v,
+        distance_m=sample.distance_m,
+        distance_valid=sample.distance_valid,
+        in_contact=sample.in_contact,
+        meniscus=sample.meniscus,
+        lateral_x_n=sample.lateral_x_n,
+        lateral_y_n=sample.lateral_y_n,
+    )
+
+
+@compiled
 def disturbed_step(
     params: DisturbedParams, state: DisturbedState, inputs: PlantInputs, noise: Noise, dt: float
 ) -> tuple[DisturbedState, AfmSample]:
@@ -217,18 +234,8 @@ def disturbed_step(
     )
     tip, sample = part_step(params.tip, state.tip, moved, dt)
     zeta = read_out(params.converter, noise, sample.deflection_m)
-    return DisturbedState(tip, piezo), AfmSample(
-        base_m=inputs.base_m,
-        deflection_m=zeta,
-        force_n=params.stiffness_n_per_m * zeta,
-        bridge_voltage_v=params.converter.volts_per_m * zeta,
-        distance_m=sample.distance_m,
-        distance_valid=sample.distance_valid,
-        in_contact=sample.in_contact,
-        meniscus=sample.meniscus,
-        lateral_x_n=sample.lateral_x_n,
-        lateral_y_n=sample.lateral_y_n,
-    )
+    force_n, voltage_v = params.stiffness_n_per_m * zeta, params.converter.volts_per_m * zeta
+    return DisturbedState(tip, piezo), _read_as(sample, inputs.base_m, zeta, force_n, voltage_v)
 
 
 class GaugedParams(NamedTuple):
@@ -246,18 +253,7 @@ class GaugedParams(NamedTuple):
 def _gauged_step(params: GaugedParams, state: Any, inputs: PlantInputs, dt: float) -> tuple[Any, AfmSample]:
     state, sample = part_step(params.tip, state, inputs, dt)
     zeta = sample.force_n / params.stiffness_n_per_m
-    return state, AfmSample(
-        base_m=sample.base_m,
-        deflection_m=zeta,
-        force_n=sample.force_n,
-        bridge_voltage_v=params.volts_per_m * zeta,
-        distance_m=sample.distance_m,
-        distance_valid=sample.distance_valid,
-        in_contact=sample.in_contact,
-        meniscus=sample.meniscus,
-        lateral_x_n=sample.lateral_x_n,
-        lateral_y_n=sample.lateral_y_n,
-    )
+    return state, _read_as(sample, sample.base_m, zeta, sample.force_n, params.volts_per_m * zeta)
 
 
 def gauged(tip: Any, cantilever: Plant) -> GaugedParams:
