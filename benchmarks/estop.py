@@ -25,7 +25,7 @@ import zmq
 from telenano.console.command_client import send_control
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.loop.commands import Command
-from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.signals import children
 from telenano.wire.errors import TelenanoError
 

@@ -35,7 +35,8 @@ from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.timing.clock import SystemClock
-from telenano.wire import TOPICS, decode, encode, fields_of
+from telenano.wire import TOPICS, decode, encode
+from telenano.wire.codec import fields_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 

@@ -36,7 +36,7 @@ from empty_loop import EmptyLoops
 from services.viz_node.requests import PROTOCOL
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
-from telenano.settings import SCENARIO_DIRECTORY
+from telenano.settings.included import SCENARIO_DIRECTORY
 from telenano.signals import children
 from telenano.wire import TOPICS
 

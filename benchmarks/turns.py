@@ -148,7 +148,7 @@ def recording() -> Callable[[], float]:
     from telenano.console.listener import Listener
     from telenano.recording.recorder_config import RecorderConfig
     from telenano.runtime.bus.bus import Subscriber
-    from telenano.settings import SITE_DIRECTORY
+    from telenano.settings.included import SITE_DIRECTORY
     from telenano.timing.clock import SystemClock
 
     rows = [(endpoint, [topic.encode(), payload], at) for at, _, endpoint, topic, payload in session()[0]._received]

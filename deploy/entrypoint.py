@@ -13,8 +13,8 @@ from telenano.launcher.plan import anchored
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.runtime.wiring.main import EXIT_BAD_START
-from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY
 from telenano.settings.config import ENVIRONMENT_PREFIX, layered
+from telenano.settings.included import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY
 from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.errors import ConfigError

@@ -207,7 +207,7 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     """
     from telenano.runtime.bus.address_book import load_site
     from telenano.runtime.wiring.observer import Observer, require_rig
-    from telenano.settings import DEFAULT_SITE_FILE
+    from telenano.settings.included import DEFAULT_SITE_FILE
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
     book = load_site(path)

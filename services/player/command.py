@@ -12,7 +12,7 @@ from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import print_answer, report_errors
-from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, TelenanoError
 
 _RATE_STEP = 1.25

@@ -17,7 +17,7 @@ from telenano.recording.multi_file import RecordingSource
 from telenano.runtime.bus.address_book import AddressBook, load_site
 from telenano.runtime.loop.realtime import on_time, shallow_idle
 from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
-from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RecordingError, RigError
 from telenano.wire.nodes import LINK, PLAYER, is_console, name_of

@@ -15,8 +15,8 @@ from telenano.cli.output import fail, fail_incomplete, print_answer, report_erro
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
-from telenano.settings import DEFAULT_SITE_FILE
 from telenano.settings.config import validate
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import TelenanoError
 
 _KEYS_TEXT = "s new file · q end"

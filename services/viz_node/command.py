@@ -41,7 +41,7 @@ from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Listener
 from telenano.serving.people import ROLES, People
 from telenano.serving.serve import Tls, addresses_of, announced, missing_for_view, served_addresses
-from telenano.settings import DEFAULT_SITE_FILE, DEMO_RECORDING
+from telenano.settings.included import DEFAULT_SITE_FILE, DEMO_RECORDING
 from telenano.timing.clock import SystemClock
 from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.nodes import PAGE

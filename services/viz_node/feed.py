@@ -9,7 +9,8 @@ import msgpack
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
 from telenano.recording.messages import LeftOut
 from telenano.serving.panels import installed_panels
-from telenano.wire import Message, fields_of
+from telenano.wire import Message
+from telenano.wire.codec import fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.nodes import site_of
 

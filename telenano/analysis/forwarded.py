@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from telenano.recording.tolerance import Tolerances, first_difference
-from telenano.wire import WireError, decode_header
+from telenano.wire import WireError
+from telenano.wire.codec import decode_header
 
 # This number of in a row are alike where the two are in step: one message and its duplicate are not enough.
 _IN_STEP = 8

@@ -5,7 +5,7 @@ from typing import Any
 
 def scenario_names(incomplete: str) -> list[str]:
     """Return the known scenarios that begin so."""
-    from telenano.settings import known_scenarios
+    from telenano.settings.included import known_scenarios
 
     return [name for name in known_scenarios() if name.startswith(incomplete)]
 
@@ -21,7 +21,7 @@ def scenario_keys(incomplete: str) -> list[str]:
     """Return what can follow in `SECTION.KEY=VALUE`: a section with its dot, a key with its `=`, a value of a list."""
     import json
 
-    from telenano.settings import SCHEMA_DIRECTORY
+    from telenano.settings.included import SCHEMA_DIRECTORY
 
     schema = json.loads((SCHEMA_DIRECTORY / "scenario.json").read_text(encoding="utf-8"))
     key, sign, value = incomplete.partition("=")

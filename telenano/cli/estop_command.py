@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
-from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
+from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from telenano.wire.errors import ConfigError, RigError, TelenanoError
 
 

@@ -7,7 +7,7 @@ import typer
 
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
-from telenano.settings import site_file_named
+from telenano.settings.included import site_file_named
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site
 

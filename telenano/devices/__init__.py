@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from telenano.devices.afm.capabilities import TABLE as TABLE
     from telenano.devices.afm.capabilities import AfmCapabilities as AfmCapabilities
     from telenano.devices.afm.capabilities import capabilities_of as capabilities_of
-    from telenano.devices.afm.capabilities import refusal as refusal
     from telenano.devices.afm.converter_calibration import CantileverCalibration as CantileverCalibration
     from telenano.devices.afm.converter_calibration import InstrumentCalibration as InstrumentCalibration
     from telenano.devices.afm.converter_calibration import Readings as Readings

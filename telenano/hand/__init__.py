@@ -14,15 +14,11 @@ if TYPE_CHECKING:
     from telenano.hand.coupling import FAULTS as FAULTS
     from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE
     from telenano.hand.coupling import GATE_DEADMAN as GATE_DEADMAN
-    from telenano.hand.coupling import GATE_DEVICE_SILENT as GATE_DEVICE_SILENT
     from telenano.hand.coupling import GATE_FROZEN as GATE_FROZEN
     from telenano.hand.coupling import GATE_JUMP as GATE_JUMP
     from telenano.hand.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
-    from telenano.hand.coupling import GATE_READY as GATE_READY
-    from telenano.hand.coupling import GATE_RELEASED as GATE_RELEASED
     from telenano.hand.coupling import GATE_REST as GATE_REST
     from telenano.hand.coupling import GATE_RUNAWAY as GATE_RUNAWAY
-    from telenano.hand.coupling import GATE_SILENT as GATE_SILENT
     from telenano.hand.coupling import GATES as GATES
     from telenano.hand.coupling import STABLE_MARGIN as STABLE_MARGIN
     from telenano.hand.coupling import ZERO as ZERO

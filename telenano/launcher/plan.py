@@ -20,9 +20,15 @@ from telenano.link.pipeline import read_files
 from telenano.runtime.bus.address_book import AddressBook, load_site
 from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
-from telenano.settings import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
 from telenano.settings.device_drivers import Drivers
+from telenano.settings.included import (
+    DEFAULT_SITE_FILE,
+    SCENARIO_DIRECTORY,
+    TWO_SITES_FILE,
+    find_scenario,
+    site_file_named,
+)
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.option import Option

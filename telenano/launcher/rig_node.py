@@ -12,7 +12,7 @@ from telenano.launcher.recorder_wait import has_last
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
-from telenano.wire import fields_of
+from telenano.wire.codec import fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of

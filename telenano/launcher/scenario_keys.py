@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import node_kind
-from telenano.settings import scenarios
 from telenano.settings.config import merge, read_yaml
+from telenano.settings.included import scenarios
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.nodes import SERVICES

@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from telenano.settings import NETWORK_DIRECTORY
 from telenano.settings.config import Settings, read_yaml, validate
+from telenano.settings.included import NETWORK_DIRECTORY
 from telenano.wire.errors import ConfigError, known_names
 
 Milliseconds = Annotated[float, Field(ge=0.0)]

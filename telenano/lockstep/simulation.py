@@ -43,8 +43,8 @@ from telenano.lockstep.link import Schedule, schedule_of
 from telenano.lockstep.lockstep import Trajectory, build_rig, simulate, time_to_place_s
 from telenano.lockstep.steering import columns_of
 from telenano.recording.column_table import ColumnTable
-from telenano.settings import find_scenario
 from telenano.settings.config import merge, nested, read_yaml
+from telenano.settings.included import find_scenario
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.scenario import scenario_of
 from telenano.wire.errors import ConfigError

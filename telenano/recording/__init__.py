@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from telenano.recording.channel_filter import Selection as Selection
     from telenano.recording.column_table import ColumnTable as ColumnTable
     from telenano.recording.export import Payload as Payload
-    from telenano.recording.export import export_recording as export_recording
     from telenano.recording.export import plain_schema as plain_schema
     from telenano.recording.export import viewer_json as viewer_json
     from telenano.recording.export import viewer_schema as viewer_schema
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
     from telenano.recording.indexed import IndexedRecording as IndexedRecording
     from telenano.recording.made_records import recorded as recorded
-    from telenano.recording.made_records import write_recording as write_recording
     from telenano.recording.messages import RawChannel as RawChannel
     from telenano.recording.messages import RecordedChannel as RecordedChannel
     from telenano.recording.messages import RecordedMessage as RecordedMessage

@@ -137,7 +137,9 @@ class RecordedMessage(NamedTuple):
 
     def checked_fields(self) -> Mapping[str, Any]:
         """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""
-        return wire.fields_of(self.decode())
+        from telenano.wire.codec import fields_of
+
+        return fields_of(self.decode())
 
 
 ChannelFilter = Callable[[RecordedChannel], bool]

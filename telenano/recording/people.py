@@ -5,7 +5,7 @@ from typing import Any
 
 from telenano.recording.messages import LeftOut
 from telenano.recording.multi_file import RecordingSource
-from telenano.wire import fields_of
+from telenano.wire.codec import fields_of
 
 TOPICS = ("session/control", "session/event")
 

@@ -15,7 +15,8 @@ from telenano.recording.info import END_NAME
 from telenano.recording.mcap_messages import Compression, MessageWriter
 from telenano.recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 from telenano.settings.package_topics import row_of
-from telenano.wire import TOPICS, fields_of
+from telenano.wire import TOPICS
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import Record
 from telenano.wire.nodes import site_of

@@ -11,7 +11,8 @@ from telenano.recording.tolerance import Tolerances, first_difference
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
 from telenano.runtime.bus.publisher import version_of
 from telenano.timing.clock import TurnClock
-from telenano.wire import Message, compose, fields_of
+from telenano.wire import Message, compose
+from telenano.wire.codec import fields_of
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import site_of
 from telenano.wire.received import Received

@@ -1,11 +1,8 @@
-"""The sites, scenarios and networks that come with the project, and the way from a name to their files."""
+"""Settings: their models, scenarios, sites and instruments, and the code of packages that a name in them leads to."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telenano.faces import face
-from telenano.settings.plugins import scenario_files
-from telenano.wire.errors import ConfigError, probably_meant
 
 if TYPE_CHECKING:
     from telenano.settings.config import Settings as Settings
@@ -22,6 +19,10 @@ if TYPE_CHECKING:
     from telenano.settings.device_drivers import haptic_driver as haptic_driver
     from telenano.settings.file_readers import FileReader as FileReader
     from telenano.settings.file_readers import read_by_package as read_by_package
+    from telenano.settings.included import DEFAULT_SITE_FILE as DEFAULT_SITE_FILE
+    from telenano.settings.included import DEMO_RECORDING as DEMO_RECORDING
+    from telenano.settings.included import TWO_SITES_FILE as TWO_SITES_FILE
+    from telenano.settings.included import find_scenario as find_scenario
     from telenano.settings.known_packages import where_it_is as where_it_is
     from telenano.settings.option import Option as Option
     from telenano.settings.plugins import all_installed as all_installed
@@ -32,52 +33,3 @@ if TYPE_CHECKING:
     from telenano.settings.scenario import scenario_of as scenario_of
 else:
     __getattr__, __dir__ = face(__name__)
-
-_FOLDER = Path(__file__).resolve().parent
-SITE_DIRECTORY = _FOLDER / "sites"
-SCENARIO_DIRECTORY = _FOLDER / "scenarios"
-NETWORK_DIRECTORY = _FOLDER / "networks"
-SCHEMA_DIRECTORY = _FOLDER / "schemas"
-DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
-TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
-# a session of Fig. 12, for who wants to see one before anything runs
-DEMO_RECORDING = _FOLDER / "demo.mcap"
-
-
-def scenarios() -> dict[str, Path]:
-    """Return the files of the scenarios that come with the project and with installed packages, by name."""
-    own = {path.stem: path for path in sorted(SCENARIO_DIRECTORY.glob("*.yaml"))}
-    return {**scenario_files().found, **own}
-
-
-def known_scenarios() -> list[str]:
-    """Return the names of the scenarios that come with the project and with installed packages."""
-    return sorted(scenarios())
-
-
-def find_scenario(name: str) -> Path:
-    """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
-    own = SCENARIO_DIRECTORY / f"{name}.yaml"
-    if "/" not in name and own.is_file():
-        return own
-    packages = scenario_files()
-    if name in packages.problems:
-        raise ConfigError(packages.problems[name])
-    path = packages.found.get(name, Path(name))
-    if path.suffix in (".yaml", ".yml") or path.exists():
-        return path
-    from telenano.settings.known_packages import where_it_is
-
-    if hint := where_it_is(f"scenario {name}"):
-        raise ConfigError(hint)
-    known = known_scenarios()
-    listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
-    raise ConfigError(f"unknown scenario {name!r}: {listed}")
-
-
-def site_file_named(given: Path | None) -> Path | None:
-    """Return the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
-    if given is None or given.suffix or given.exists():
-        return given
-    packaged = SITE_DIRECTORY / f"{given}.yaml"
-    return packaged if packaged.is_file() else given

@@ -10,14 +10,10 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.wire.codec import MAX_MESSAGE_BYTES as MAX_MESSAGE_BYTES
     from telenano.wire.codec import WireError as WireError
-    from telenano.wire.codec import accept as accept
     from telenano.wire.codec import compose as compose
     from telenano.wire.codec import decode as decode
-    from telenano.wire.codec import decode_header as decode_header
     from telenano.wire.codec import encode as encode
-    from telenano.wire.codec import fields_of as fields_of
     from telenano.wire.codec import keys_twice as keys_twice
     from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
@@ -71,6 +67,5 @@ if TYPE_CHECKING:
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
-    from telenano.wire.topics import take_up as take_up
 else:
     __getattr__, __dir__ = face(__name__)

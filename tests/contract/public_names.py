@@ -29,10 +29,6 @@ def offered() -> dict[str, set[str]]:
     }
     for path in sorted((library / "extend").glob("[a-z]*.py")):
         found[f"telenano.extend.{path.stem}"] = set(names_in(ast.parse(path.read_text("utf-8")).body))
-    # a room with code of its own in its `__init__`
-    found["telenano.settings"] |= set(
-        names_in(ast.parse((library / "settings" / "__init__.py").read_text("utf-8")).body)
-    )
     # a package may have a face of its own
     found["telenano.faces"] = {"face"}
     found[API] = set(names_of_all(library / "__init__.py"))

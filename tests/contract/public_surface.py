@@ -14,7 +14,7 @@ from public_names import offered
 
 from telenano.cli import exit_codes
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
-from telenano.settings import SCHEMA_DIRECTORY
+from telenano.settings.included import SCHEMA_DIRECTORY
 from telenano.settings.plugins import KINDS
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

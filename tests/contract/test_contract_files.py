@@ -24,7 +24,8 @@ from wire_contract import (
     rewrite,
 )
 
-from telenano.wire import WireError, accept, decode, encode
+from telenano.wire import WireError, decode, encode
+from telenano.wire.codec import accept
 from telenano.wire.messages import Record
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

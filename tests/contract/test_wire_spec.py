@@ -20,7 +20,8 @@ from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.transport import Transport
-from telenano.settings import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.settings.included import SITE_DIRECTORY
 from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.messages import AfmScanline, Array, Record, SessionControl

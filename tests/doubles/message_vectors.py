@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from telenano.wire import Topic, decode, decode_header, encode, json_schema, take_up
+from telenano.wire import Topic, decode, encode, json_schema
+from telenano.wire.codec import decode_header
+from telenano.wire.topics import take_up
 
 
 def vectors_of(path: Path, *rows: Topic) -> list[dict[str, Any]]:

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from telenano import wire
 from telenano.wire import Message, example, required_keys
+from telenano.wire.codec import fields_of as fields_of_message
 
 EPOCH_NS = 1_750_000_000_000_000_000
 MILLISECOND_NS = 1_000_000
@@ -19,7 +19,7 @@ def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
     """Return the fields of a valid message without its header; those that no test asks for as in `sample`."""
     present = {
         name: value
-        for name, value in wire.fields_of(example(topic)).items()
+        for name, value in fields_of_message(example(topic)).items()
         if value is not None or name in required_keys(topic)
     }
     return {name: value for name, value in (present | changes).items() if name not in ("seq", "t_ns", "src", "v")}

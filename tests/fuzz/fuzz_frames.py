@@ -16,7 +16,8 @@ from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings, flattened
 from telenano.settings.config import flatten
-from telenano.wire import Topic, encode, fields_of
+from telenano.wire import Topic, encode
+from telenano.wire.codec import fields_of
 from telenano.wire.messages import Array
 from telenano.wire.nodes import LINK, NODES, name_of
 from telenano.wire.topics import OWN_TOPICS as TOPICS

@@ -14,7 +14,8 @@ from fuzz_frames import Frames, stream
 from wire_contract import examples
 
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.wire import accept, encode
+from telenano.wire import encode
+from telenano.wire.codec import accept
 from telenano.wire.sequence import MOST_COUNTED
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

@@ -9,7 +9,7 @@ import pytest
 from test_virtual_stalls import Session
 from virtual_rig import VirtualRig
 
-from telenano.wire import fields_of
+from telenano.wire.codec import fields_of
 
 ROOT = Path(__file__).parents[2]
 HOUR_S = 3600.0

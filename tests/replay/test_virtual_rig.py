@@ -23,7 +23,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.rerun import rerun as rerun_module
 from telenano.rerun.rerun import RerunResult, rerun
 from telenano.runtime.loop.journal import DEFERRED
-from telenano.wire import fields_of
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import Array, LinkFates
 from telenano.wire.nodes import LINK, name_of, site_of

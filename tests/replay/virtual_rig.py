@@ -35,12 +35,14 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
-from telenano.settings import SITE_DIRECTORY, package_topics
+from telenano.settings import package_topics
 from telenano.settings.config import flag_overrides, merge
+from telenano.settings.included import SITE_DIRECTORY
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.testing import VirtualClock
 from telenano.timing.freshness import DELAY_STEP_NS
-from telenano.wire import Message, WireError, compose, decode, decode_header, encode
+from telenano.wire import Message, WireError, compose, decode, encode
+from telenano.wire.codec import decode_header
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received

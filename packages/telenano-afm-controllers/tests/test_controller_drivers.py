@@ -12,7 +12,7 @@ from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-from telenano.devices import refusal
+from telenano.devices.afm.capabilities import refusal
 from telenano.testing import afm_config, instrument_of, refused_laws
 from telenano.wire import ConfigError
 

@@ -21,7 +21,8 @@ from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
 from telenano.cli import hand_of
 from telenano.extend.hands import DeviceError
-from telenano.hand import GATE_ACTIVE, GATE_READY, CouplingSettings
+from telenano.hand import GATE_ACTIVE, CouplingSettings
+from telenano.hand.coupling import GATE_READY
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000

@@ -19,17 +19,14 @@ from telenano.extend.hands import DeviceError
 from telenano.hand import (
     GATE_ACTIVE,
     GATE_DEADMAN,
-    GATE_DEVICE_SILENT,
     GATE_FROZEN,
     GATE_JUMP,
     GATE_NOT_A_NUMBER,
-    GATE_READY,
-    GATE_RELEASED,
     GATE_REST,
     GATE_RUNAWAY,
-    GATE_SILENT,
     GATES,
 )
+from telenano.hand.coupling import GATE_DEVICE_SILENT, GATE_READY, GATE_RELEASED, GATE_SILENT
 
 HAND_N = 1.0
 # The hand pushes, something breaks, the hand holds the arm, it is mended, and the hand pushes again.

@@ -12,7 +12,9 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from telenano_protobuf.export import _payload_of
 
-from telenano.recording import export_recording, plain, recorded, write_recording
+from telenano.recording import plain, recorded
+from telenano.recording.export import export_recording
+from telenano.recording.made_records import write_recording
 from telenano.wire import example
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

@@ -14,7 +14,8 @@ import pytest
 from export_samples import HEIGHTS, hand_recording, rich_recording
 from recorder_samples import EPOCH_NS, NODE, haptic_state
 
-from telenano.recording import Selection, export_recording, typed_columns
+from telenano.recording import Selection, typed_columns
+from telenano.recording.export import export_recording
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyWriter

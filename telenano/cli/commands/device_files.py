@@ -8,7 +8,7 @@ import yaml
 from pydantic import BaseModel
 
 from telenano.files.whole_files import whole_file
-from telenano.settings import find_scenario
+from telenano.settings.included import find_scenario
 from telenano.wire.errors import TelenanoError
 
 Section = TypeVar("Section", bound=BaseModel)

@@ -24,7 +24,7 @@ from telenano.doctor import checks
 from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.extend.checks import Finding
 from telenano.launcher.processors import held, shared_folder
-from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.settings.package_topics import installed_topics, row_of
 from telenano.settings.plugins import (
     KINDS,

@@ -16,8 +16,8 @@ from telenano.link.profiles import PROFILES, profile_named
 from telenano.recording.tables import json_fields
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import RIG_HINT, Observer, messages_of
-from telenano.settings import DEFAULT_SITE_FILE
 from telenano.settings.config import flatten
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import RigError
 from telenano.wire.nodes import LINK
 

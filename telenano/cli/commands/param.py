@@ -8,7 +8,7 @@ import yaml
 from telenano.cli.completion import scenario_names, scenario_sections
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
-from telenano.settings import find_scenario
+from telenano.settings.included import find_scenario
 from telenano.wire.errors import ConfigError, probably_meant
 
 app = command_group()

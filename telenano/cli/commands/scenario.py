@@ -11,8 +11,8 @@ from telenano.cli.completion import scenario_names
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
 from telenano.files.whole_files import whole_file
-from telenano.settings import find_scenario, scenarios
 from telenano.settings.config import read_yaml
+from telenano.settings.included import find_scenario, scenarios
 from telenano.wire.errors import ConfigError
 
 app = command_group()
@@ -73,8 +73,8 @@ def new(
 ) -> None:
     """Write a scenario file of your own, which an editor completes by its JSON Schema."""
     with report_errors(as_json):
-        from telenano.settings import SCHEMA_DIRECTORY
         from telenano.settings.config import validate as validated
+        from telenano.settings.included import SCHEMA_DIRECTORY
         from telenano.settings.scenario import Scenario
 
         path = out or Path(f"{name}.yaml")

@@ -17,7 +17,7 @@ from telenano.console.coupling import couple_anew
 from telenano.console.lease import CONSOLE
 from telenano.console.lease_register import holding
 from telenano.runtime.loop.commands import Command, CommandName
-from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.timing.clock import process_start_ns
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site

@@ -20,7 +20,7 @@ from telenano.launcher.rigs import RigFacts, about_rig, running_rigs
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.runtime.wiring.observer import Observer
-from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.timing.loop_age import Part, in_words
 
 _DEFAULT_S = 1.5

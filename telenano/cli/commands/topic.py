@@ -32,8 +32,9 @@ from telenano.runtime.wiring.observer import (
     messages_of,
     require_rig,
 )
-from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TOPICS, Message, decode_header
+from telenano.settings.included import DEFAULT_SITE_FILE
+from telenano.wire import TOPICS, Message
+from telenano.wire.codec import decode_header
 from telenano.wire.errors import RigError
 from telenano.wire.received import Received
 

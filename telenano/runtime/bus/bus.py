@@ -11,8 +11,8 @@ import zmq
 
 from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from telenano.timing.clock import NEVER_NS, Clock
-from telenano.wire import TOPICS, WireError, accept, read_header
-from telenano.wire.codec import MAX_MESSAGE_BYTES
+from telenano.wire import TOPICS, WireError, read_header
+from telenano.wire.codec import MAX_MESSAGE_BYTES, accept
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival, SequenceTracker

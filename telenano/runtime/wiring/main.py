@@ -32,7 +32,7 @@ from telenano.runtime.wiring.participant import (
     open_participant,
     run_loop,
 )
-from telenano.settings import DEFAULT_SITE_FILE, find_scenario, site_file_named
+from telenano.settings.included import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from telenano.settings.plugins import fault_of_package
 from telenano.settings.scenario import RealtimeConfig, load_scenario
 from telenano.signals.children import die_with_parent

@@ -11,7 +11,8 @@ from telenano.analysis.report import read_session
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.settings.scenario import Scenario
-from telenano.wire import encode, fields_of
+from telenano.wire import encode
+from telenano.wire.codec import fields_of
 
 SCENARIO = Scenario(
     name="trial", description="", duration_s=1.0, controller={"law": "wave"}, delay_node={"profile": "lte", "seed": 7}

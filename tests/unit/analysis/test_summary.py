@@ -22,7 +22,7 @@ from telenano.recording.channel_filter import ALL
 from telenano.recording.indexed import open_indexed
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.rewrite import filter_recording
-from telenano.settings import SCHEMA_DIRECTORY
+from telenano.settings.included import SCHEMA_DIRECTORY
 
 ROOT = Path(__file__).resolve().parents[3]
 # a session in its whole length, and what may happen to one

@@ -13,7 +13,8 @@ from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app
 from telenano.runtime.wiring.main import node_kind, parse_arguments, run_node
-from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins
+from telenano.settings.included import site_file_named
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import RigError
 

@@ -16,8 +16,9 @@ from telenano.analysis import Image
 from telenano.cli import lazy_commands, write_images
 from telenano.cli.commands.doctor import checks_of_packages
 from telenano.cli.root import app
-from telenano.recording import recorded, write_recording
+from telenano.recording import recorded
 from telenano.recording.export import export_recording
+from telenano.recording.made_records import write_recording
 from telenano.recording.provenance import plugin_facts
 from telenano.settings import plugins
 from telenano.wire import example

@@ -17,8 +17,8 @@ from telenano.cli import completion
 from telenano.cli.root import app
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
-from telenano.settings import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from telenano.settings.config import read_yaml
+from telenano.settings.included import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import SERVICES
 

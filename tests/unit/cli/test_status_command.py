@@ -28,7 +28,7 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.timing.clock import SystemClock
-from telenano.wire import fields_of
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import RigError
 from telenano.wire.messages import InputHealth, Message, NodeHealth
 from telenano.wire.received import Received

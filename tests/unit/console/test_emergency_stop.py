@@ -28,7 +28,8 @@ from telenano.runtime.loop.commands import CommandHandler
 from telenano.runtime.wiring.transport import EstopInlet
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.timing.clock import SystemClock
-from telenano.wire import decode, encode, fields_of
+from telenano.wire import decode, encode
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import EndpointError, RigError
 from telenano.wire.messages import SessionControl
 from telenano.wire.nodes import DEVICES

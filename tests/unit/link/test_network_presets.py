@@ -15,8 +15,8 @@ from telenano.link.engine import fates_of
 from telenano.link.models.jitter import JitterSource, hyperexponential_quantile
 from telenano.link.profiles import PROFILES, Profile, profile_named
 from telenano.link.random_streams import stream
-from telenano.settings import NETWORK_DIRECTORY
 from telenano.settings.config import validate
+from telenano.settings.included import NETWORK_DIRECTORY
 from telenano.wire.errors import ConfigError
 
 DIRECTIONS = ("forward", "backward")

@@ -7,7 +7,7 @@ import pytest
 import telenano
 from telenano.laws.config import OWN_LAWS
 from telenano.lockstep.simulation import SimulatedSession
-from telenano.settings import SCENARIO_DIRECTORY
+from telenano.settings.included import SCENARIO_DIRECTORY
 from telenano.wire.errors import ConfigError, RigError
 
 LAWS = tuple(OWN_LAWS)

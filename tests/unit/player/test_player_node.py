@@ -26,7 +26,8 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.testing import VirtualClock
-from telenano.wire import decode, encode, fields_of
+from telenano.wire import decode, encode
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
 from telenano.wire.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
 from telenano.wire.nodes import PLAYER

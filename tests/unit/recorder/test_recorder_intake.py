@@ -19,7 +19,8 @@ from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.security.peer_connections import MessagePermissions
 from telenano.testing import VirtualClock
-from telenano.wire import MAX_MESSAGE_BYTES, Message, encode, fields_of
+from telenano.wire import Message, encode
+from telenano.wire.codec import MAX_MESSAGE_BYTES, fields_of
 from telenano.wire.ends import end_data
 from telenano.wire.messages import SessionControl
 

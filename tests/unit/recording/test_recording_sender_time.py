@@ -16,7 +16,8 @@ from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
 from telenano.recording.writer import RecordingWriter
-from telenano.wire import Message, encode, fields_of
+from telenano.wire import Message, encode
+from telenano.wire.codec import fields_of
 from telenano.wire.ends import end_data
 from telenano.wire.messages import LinkClock
 

@@ -16,7 +16,8 @@ from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GAP_TOPIC, GapRecord
 from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode, fields_of
+from telenano.wire import encode
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import HapticState
 from telenano.wire.schema import json_schema

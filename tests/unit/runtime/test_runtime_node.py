@@ -25,7 +25,8 @@ from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
-from telenano.wire import Message, compose, encode, fields_of
+from telenano.wire import Message, compose, encode
+from telenano.wire.codec import fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.journal_messages import NodeJournal

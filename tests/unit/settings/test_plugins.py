@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from telenano.settings import find_scenario, known_scenarios, plugins
+from telenano.settings import find_scenario, plugins
+from telenano.settings.included import known_scenarios
 from telenano.wire.errors import ConfigError
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from telenano.settings import SCHEMA_DIRECTORY
+from telenano.settings.included import SCHEMA_DIRECTORY
 from telenano.signals import children
 
 SCHEMA = json.loads((SCHEMA_DIRECTORY / "scenario.json").read_text())

@@ -10,7 +10,8 @@ from wire_contract import examples
 from telenano.link.declared_delay import DeclaredDelay
 from telenano.link.fate import Release, delayed
 from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
-from telenano.wire import encode, fields_of
+from telenano.wire import encode
+from telenano.wire.codec import fields_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 from telenano.wire.topics import LOOP_DEADLINE_S, TOPICS

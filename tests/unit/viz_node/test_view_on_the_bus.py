@@ -25,7 +25,7 @@ from telenano.runtime.wiring.observer import Observer
 from telenano.runtime.wiring.participant import open_participant
 from telenano.serving.access import Role
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import fields_of
+from telenano.wire.codec import fields_of
 from telenano.wire.errors import RigError, TelenanoError
 from telenano.wire.messages import Array
 from telenano.wire.nodes import TIP

@@ -17,18 +17,17 @@ from hypothesis import strategies as st
 from processor_time import ratio_of_costs
 from wire_contract import examples, schema_of
 
-from telenano.wire import (
+from telenano.wire import Message, WireError, decode, encode, read_header
+from telenano.wire.codec import (
     MAX_MESSAGE_BYTES,
-    Message,
-    WireError,
+    MAX_PLAIN_BYTES,
+    MOST_BYTES,
     accept,
-    decode,
     decode_header,
-    encode,
     fields_of,
-    read_header,
+    keys_twice,
+    sound_header,
 )
-from telenano.wire.codec import MAX_PLAIN_BYTES, MOST_BYTES, keys_twice, sound_header
 from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from wire_contract import examples
 
-from telenano.wire import accept, compose, fields_of
+from telenano.wire import compose
+from telenano.wire.codec import accept, fields_of
 from telenano.wire.messages import Array, HapticState
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

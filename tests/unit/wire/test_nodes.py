@@ -13,7 +13,8 @@ from makefile import makefile_words
 
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.main import NodeKind, node_kind
-from telenano.settings import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from telenano.settings.included import SITE_DIRECTORY
 from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import (
     HAND,

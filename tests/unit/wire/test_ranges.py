@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from telenano.wire import WireError, accept, compose, encode
+from telenano.wire import WireError, compose, encode
+from telenano.wire.codec import accept
 from telenano.wire.messages import InputHealth, LawStatus
 from telenano.wire.sequence import MOST_COUNTED
 from telenano.wire.topics import TOPICS
