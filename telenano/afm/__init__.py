@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from telenano.afm.layers import Height as Height
     from telenano.afm.layers import Layer as Layer
     from telenano.afm.layers import Said as Said
+    from telenano.afm.made_samples import SampleConfig as SampleConfig
     from telenano.afm.part import Part as Part
     from telenano.afm.part import inputs_over as inputs_over
     from telenano.afm.part import motion_around as motion_around
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.safety import initial_safety_state as initial_safety_state
     from telenano.afm.sample.surface import Surface as Surface
+    from telenano.afm.sample.surface import dilated as dilated
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface

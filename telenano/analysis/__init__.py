@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     from telenano.analysis.holds import FactKind as FactKind
     from telenano.analysis.holds import judge_holds as judge_holds
     from telenano.analysis.holds import lacks_of as lacks_of
-    from telenano.analysis.image_files import Image as Image
-    from telenano.analysis.image_files import ImageFacts as ImageFacts
-    from telenano.analysis.image_files import LiveImage as LiveImage
-    from telenano.analysis.image_files import image_figure as image_figure
-    from telenano.analysis.image_files import images_of_lines as images_of_lines
     from telenano.analysis.intervals import DEVIATIONS as DEVIATIONS
     from telenano.analysis.intervals import half_width as half_width
     from telenano.analysis.intervals import wilson as wilson

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from telenano.cli.completion import law_names as law_names
     from telenano.cli.exit_codes import EXIT_FAILED as EXIT_FAILED
     from telenano.cli.exit_codes import EXIT_INCOMPLETE as EXIT_INCOMPLETE
-    from telenano.cli.image_output import write_images as write_images
     from telenano.cli.keyboard import RawKeyboard as RawKeyboard
     from telenano.cli.model_options import validated as validated
     from telenano.cli.model_options import with_options as with_options
@@ -39,13 +38,8 @@ if TYPE_CHECKING:
     from telenano.cli.output import print_rows as print_rows
     from telenano.cli.output import report_errors as report_errors
     from telenano.cli.output import results_folder as results_folder
+    from telenano.cli.output import results_in as results_in
     from telenano.cli.progress_bar import progress as progress
-    from telenano.cli.sample_options import ChannelOption as ChannelOption
-    from telenano.cli.sample_options import SampleOption as SampleOption
-    from telenano.cli.sample_options import SampleSetOption as SampleSetOption
-    from telenano.cli.sample_options import SampleSizeOption as SampleSizeOption
-    from telenano.cli.sample_options import results_in as results_in
-    from telenano.cli.sample_options import sample_config as sample_config
     from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
     from telenano.cli.simulated_instrument import hand_of as hand_of
     from telenano.cli.simulated_instrument import simulated_afm as simulated_afm

@@ -53,12 +53,11 @@ _ABOUT = {
     "param": "List the keys of a scenario, and get their values.",
     "law": "List, show and check laws, those of packages included.",
     "new": "Make a package with a law, device, sample or program.",
-    "sample": "Make or read a surface as a round tip sees it.",
     "keys": "Make, show and list the keys that identify machines.",
     "device": "List, probe and watch real devices; emulate some.",
     "doctor": "Check whether this machine can run a rig.",
 }
-_GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "sample", "keys", "device")
+_GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "keys", "device")
 _MODULES = {name: f"telenano.cli.commands.{name}" for name in _ABOUT}
 # A command that is a process of the rig lies with that process.
 _PROCESSES = (("record", "recorder"), ("replay", "player"), ("view", "viz_node"))
@@ -249,10 +248,12 @@ class OpenGroup(TyperGroup):
         path = (*self.path, name)
         if row := self.own_rows.get(name) or self.rows().get(name):
             return name, load_row(name, row, path), args[1:]
-        if package := KNOWN_PACKAGES.get(" ".join(path)):
+        # A command of a group that is missing as well may be of another package than the group.
+        if words := [each for each in (" ".join([*path, *args[1:2]]), " ".join(path)) if each in KNOWN_PACKAGES]:
             from telenano.wire.extras import how_to_add_package
 
-            ctx.fail(f"the command {name!r} is in the package {package}: {how_to_add_package(package)}")
+            package, last = KNOWN_PACKAGES[words[0]], words[0].removeprefix(" ".join([*self.path, ""]))
+            ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
         return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
 

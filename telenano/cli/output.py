@@ -20,7 +20,7 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_IN
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
 from telenano.files.printable import printable
-from telenano.files.whole_files import WRITE_ERRORS, new_folder
+from telenano.files.whole_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
@@ -112,6 +112,21 @@ def results_folder(out: Path) -> Iterator[None]:
         except OSError as error:
             raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
         yield
+
+
+@contextlib.contextmanager
+def results_in(out: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
+
+    Raises:
+        TelenanoError: The folder cannot be made.
+    """
+    with contextlib.ExitStack() as results:
+        try:
+            folder = results.enter_context(whole_results(out))
+        except OSError as error:
+            raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
+        yield folder
 
 
 def print_json(document: Any) -> None:

@@ -109,7 +109,7 @@ class Payload(NamedTuple):
 
 
 def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
-    loaded = plugins.load("exports", plugins.function_of, FORMATS, only=kind)
+    loaded = plugins.load("exports", taken=FORMATS, only=kind)
     if kind in loaded.problems:
         raise ConfigError(loaded.problems[kind])
     if kind in loaded.found:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from telenano.settings.config import merge as merge
     from telenano.settings.config import nested as nested
     from telenano.settings.config import parse_yaml as parse_yaml
+    from telenano.settings.config import permit_code as permit_code
     from telenano.settings.config import read_yaml as read_yaml
     from telenano.settings.config import refused_code as refused_code
     from telenano.settings.config import section_of as section_of

@@ -76,6 +76,14 @@ def filled(kind: type[T], settings: BaseModel, /, **others: Any) -> T:
     return kind(**{**own, **others})
 
 
+def permit_code() -> None:
+    """Let this process and those that it starts run code that settings name: the person who started it has named it.
+
+    permit_code()    # `telenano sample --sample my_module:hills` names the function itself
+    """
+    os.environ[ALLOW_CODE_VARIABLE] = "1"
+
+
 def refused_code(setting: str, named: str) -> str:
     """Return why code that a setting names is not run; empty where the person who started this process allows it."""
     if os.environ.get(ALLOW_CODE_VARIABLE):

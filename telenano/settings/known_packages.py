@@ -58,6 +58,7 @@ KNOWN_PACKAGES = {
     "reader other": "telenano-afm-files",
     "relay": "telenano-wide-area",
     "reproduce": "telenano-studies",
+    "sample": "telenano-microscopy",
     "sample import": "telenano-afm-files",
     "sample info": "telenano-afm-files",
     "scenario assembly": "telenano-assembly",

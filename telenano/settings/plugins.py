@@ -21,7 +21,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points, version
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, overload
 
 # What scenarios and experiments name, and so what a run depends on.
 SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "layers", "maps", "programs", "tasks", "scenarios")
@@ -110,19 +110,38 @@ def _other_version(required: Iterable[str], own: str) -> str:
     return ""
 
 
+def _function(_: str, value: Any) -> Any:
+    """Return an entry that is a function; TypeError for another one."""
+    if not callable(value):
+        raise TypeError(f"is a {type(value).__name__}, must be a function")
+    return value
+
+
+@overload
+def load(kind: str, *, taken: Collection[str] = (), only: str | None = None) -> Loaded[Callable[..., Any]]: ...
+
+
+@overload
 def load(
     kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = (), only: str | None = None
-) -> Loaded[T]:
+) -> Loaded[T]: ...
+
+
+def load(
+    kind: str, check: Callable[[str, Any], Any] = _function, taken: Collection[str] = (), only: str | None = None
+) -> Loaded[Any]:
     """Import the entries of a kind.
+
+    load("exports", only="nexus").found["nexus"]    # the function that writes NeXus files
 
     Args:
         kind: The kind of entries.
         check: Returns what is used of an entry, None if it is for something else, and raises TypeError or ValueError
-            that says what is wrong with it.
+            that says what is wrong with it; without it every entry must be a function.
         taken: The names that the project uses itself.
         only: The name of the one entry that is wanted; None for all of them.
     """
-    loaded: Loaded[T] = Loaded({}, {})
+    loaded = Loaded[Any]({}, {})
     for name, row in installed(kind).items():
         if only not in (None, name):
             continue
@@ -239,13 +258,6 @@ def _files(top_level: str) -> Iterable[tuple[str, Path]]:
         found = [(path.relative_to(root).as_posix(), path) for root in roots for path in root.rglob("*")]
         return sorted((name, path) for name, path in found if path.is_file() and "__pycache__" not in path.parts)
     return [(Path(spec.origin).name, Path(spec.origin))] if spec and spec.origin else []
-
-
-def function_of(_: str, value: Any) -> Any:
-    """Return an entry that is a function; TypeError for another one."""
-    if not callable(value):
-        raise TypeError(f"is a {type(value).__name__}, must be a function")
-    return value
 
 
 def scenario_files() -> Loaded[Path]:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_microscopy.image_files import Image, write_gwy
 
 from telenano.afm.sample.surface_files import read_surface
-from telenano.analysis.image_files import Image, write_gwy
 from telenano.settings import file_readers
 from telenano.wire.errors import ConfigError
 

@@ -28,10 +28,10 @@ from telenano_afm_files import gwyddion
 from telenano_afm_files.map_files import Wanted, import_map
 from telenano_calibration.own_calibration import spectrum_of
 from telenano_microscopy.force_curve import Curve, read_measured
+from telenano_microscopy.image_files import Image, write_gwy
 from typer.testing import CliRunner
 
 from telenano.afm.sample.surface_files import read_surface
-from telenano.analysis.image_files import Image, write_gwy
 from telenano.cli.root import app
 from telenano.wire.errors import ConfigError
 

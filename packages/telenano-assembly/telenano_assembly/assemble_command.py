@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 from telenano_microscopy.program_view import AfmOption, LiveOption
+from telenano_microscopy.sample_options import ChannelOption
 
-from telenano.cli import (
-    ChannelOption,
-    JsonOption,
-    SiteFileOption,
-    print_document,
-    progress,
-    report_errors,
-    results_in,
-)
+from telenano.cli import JsonOption, SiteFileOption, print_document, progress, report_errors, results_in
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from telenano_microscopy.image_files import LiveImage
 from telenano_microscopy.live_program import run_program
 
 from telenano.afm import AfmConfig
-from telenano.analysis import LiveImage
 from telenano.wire import RigError, Scalar
 from telenano_assembly.run import ProgramBench
 

@@ -76,7 +76,7 @@ def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
 
 
 def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
-    from telenano.analysis import LiveImage
+    from telenano_microscopy.image_files import LiveImage
 
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:

@@ -6,11 +6,11 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from telenano.analysis import LiveImage
 from telenano.console import holding, send_control
 from telenano.runtime import RIG_HINT, Command, Observer, load_site, require_rig
 from telenano.signals import held
 from telenano.wire import AfmProgram, AfmScanline, AfmState, NodeHealth, RigError, Scalar
+from telenano_microscopy.image_files import LiveImage
 
 # the instrument of a rig
 TIP = "afm_node@slave"

@@ -10,8 +10,8 @@ from telenano.cli import RawKeyboard
 from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.analysis import LiveImage
     from telenano.wire import AfmProgram, Scalar
+    from telenano_microscopy.image_files import LiveImage
     from telenano_microscopy.live_program import LiveCurve
 
 _BAR = 30

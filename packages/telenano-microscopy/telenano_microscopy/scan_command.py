@@ -8,17 +8,12 @@ import typer
 from telenano.afm import ScanSettings
 from telenano.cli import (
     EXIT_FAILED,
-    ChannelOption,
     JsonOption,
-    SampleOption,
-    SampleSetOption,
-    SampleSizeOption,
     SiteFileOption,
     print_document,
     progress,
     report_errors,
     results_in,
-    sample_config,
     validated,
     with_options,
 )
@@ -28,10 +23,17 @@ from telenano.signals import finishing
 from telenano.signals import received as signal_received
 from telenano.wire import RigError
 from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
+from telenano_microscopy.sample_options import (
+    ChannelOption,
+    SampleOption,
+    SampleSetOption,
+    SampleSizeOption,
+    sample_config,
+)
 
 if TYPE_CHECKING:
-    from telenano.analysis import Image
     from telenano.wire import Scalar
+    from telenano_microscopy.image_files import Image
     from telenano_microscopy.simulated_image import SimulatedImage
 
 # fields of the model for which the command has options of its own
@@ -76,7 +78,7 @@ def scan(
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
         from telenano.afm import AfmConfig
-        from telenano.cli import write_images
+        from telenano_microscopy.image_output import write_images
         from telenano_microscopy.simulated_image import take_image
 
         sample = sample_config(name, size, channel, settings)
@@ -122,8 +124,8 @@ def _scan_live(
     out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
 ) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
-    from telenano.analysis import LiveImage, images_of_lines
-    from telenano.cli import write_images
+    from telenano_microscopy.image_files import LiveImage, images_of_lines
+    from telenano_microscopy.image_output import write_images
 
     image = LiveImage()
     # The rig decides the values that were not given.
@@ -170,7 +172,7 @@ def _exit_if_interrupted(said: bool, partial: str) -> None:
 
 def _images(found: "SimulatedImage") -> "dict[str, Image]":
     """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
-    from telenano.analysis import Image, images_of_lines
+    from telenano_microscopy.image_files import Image, images_of_lines
 
     lines, count = found.lines, found.lines.finished
     images = images_of_lines(lines, count)

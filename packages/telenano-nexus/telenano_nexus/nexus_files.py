@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from telenano_microscopy.image_files import Image, ImageFacts, LiveImage, images_of_lines
 
 from telenano.afm import AfmConfig
-from telenano.analysis import Image, ImageFacts, LiveImage, images_of_lines, scenario_in
+from telenano.analysis import scenario_in
 from telenano.files import whole_file
 from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_programme
 from telenano.settings import validate

@@ -12,11 +12,11 @@ import h5py
 import msgspec
 import numpy as np
 import pytest
+from telenano_microscopy.image_files import Image, ImageFacts
 from telenano_nexus.nexus_files import write_images
 from typer.testing import CliRunner
 
 import telenano
-from telenano.analysis.image_files import Image, ImageFacts
 from telenano.cli.root import app
 from telenano.recording.channel_filter import Selection
 from telenano.recording.export import export_recording

@@ -29,7 +29,6 @@ from telenano.settings.package_topics import installed_topics, row_of
 from telenano.settings.plugins import (
     KINDS,
     all_installed,
-    function_of,
     installed,
     known_problems,
     load,
@@ -176,7 +175,7 @@ def extensions() -> list[Finding]:
 def checks_of_packages() -> list[Finding]:
     """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
     found: list[Finding] = []
-    for name, check in load("checks", function_of).found.items():
+    for name, check in load("checks").found.items():
         try:
             found += [Finding(*finding) for finding in check()]
         except Exception as error:  # noqa: BLE001 - the code of a package may raise anything

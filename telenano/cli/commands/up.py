@@ -1,7 +1,6 @@
 """`telenano up`: run a scenario on a rig, record it, and write figure and summary."""
 
 import contextlib
-import os
 import signal
 import sys
 from datetime import datetime
@@ -34,7 +33,7 @@ from telenano.launcher.rigs import own_rig
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from telenano.recording.multi_file import open_recordings
 from telenano.runtime.security.keyring import Keyring
-from telenano.settings.config import ALLOW_CODE_VARIABLE
+from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ReportError
@@ -79,7 +78,7 @@ def up(
     """Start every node of a rig, run a scenario, record it, and write figure and summary."""
     if allow_code:
         # the nodes inherit it, and so do the sessions of a sweep
-        os.environ[ALLOW_CODE_VARIABLE] = "1"
+        permit_code()
     with report_errors(as_json):
         options = figure_options(formats, style)
         request = validated(UpRequest, {**given, "page": not (no_view or as_json or headless)})

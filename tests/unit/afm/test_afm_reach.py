@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from telenano_microscopy.image_files import Image, write_gsf
 from test_afm_programs import QUICK, Imager
 
 from services.afm_node.node import AfmNode
@@ -15,7 +16,6 @@ from telenano.afm.made_samples import SampleConfig
 from telenano.afm.programs.reach import Reach
 from telenano.afm.sample.surface import Surface, checked, plane_levelled
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
-from telenano.analysis.image_files import Image, write_gsf
 from telenano.extend.programs import Span, approach_limit_s
 from telenano.extend.stage import Place
 from telenano.wire.errors import RefusedError

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_microscopy.force_curve import read_measured
+from telenano_microscopy.image_files import Image
+from telenano_microscopy.image_output import write_images
 from typer.testing import CliRunner
 
 from telenano.afm.sample.surface_files import read_surface
-from telenano.analysis import Image
-from telenano.cli import lazy_commands, write_images
+from telenano.cli import lazy_commands
 from telenano.cli.commands.doctor import checks_of_packages
 from telenano.cli.root import app
 from telenano.recording import recorded

@@ -90,8 +90,8 @@ from pathlib import Path
 from typer.testing import CliRunner
 from telenano.cli.root import app
 from telenano.recording import write_recording
-from telenano.analysis import Image
-from telenano.cli import write_images
+from telenano_microscopy.image_files import Image
+from telenano_microscopy.image_output import write_images
 from telenano.wire import example
 from telenano.recording import recorded
 

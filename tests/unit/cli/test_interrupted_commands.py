@@ -232,7 +232,7 @@ _SLOW = pytest.mark.endurance
 _WHILE_WRITING = """
 import os, signal, sys
 import telenano_microscopy.force_curve as curves, telenano_microscopy.simulated_image as images
-from telenano.analysis import image_files
+from telenano_microscopy import image_files
 import numpy as np
 
 def with_signals(write):

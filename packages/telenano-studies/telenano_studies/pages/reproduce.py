@@ -256,7 +256,7 @@ def _add_curve(
 
 
 def _add_image(page: Page, found: SimulatedImage) -> dict[str, object]:
-    from telenano.analysis import Image, image_figure
+    from telenano_microscopy.image_files import Image, image_figure
 
     titles = {"Height": found.height_m, "Surface as the tip sees it": found.truth_m,
               "Difference": found.height_m - found.truth_m}  # fmt: skip

@@ -5,18 +5,15 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import print_document, report_errors
-from telenano.cli.sample_options import (
+from telenano.cli import JsonOption, command_group, print_document, report_errors, results_in
+from telenano.wire import ConfigError
+from telenano_microscopy.sample_options import (
     ChannelOption,
     SampleOption,
     SampleSetOption,
     SampleSizeOption,
-    require,
-    results_in,
     sample_config,
 )
-from telenano.wire.errors import ConfigError
 
 app = command_group()
 
@@ -42,10 +39,9 @@ def sample(
     with report_errors(as_json):
         if out is None:
             raise ConfigError("missing option '--out'")
-        require("gwyfile")
         config = sample_config(name, size, channel, settings)
-        from telenano.afm.sample.surface import dilated
-        from telenano.analysis.image_files import Image, write_gsf, write_gwy, write_png
+        from telenano.afm import dilated
+        from telenano_microscopy.image_files import Image, write_gsf, write_gwy, write_png
 
         surface = config.build()
         try:

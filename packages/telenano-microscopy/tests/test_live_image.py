@@ -5,8 +5,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from telenano_microscopy.image_files import LiveImage
 
-from telenano.analysis.image_files import LiveImage
 from telenano.wire.messages import AfmScanline, Array
 
 

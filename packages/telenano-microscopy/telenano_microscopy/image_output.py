@@ -4,8 +4,8 @@ from pathlib import Path
 
 import typer
 
-from telenano.analysis.image_files import Image, ImageFacts
-from telenano.settings import plugins
+from telenano.settings import fault_of_package, load
+from telenano_microscopy.image_files import Image, ImageFacts
 
 
 def write_images(
@@ -20,8 +20,8 @@ def write_images(
         instrument: What took the image.
         sample: The sample, where it is known.
     """
-    from telenano.analysis.image_files import write_gsf, write_gwy, write_png
-    from telenano.recording.provenance import versions
+    from telenano.recording import versions
+    from telenano_microscopy.image_files import write_gsf, write_gwy, write_png
 
     write_gsf(out / "scan.gsf", images["height"])
     write_gwy(out / "scan.gwy", images)
@@ -29,7 +29,7 @@ def write_images(
     files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
     found = versions()
     facts = ImageFacts(mode, instrument, f"{found['package telenano']}, commit {found['commit']}", sample)
-    formats = plugins.load("images", plugins.function_of, own)
+    formats = load("images", taken=own)
     for name, write in formats.found.items():
         path = out / f"scan.{name}"
         # An image that cannot be taken again is not lost by the code of a package.
@@ -38,7 +38,7 @@ def write_images(
             files.append(path.name)
         except Exception as error:  # noqa: BLE001
             path.unlink(missing_ok=True)
-            formats.problems[name] = plugins.fault_of_package(error) or str(error)
+            formats.problems[name] = fault_of_package(error) or str(error)
     for name, problem in formats.problems.items():
         typer.echo(f"telenano: scan.{name} was not written: {problem}", err=True)
     return files

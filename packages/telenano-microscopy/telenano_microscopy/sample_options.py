@@ -1,21 +1,14 @@
 """Options of the commands that put a sample under the tip."""
 
-import contextlib
-import os
-from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.files.whole_files import whole_results
-from telenano.settings.config import ALLOW_CODE_VARIABLE, flag_overrides, validate
-from telenano.wire.errors import ConfigError, TelenanoError
-from telenano.wire.extras import how_to_install
+from telenano.settings import flag_overrides, permit_code, validate
 
 if TYPE_CHECKING:
-    from telenano.afm.made_samples import SampleConfig
+    from telenano.afm import SampleConfig
 
 SampleOption = Annotated[
     str,
@@ -43,37 +36,14 @@ def sample_config(
     name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
 ) -> "SampleConfig":
     """Return the sample that the options describe; ConfigError names the option or key."""
-    from telenano.afm.made_samples import SampleConfig
+    from telenano.afm import SampleConfig
 
     if ":" in name:
         # a person has named this function here, and no file of somebody else
-        os.environ[ALLOW_CODE_VARIABLE] = "1"
+        permit_code()
     given: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
     if size_nm is not None:
         given["size_m"] = size_nm * 1e-9
     if channel is not None:
         given["channel"] = channel
     return validate(SampleConfig, given, "--sample")
-
-
-def require(*modules: str) -> None:
-    """Raise ConfigError naming what is not installed, before anything takes its time."""
-    missing = [name for name in modules if find_spec(name) is None]
-    if missing:
-        verb = "are" if len(missing) > 1 else "is"
-        raise ConfigError(f"{', '.join(missing)} {verb} not installed: {how_to_install('instrument')}")
-
-
-@contextlib.contextmanager
-def results_in(out: Path) -> Iterator[Path]:
-    """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
-
-    Raises:
-        TelenanoError: The folder cannot be made.
-    """
-    with contextlib.ExitStack() as results:
-        try:
-            folder = results.enter_context(whole_results(out))
-        except OSError as error:
-            raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
-        yield folder

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.sample.surface_files import GSF_MAGIC
-from telenano.wire.messages import AfmScanline
+from telenano.wire import AfmScanline
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Heights = npt.NDArray[np.float64]
+# the first line of a Gwyddion Simple Field
+_GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 
 
 class Image(NamedTuple):
@@ -138,7 +139,7 @@ def write_gsf(path: Path, image: Image) -> None:
     )
     if image.partial:
         header += f"Partial = {image.partial}\n"
-    content = GSF_MAGIC + header.encode()
+    content = _GSF_MAGIC + header.encode()
     content += b"\0" * (4 - len(content) % 4)
     path.write_bytes(content + np.ascontiguousarray(image.values[::-1], dtype="<f4").tobytes())
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from telenano_microscopy.image_files import Image, write_gsf
 from typer.testing import CliRunner
 
-from telenano.analysis.image_files import Image, write_gsf
 from telenano.cli.root import app
 
 
