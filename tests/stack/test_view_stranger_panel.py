@@ -25,7 +25,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.publisher import NullPublisher
 from telenano.timing.clock import SystemClock
-from telenano.wire import accept
+from telenano.wire.codec import accept
 
 publisher, sent = NullPublisher(SystemClock(), "experiment@master"), []
 publisher.send = lambda topic, payload: sent.append((topic, payload))

@@ -89,7 +89,7 @@ import numpy as np
 from pathlib import Path
 from typer.testing import CliRunner
 from telenano.cli.root import app
-from telenano.recording import write_recording
+from telenano.recording.made_records import write_recording
 from telenano_microscopy.image_files import Image
 from telenano_microscopy.image_output import write_images
 from telenano.wire import example

@@ -42,7 +42,8 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.publisher import NullPublisher
 from telenano.timing.clock import SystemClock
-from telenano.wire import TOPICS, accept, encode
+from telenano.wire import TOPICS, encode
+from telenano.wire.codec import accept
 from telenano.settings.package_topics import installed_topics
 
 found = {"named": installed_topics(), "before": [name for name in sys.modules if name.startswith("wind")]}
