@@ -32,6 +32,7 @@ KNOWN_PACKAGES = {
     "driver gwyscope": "telenano-afm-controllers",
     "driver haply": "telenano-haptic-devices",
     "driver hd": "telenano-haptic-devices",
+    "driver modbus": "telenano-afm-controllers",
     "driver nanonis": "telenano-afm-controllers",
     "experiment": "telenano-experiments",
     "format csv": "telenano-tables",
