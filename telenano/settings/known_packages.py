@@ -34,6 +34,7 @@ KNOWN_PACKAGES = {
     "driver hd": "telenano-haptic-devices",
     "driver modbus": "telenano-afm-controllers",
     "driver nanonis": "telenano-afm-controllers",
+    "driver serial": "telenano-haptic-devices",
     "experiment": "telenano-experiments",
     "format csv": "telenano-tables",
     "format hdf5": "telenano-tables",

@@ -1,6 +1,6 @@
 """The payloads that a handle answers with, packed as its firmware packs them."""
 
-from telenano.devices.hand import wire
+from telenano_haptic_devices.serial_handle import wire
 
 
 def pack_hello(hello: wire.HandleHello) -> bytes:

@@ -1,1 +1,0 @@
-"""Real and simulated haptic devices behind the guard of the hand."""
