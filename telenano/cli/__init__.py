@@ -7,7 +7,6 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.cli.commands.device_files import run_ahead as run_ahead
     from telenano.cli.commands.device_files import section_of as section_of
-    from telenano.cli.commands.device_files import write_document as write_document
     from telenano.cli.commands.topic import open_observer as open_observer
     from telenano.cli.completion import law_names as law_names
     from telenano.cli.exit_codes import EXIT_FAILED as EXIT_FAILED
@@ -40,9 +39,6 @@ if TYPE_CHECKING:
     from telenano.cli.output import results_folder as results_folder
     from telenano.cli.output import results_in as results_in
     from telenano.cli.progress_bar import progress as progress
-    from telenano.cli.simulated_instrument import SimulatedAfm as SimulatedAfm
-    from telenano.cli.simulated_instrument import hand_of as hand_of
-    from telenano.cli.simulated_instrument import simulated_afm as simulated_afm
     from telenano.cli.tables import rows_table as rows_table
 else:
     __getattr__, __dir__ = face(__name__)

@@ -106,22 +106,6 @@ def drifted(
 
 
 @compiled
-def restarted(drift: Drift, place: float, force: float) -> Drift:
-    """Return what is known of the drift, where the next contact begins at this pair."""
-    d = drift
-    return Drift(place, force, d.speed, d.square, d.recent, d.slow_square, d.known_s, d.gone)
-
-
-@compiled
-def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
-    """Return the drift in other units: places are multiplied by one number, and forces by the other."""
-    d, square = drift, longer * longer
-    place, force, gone = longer * d.slow_place, stronger * d.slow_force, longer * d.gone
-    speed, recent = longer * d.speed, longer * d.recent
-    return Drift(place, force, speed, square * d.square, recent, square * d.slow_square, d.known_s, gone)
-
-
-@compiled
 def error_of(drift: Drift) -> float:
     """Return the standard error of the speed, with the time for which deviations are alike, at least `STEADY_S`."""
     return _error(drift.square, drift.slow_square, drift.known_s)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from telenano.wire.errors import cause as cause
     from telenano.wire.errors import known_names as known_names
     from telenano.wire.examples import example as example
-    from telenano.wire.examples import required_keys as required_keys
     from telenano.wire.faults import Fault as Fault
     from telenano.wire.faults import faults_of as faults_of
     from telenano.wire.faults import made as made

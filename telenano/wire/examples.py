@@ -9,18 +9,12 @@ import msgspec
 
 from telenano.wire.codec import decode
 from telenano.wire.messages import Message
-from telenano.wire.topics import TOPICS
 
 
 def example(topic: str, **fields: Any) -> Message:
     """Return a message of a topic as the contract of the wire has it, with some fields changed; KeyError if unknown."""
     base = decode(topic, bytes.fromhex(_examples()[topic]))
     return type(base)(**(msgspec.structs.asdict(base) | fields))
-
-
-def required_keys(topic: str) -> set[str]:
-    """Return the keys that every message of a topic has; KeyError if the topic is unknown."""
-    return {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
 
 
 @cache

@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from telenano.wire import Message, example, required_keys
+import msgspec
+
+from telenano.wire import TOPICS, Message, example
 from telenano.wire.codec import fields_of as fields_of_message
 
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -17,11 +19,9 @@ def sample(topic: str, seq: int, **changes: Any) -> Message:
 
 def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
     """Return the fields of a valid message without its header; those that no test asks for as in `sample`."""
-    present = {
-        name: value
-        for name, value in fields_of_message(example(topic)).items()
-        if value is not None or name in required_keys(topic)
-    }
+    required = {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
+    found = fields_of_message(example(topic))
+    present = {name: value for name, value in found.items() if value is not None or name in required}
     return {name: value for name, value in (present | changes).items() if name not in ("seq", "t_ns", "src", "v")}
 
 

@@ -13,7 +13,7 @@ from telenano.cli import report_errors, run_ahead
 from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
-    from telenano.cli import SimulatedAfm
+    from telenano_afm_controllers.simulated_instrument import SimulatedAfm
 
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")]
 ScenarioOption = Annotated[
@@ -42,9 +42,9 @@ def simulate_gwyscope(
 ) -> None:
     """Serve an emulated Gwyscope with stage and cantilever behind it. Ctrl-C ends it, with z at 0."""
     with report_errors(as_json=False, interrupted="the emulated Gwyscope has ended, with z at 0"):
-        from telenano.cli import simulated_afm
         from telenano_afm_controllers import gwyscope_model, gwyscope_wire
         from telenano_afm_controllers.request_server import serve_requests
+        from telenano_afm_controllers.simulated_instrument import simulated_afm
 
         afm = simulated_afm(scenario)
         model = gwyscope_model.GwyscopeModel(afm.driver, tick_s=tick, noise_v=noise, now_ns=time.monotonic_ns())
@@ -81,9 +81,9 @@ def simulate_nanonis(
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
-        from telenano.cli import simulated_afm
         from telenano_afm_controllers import nanonis_model, nanonis_wire
         from telenano_afm_controllers.request_server import Pushed, serve_requests
+        from telenano_afm_controllers.simulated_instrument import simulated_afm
 
         afm = simulated_afm(scenario)
         model = nanonis_model.NanonisModel(afm.driver, tap_s=tap, now_ns=time.monotonic_ns())
@@ -202,6 +202,6 @@ def _write_fitting(
     path: Path | None, calibration_of: Callable[..., dict[str, object]], afm: "SimulatedAfm", host: str, port: int
 ) -> None:
     if path is not None:
-        from telenano.cli import write_document
+        from telenano_afm_controllers.calibration_files import write_document
 
         write_document(path, calibration_of(afm.volts_per_m, afm.stiffness_n_per_m, host, port))

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 import yaml
+from telenano_afm_controllers.calibration_files import write_document
 
-from telenano.cli import command_group, report_errors, write_document
+from telenano.cli import command_group, report_errors
 from telenano.wire import ConfigError
 from telenano_calibration.stage_command import calibrate_stage
 

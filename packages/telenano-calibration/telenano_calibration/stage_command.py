@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import typer
 import yaml
+from telenano_afm_controllers.calibration_files import write_document
 
-from telenano.cli import report_errors, write_document
+from telenano.cli import report_errors
 from telenano.wire import ConfigError
 
 _PERIOD_S = 1e-3

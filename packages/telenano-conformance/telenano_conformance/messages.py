@@ -5,8 +5,9 @@ from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import msgpack
+import msgspec
 
-from telenano.wire import TOPICS, Fault, decode, faults_of, keys_twice, required_keys
+from telenano.wire import TOPICS, Fault, decode, faults_of, keys_twice
 from telenano_conformance.rules import Account
 
 _S = 1_000_000_000
@@ -32,6 +33,11 @@ _RULE_OF_FAULT = {
     "range": "ranges",
 }
 _CONTENT = tuple(dict.fromkeys(_RULE_OF_FAULT.values()))
+
+
+def required_keys(topic: str) -> set[str]:
+    """Return the keys that every message of a topic has; KeyError if the topic is unknown."""
+    return {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
 
 
 class Sent(NamedTuple):

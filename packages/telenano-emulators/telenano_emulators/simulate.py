@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+from telenano_afm_controllers.calibration_files import write_document
+from telenano_afm_controllers.simulated_instrument import SimulatedAfm
 
-from telenano.cli import SimulatedAfm, report_errors, run_ahead, section_of, write_document
+from telenano.cli import report_errors, run_ahead, section_of
 
 _STANDARD_GRAVITY_M_PER_S2 = 9.80665
 

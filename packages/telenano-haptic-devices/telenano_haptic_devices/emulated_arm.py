@@ -8,6 +8,7 @@ for the emulator, not measured. The drive may be late.
 import math
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from telenano.extend.operators import OperatorInputs
@@ -126,3 +127,17 @@ class EmulatedArm:
         ends = OperatorInputs(at_s, 0.0 - before_z, 0.0 - places[2])
         self._hand, felt = operator_step(self._hand_params, self._hand, ends, dt)
         self._hand_force_n = 0.0 - felt.force_n
+
+
+def hand_of(scenario: Path | None = None) -> Any:
+    """Return the simulated hand of a scenario that is named or a file, or the default one, for `operator_step`.
+
+    hand_of(Path("fig12"))
+
+    Raises:
+        ConfigError: There is no such scenario, or a key of it cannot be read.
+    """
+    from telenano.cli import section_of
+    from telenano.hand import HapticConfig
+
+    return section_of(scenario, "haptic_node", HapticConfig).operator.to_params()

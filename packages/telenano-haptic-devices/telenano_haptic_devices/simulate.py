@@ -40,8 +40,7 @@ def simulate_haply(
     `push N`, `arm M` and `loose` put another one in its place.
     """
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
-        from telenano.cli import hand_of
-        from telenano_haptic_devices.emulated_arm import RADIUS_M, EmulatedArm
+        from telenano_haptic_devices.emulated_arm import RADIUS_M, EmulatedArm, hand_of
         from telenano_haptic_devices.emulated_service import typed_lines
         from telenano_haptic_devices.haply import ARM, BUTTONS
         from telenano_haptic_devices.haply_service import HaplyService, serve_haply

@@ -10,7 +10,7 @@ from typing import Any
 import library_doubles
 from telenano_haptic_devices import haply
 from telenano_haptic_devices.dhd import DhdWire
-from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano_haptic_devices.emulated_arm import EmulatedArm, hand_of
 from telenano_haptic_devices.haply import HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.hd import HdWire
@@ -19,7 +19,6 @@ from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
-from telenano.cli import hand_of
 from telenano.extend.hands import DeviceError
 from telenano.hand import GATE_ACTIVE, CouplingSettings
 from telenano.hand.coupling import GATE_READY

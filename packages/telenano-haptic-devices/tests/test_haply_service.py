@@ -15,14 +15,13 @@ from typing import Any
 
 import pytest
 from servo_bench import ServoBench
-from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano_haptic_devices.emulated_arm import EmulatedArm, hand_of
 from telenano_haptic_devices.emulated_service import whole_lines
 from telenano_haptic_devices.haply import ARM, HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService, obey, serve_haply
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 
-from telenano.cli import hand_of
 from telenano.extend.hands import DeviceError
 from telenano.hand import GATE_ACTIVE
 

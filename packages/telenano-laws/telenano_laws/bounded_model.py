@@ -77,8 +77,6 @@ Drift = drift.Drift
 drifted = drift.drifted
 error_of = drift.error_of
 no_drift = drift.no_drift
-rescaled_drift = drift.rescaled_drift
-restarted = drift.restarted
 _FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
 # the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
 _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
@@ -248,6 +246,22 @@ class SlaveState(NamedTuple):
     last_n: float
     store: Store
     coupled: bool
+
+
+@compiled
+def restarted(drift: Drift, place: float, force: float) -> Drift:
+    """Return what is known of the drift, where the next contact begins at this pair."""
+    d = drift
+    return Drift(place, force, d.speed, d.square, d.recent, d.slow_square, d.known_s, d.gone)
+
+
+@compiled
+def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
+    """Return the drift in other units: places are multiplied by one number, and forces by the other."""
+    d, square = drift, longer * longer
+    place, force, gone = longer * d.slow_place, stronger * d.slow_force, longer * d.gone
+    speed, recent = longer * d.speed, longer * d.recent
+    return Drift(place, force, speed, square * d.square, recent, square * d.slow_square, d.known_s, gone)
 
 
 @compiled

@@ -1,15 +1,11 @@
-"""What the commands of `telenano device` share: scenarios read, calibration files written, scheduling of a device."""
+"""What the commands of `telenano device` share: sections of scenarios, and the scheduling of a device."""
 
 from pathlib import Path
 from typing import TypeVar
 
-import typer
-import yaml
 from pydantic import BaseModel
 
-from telenano.files.whole_files import whole_file
 from telenano.settings.included import find_scenario
-from telenano.wire.errors import TelenanoError
 
 Section = TypeVar("Section", bound=BaseModel)
 
@@ -30,13 +26,3 @@ def section_of(scenario: Path | None, name: str, model: type[Section]) -> Sectio
     from telenano.settings.scenario import load_scenario
 
     return model() if scenario is None else load_scenario(find_scenario(str(scenario))).section(name, model)
-
-
-def write_document(path: Path, document: dict[str, object]) -> None:
-    """Write a calibration file; TelenanoError where it cannot be written."""
-    try:
-        with whole_file(path) as file:
-            file.write_text(yaml.safe_dump(document, sort_keys=False))
-    except OSError as error:
-        raise TelenanoError(f"{path}: cannot be written: {error.strerror}") from error
-    typer.echo(f"wrote {path}")

@@ -1,9 +1,9 @@
 """What stands behind an emulated AFM controller: a simulated instrument, and converters in front of it."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from telenano.cli.commands.device_files import section_of
+from telenano.cli import section_of
 from telenano.extend.instruments import AfmDriver
 
 
@@ -18,24 +18,15 @@ class SimulatedAfm(NamedTuple):
 def simulated_afm(scenario: Path | None = None) -> SimulatedAfm:
     """Return the simulated instrument of a scenario that is named or a file, or the default one.
 
+    with contextlib.closing(simulated_afm(Path("image")).driver) as afm: ...
+
     Raises:
         ConfigError: There is no such scenario, or a key of it cannot be used.
     """
-    from telenano.afm.config import AfmConfig
-    from telenano.devices.afm.instrument import driver_of
+    from telenano.afm import AfmConfig
+    from telenano.devices import driver_of
 
     config = section_of(scenario, "afm_node", AfmConfig).model_copy(update={"driver": "simulated"})
     afm, plant = driver_of(config), config.to_params().plant
     afm.open()
     return SimulatedAfm(afm, plant.volts_per_m, plant.stiffness_n_per_m)
-
-
-def hand_of(scenario: Path | None = None) -> Any:
-    """Return the simulated hand of a scenario that is named or a file, or the default one, for `operator_step`.
-
-    Raises:
-        ConfigError: There is no such scenario, or a key of it cannot be read.
-    """
-    from telenano.hand.config import HapticConfig
-
-    return section_of(scenario, "haptic_node", HapticConfig).operator.to_params()
