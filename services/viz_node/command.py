@@ -18,14 +18,8 @@ from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
 from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
-from telenano.cli.options import (
-    AllowOption,
-    CertificateKeyOption,
-    CertificateOption,
-    HostNameOption,
-    HostOption,
-    SiteFileOption,
-)
+from telenano.cli.model_options import validated, with_options
+from telenano.cli.options import SiteFileOption
 from telenano.cli.output import report_errors
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.indexed import open_indexed
@@ -36,7 +30,7 @@ from telenano.runtime.loop.realtime import behind_others
 from telenano.runtime.wiring.main import EXIT_DIED
 from telenano.runtime.wiring.observer import nobody_runs
 from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
-from telenano.serving.access import LOOPBACK, Access
+from telenano.serving.access import Access
 from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Listener
 from telenano.serving.people import ROLES, People
@@ -56,7 +50,9 @@ class Served(NamedTuple):
     signals: StopSignals
 
 
+@with_options(ViewConfig)
 def view(
+    given: dict[str, Any],
     files: Annotated[
         list[Path] | None,
         typer.Argument(metavar="FILE", help="Recording to show, in its parts; without it the running rig."),
@@ -65,14 +61,6 @@ def view(
         bool, typer.Option("--demo", help="Show the recording of Fig. 12 that comes with telenano.")
     ] = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
-    host: HostOption = LOOPBACK,
-    port: Annotated[
-        int | None, typer.Option("--port", min=0, max=65535, metavar="N", help="Port; default: 8650, or any free one.")
-    ] = None,
-    certificate: CertificateOption = None,
-    key: CertificateKeyOption = None,
-    allow: AllowOption = None,
-    name: HostNameOption = None,
     addresses: Annotated[
         bool,
         typer.Option("--addresses", help="Print the addresses, with their tokens, of your pages here, and end."),
@@ -114,14 +102,7 @@ def view(
             return
         if reason := missing_for_view():
             raise ConfigError(f"the view cannot be served: {reason}")
-        config = ViewConfig(
-            host=host,
-            port=port,
-            certificate_file=None if certificate is None else str(certificate),
-            key_file=None if key is None else str(key),
-            names=tuple(name or ()),
-            allow=tuple(allow or ()),
-        )
+        config = validated(ViewConfig, given)
         tls, access = config.tls(), config.access()
         if demo and files:
             raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")

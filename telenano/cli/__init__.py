@@ -14,14 +14,9 @@ if TYPE_CHECKING:
     from telenano.cli.keyboard import RawKeyboard as RawKeyboard
     from telenano.cli.model_options import validated as validated
     from telenano.cli.model_options import with_options as with_options
-    from telenano.cli.options import AllowOption as AllowOption
-    from telenano.cli.options import CertificateKeyOption as CertificateKeyOption
-    from telenano.cli.options import CertificateOption as CertificateOption
     from telenano.cli.options import DurationOption as DurationOption
     from telenano.cli.options import ExcludeOption as ExcludeOption
     from telenano.cli.options import FormatOption as FormatOption
-    from telenano.cli.options import HostNameOption as HostNameOption
-    from telenano.cli.options import HostOption as HostOption
     from telenano.cli.options import JsonOption as JsonOption
     from telenano.cli.options import SiteFileOption as SiteFileOption
     from telenano.cli.options import StyleOption as StyleOption

@@ -88,22 +88,6 @@ TableOption = Annotated[
     str, typer.Option("--table", metavar="csv,parquet,mat", help="Formats of the tables, one or several.")
 ]
 _TABLE_FORMATS = ("csv", "parquet", "mat")
-# Commands that serve browsers share this option.
-HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; others need TLS.")]
-CertificateOption = Annotated[
-    Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate of this server (PEM).")
-]
-CertificateKeyOption = Annotated[
-    Path | None, typer.Option("--key", metavar="FILE", help="Key of the certificate (PEM).")
-]
-AllowOption = Annotated[
-    list[str] | None,
-    typer.Option("--allow", metavar="NETWORK", help="Addresses that may connect, beside this machine (repeatable)."),
-]
-HostNameOption = Annotated[
-    list[str] | None,
-    typer.Option("--name", metavar="HOST", help="Name or address by which others open it (repeatable)."),
-]
 ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
 
 

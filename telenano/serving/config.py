@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from telenano.serving.access import LOOPBACK, Access, tokens_given
 from telenano.serving.connections import Listener
 from telenano.serving.serve import Tls, bind, checked_tls
+from telenano.settings.option import Option
 
 
 class ViewConfig(BaseModel):
@@ -15,14 +16,24 @@ class ViewConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
-    host: str = Field(default=LOOPBACK, description="Address to bind; beyond this machine it needs a certificate")
+    host: Annotated[str, Option(("--host",), "ADDRESS")] = Field(
+        default=LOOPBACK, description="Address to bind; beyond this machine it needs a certificate"
+    )
     port: Annotated[int, Field(ge=0, le=65535)] | None = Field(
         default=None, description="Port to bind; none = 8650, or any free one"
     )
-    certificate_file: str | None = Field(default=None, description="Certificate of the server (PEM)")
-    key_file: str | None = Field(default=None, description="Key of the certificate (PEM)")
-    names: tuple[str, ...] = Field(default=(), description="Further names of the server, the first one in addresses")
-    allow: tuple[str, ...] = Field(default=(), description="Further networks that may connect, such as 10.0.0.0/24")
+    certificate_file: Annotated[str | None, Option(("--certificate",), "FILE")] = Field(
+        default=None, description="Certificate of the server (PEM)"
+    )
+    key_file: Annotated[str | None, Option(("--key",), "FILE")] = Field(
+        default=None, description="Key of the certificate (PEM)"
+    )
+    names: Annotated[tuple[str, ...], Option(("--name",), "HOST", read=tuple, many=True)] = Field(
+        default=(), description="Further names of the server, the first one in addresses (repeatable)"
+    )
+    allow: Annotated[tuple[str, ...], Option(("--allow",), "NETWORK", read=tuple, many=True)] = Field(
+        default=(), description="Further networks that may connect, such as 10.0.0.0/24 (repeatable)"
+    )
 
     @property
     def name(self) -> str:

@@ -31,7 +31,7 @@ from services.viz_node.hub import Hub
 from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
-from telenano.serving import Access
+from telenano.serving.access import Access
 from telenano.wire import Array, Message
 from telenano.wire.codec import fields_of
 from telenano.wire.topics import TOPICS

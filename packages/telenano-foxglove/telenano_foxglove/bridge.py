@@ -1,33 +1,18 @@
 """A running rig for Foxglove and Lichtblick: every topic with its schema, over their web socket."""
 
 import asyncio
-import contextlib
 import json
 import secrets
 import struct
-import threading
-import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping, Sequence
+from collections.abc import Iterable, MutableMapping, Sequence
 from typing import Any, Protocol
 
-from starlette.applications import Starlette
-from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from telenano.console import Rate
 from telenano.recording import RecordedMessage, plain, viewer_json, viewer_schema
-from telenano.serving import (
-    Access,
-    Connections,
-    Listener,
-    Tls,
-    client_of,
-    end_quietly,
-    guarded,
-    make_server,
-    most_connections,
-)
+from telenano.serving import TokenSocket, ViewConfig
 from telenano.wire import TOPICS, RecordingError
 
 DEFAULT_PORT = 8765
@@ -38,10 +23,8 @@ _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 # a message: kind, subscription, time [ns]
 _MESSAGE, _MESSAGE_DATA = struct.Struct("<BIQ"), 1
 _ERROR = 2
-_MOST_VIEWERS, _LEAST_STRANGERS, _MOST_QUEUED = 16, 8, 1024
-_WRONG_TOKEN_S = 0.5
-_POLICY = 1008
-_START_S = 0.005
+_MOST_VIEWERS = 16
+_MOST_QUEUED = 1024
 
 
 class Outlet(Protocol):
@@ -96,13 +79,17 @@ class FoxgloveServer:
     """A server of the protocol foxglove.sdk.v1: one channel for each topic and source, as JSON with a schema.
 
     The server of the foxglove-sdk admits whoever connects, from a page of any site. This one has the rules
-    of the page of the view: address, host name, origin and a token.
+    of the page of the view (`TokenSocket`): address, host name, origin and a token.
     """
 
-    def __init__(self, bound: Listener, access: Access, tls: Tls | None = None) -> None:
-        """Begin to serve at a socket, in a thread of its own; TelenanoError when it cannot."""
-        self.port = int(bound.getsockname()[1])
-        self._access = access
+    def __init__(self, config: ViewConfig, token: str = "", origins: Sequence[str] = ()) -> None:
+        """Begin to serve in a thread of its own; TelenanoError when it cannot.
+
+        Args:
+            config: Where it is served, and to whom.
+            token: The token of its viewers; a new one without it.
+            origins: The origins of the pages that may be viewers.
+        """
         self._session = secrets.token_hex(8)
         self._opened = 0
         # these belong to the thread of the server
@@ -110,16 +97,10 @@ class FoxgloveServer:
         self._viewers: set[_Viewer] = set()
         # a copy that the thread of the messages reads: most of them nobody has asked for
         self._wanted: frozenset[int] = frozenset()
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._connections = Connections(most_connections(_MOST_VIEWERS + _LEAST_STRANGERS))
-        routes = [WebSocketRoute("/", self._serve)]
-        app = guarded(Starlette(routes=routes, lifespan=self._lifespan), access, self._connections)
-        self._server = make_server(app, tls)
-        listener = bound.again(self._connections)
-        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [listener]}, name="foxglove")
-        self._thread.start()
-        while not self._server.started and self._thread.is_alive():
-            time.sleep(_START_S)
+        self._socket = TokenSocket(
+            config, self._serve, _PROTOCOLS, what="the bridge", token=token, origins=origins, most=_MOST_VIEWERS
+        )
+        self.port, self.address = self._socket.port, self._socket.address
 
     def open(self, name: str, schema_name: str, schema: bytes) -> Outlet:
         """Return a new channel."""
@@ -132,35 +113,16 @@ class FoxgloveServer:
             "schemaEncoding": "jsonschema",
             "schema": schema.decode(),
         }
-        self._call(self._advertise, about)
+        self._socket.call(self._advertise, about)
         return _Channel(self, about)
 
     def send(self, channel: int, log_ns: int, payload: bytes) -> None:
         """Send a message to those that subscribed to its channel."""
         if channel in self._wanted:
-            self._call(self._offer, channel, log_ns, payload)
+            self._socket.call(self._offer, channel, log_ns, payload)
 
     def close(self) -> None:
-        self._server.should_exit = True
-        self._thread.join()
-
-    @contextlib.asynccontextmanager
-    async def _lifespan(self, app: Any) -> AsyncIterator[None]:
-        self._loop = asyncio.get_running_loop()
-        sweeping = asyncio.create_task(self._connections.sweep())
-        try:
-            yield
-        finally:
-            self._loop = None
-            sweeping.cancel()
-            await asyncio.gather(sweeping, return_exceptions=True)
-
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        loop = self._loop
-        # a server that has not begun or has ended has no viewers
-        with contextlib.suppress(RuntimeError):
-            if loop is not None:
-                loop.call_soon_threadsafe(function, *arguments)
+        self._socket.close()
 
     def _advertise(self, about: dict[str, Any]) -> None:
         self._channels.append(about)
@@ -172,13 +134,6 @@ class FoxgloveServer:
             viewer.offer(channel, log_ns, payload)
 
     async def _serve(self, socket: WebSocket) -> None:
-        fault = await self._fault(socket)
-        if fault:
-            # before it is accepted: the viewer shows that the server refuses it
-            await socket.close(_POLICY, fault)
-            return
-        self._connections.admit(client_of(socket.scope))
-        await socket.accept(subprotocol=_chosen(socket.scope["subprotocols"]))
         viewer = _Viewer()
         viewer.tell(op="serverInfo", name="telenano", capabilities=[], metadata={}, sessionId=self._session)
         if self._channels:
@@ -186,25 +141,13 @@ class FoxgloveServer:
         self._viewers.add(viewer)
         sending = asyncio.create_task(_send_all(socket, viewer))
         try:
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                while True:
-                    self._take(viewer, await socket.receive())
+            while True:
+                self._take(viewer, await socket.receive())
         finally:
             self._viewers.discard(viewer)
             self._note_wanted()
-            await end_quietly(sending)
-
-    async def _fault(self, socket: WebSocket) -> str:
-        """Return why a viewer is not admitted; empty when it is."""
-        role = self._access.role_of(socket.query_params.get("token", ""))
-        if role is None:
-            await asyncio.sleep(_WRONG_TOKEN_S)
-            return "the token is missing or wrong: open the address that the bridge printed"
-        if len(self._viewers) >= _MOST_VIEWERS:
-            return f"{len(self._viewers)} viewers are connected, which is as many as may be"
-        if not _chosen(socket.scope["subprotocols"]):
-            return f"a viewer speaks one of {', '.join(_PROTOCOLS)}"
-        return ""
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
 
     def _take(self, viewer: _Viewer, message: MutableMapping[str, Any]) -> None:
         """Carry out what a viewer says; what it may not say is answered in words."""
@@ -237,20 +180,10 @@ class FoxgloveServer:
         self._wanted = frozenset(channel for viewer in self._viewers for channel in viewer.subscriptions.values())
 
 
-def _chosen(offered: Sequence[str]) -> str | None:
-    return next((name for name in _PROTOCOLS if name in offered), None)
-
-
 async def _send_all(socket: WebSocket, viewer: _Viewer) -> None:
     while True:
         frame = await viewer.next_frame()
         await (socket.send_text(frame) if isinstance(frame, str) else socket.send_bytes(frame))
-
-
-def address_of(port: int, access: Access, *, host: str, tls: bool) -> str:
-    """Return the address to open in a viewer, with the token in its query, as they have no other place for it."""
-    shown = f"[{host}]" if ":" in host else host
-    return f"{'wss' if tls else 'ws'}://{shown}:{port}/?token={access.observer_token}"
 
 
 class OpensOutlets(Protocol):

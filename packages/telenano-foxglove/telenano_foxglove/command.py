@@ -2,36 +2,24 @@
 
 import contextlib
 import os
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from telenano.cli import (
-    AllowOption,
-    CertificateKeyOption,
-    CertificateOption,
-    DurationOption,
-    HostNameOption,
-    HostOption,
-    SiteFileOption,
-    report_errors,
-)
+from telenano.cli import DurationOption, SiteFileOption, report_errors, validated, with_options
 from telenano.console import DEFAULT_RATE_HZ, hand_on, live_rig
-from telenano.serving import LOOPBACK, Access, announced, bind, checked_tls
+from telenano.serving import ViewConfig, announced
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano_foxglove.bridge import DEFAULT_PORT, Bridge, FoxgloveServer, address_of
+from telenano_foxglove.bridge import DEFAULT_PORT, Bridge, FoxgloveServer
 
 TOKEN_VARIABLE = "TELENANO_BRIDGE_TOKEN"
 
 
+@with_options(ViewConfig, leave_out=("port",))
 def foxglove(
+    given: dict[str, Any],
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
-    host: HostOption = LOOPBACK,
     port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port.")] = DEFAULT_PORT,
-    certificate: CertificateOption = None,
-    key: CertificateKeyOption = None,
-    allow: AllowOption = None,
-    name: HostNameOption = None,
     allow_origin: Annotated[
         list[str] | None,
         typer.Option(
@@ -51,19 +39,11 @@ def foxglove(
     that only its owner can read.
     """
     with report_errors(False):
-        tls = checked_tls(host, certificate, key)
-        access = Access.made(
-            observer=os.environ.get(TOKEN_VARIABLE, ""),
-            names=[host, *(name or ())],
-            allow=allow or (),
-            # A browser names the origin of its page; a program names none, but has the token.
-            origins=["", *(allow_origin or ())],
-        )
+        config = validated(ViewConfig, {**given, "port": port})
+        token = os.environ.get(TOKEN_VARIABLE, "")
         with (
             live_rig(site_file) as live,
-            bind(host, port, "the bridge") as bound,
-            contextlib.closing(FoxgloveServer(bound, access, tls)) as server,
+            contextlib.closing(FoxgloveServer(config, token, allow_origin or ())) as server,
+            announced({"open in Foxglove or Lichtblick": server.address}, typer.echo, "bridge"),
         ):
-            address = address_of(server.port, access, host=(name or [host])[0], tls=tls is not None)
-            with announced({"open in Foxglove or Lichtblick": address}, typer.echo, "bridge"):
-                hand_on(Bridge(server, rate), live, duration)
+            hand_on(Bridge(server, rate), live, duration)

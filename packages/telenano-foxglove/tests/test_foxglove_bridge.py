@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import pytest
-from telenano_foxglove.bridge import LEFT_OUT, Bridge, FoxgloveServer, address_of
+from telenano_foxglove.bridge import LEFT_OUT, Bridge, FoxgloveServer
 
-from telenano.serving import Access, bind
+from telenano.serving import ViewConfig
 from telenano.testing import EPOCH_NS, hand_state, numbered, received
 from telenano.wire import TelenanoError
 from telenano.wire.topics import OWN_TOPICS as TOPICS
@@ -84,8 +84,8 @@ SUBPROTOCOL = "foxglove.sdk.v1"
 @pytest.fixture
 def served() -> Iterator[FoxgloveServer]:
     pytest.importorskip("uvicorn")
-    access = Access.made(observer=TOKEN, origins=["", "https://app.foxglove.dev"])
-    with bind(port=0) as bound, contextlib.closing(FoxgloveServer(bound, access)) as server:
+    config = ViewConfig(port=0)
+    with contextlib.closing(FoxgloveServer(config, TOKEN, ["https://app.foxglove.dev"])) as server:
         yield server
 
 
@@ -234,10 +234,18 @@ def test_what_is_said_is_what_the_server_of_the_sdk_says(served: FoxgloveServer)
 
 def test_a_port_that_is_taken_is_named(served: FoxgloveServer) -> None:
     with pytest.raises(TelenanoError, match=f"the bridge cannot bind 127.0.0.1:{served.port}"):
-        bind("127.0.0.1", served.port, "the bridge")
+        FoxgloveServer(ViewConfig(port=served.port))
 
 
-def test_an_address_has_the_token_where_a_viewer_can_have_it() -> None:
-    access = Access.made(observer=TOKEN)
-    assert address_of(8765, access, host="127.0.0.1", tls=False) == f"ws://127.0.0.1:8765/?token={TOKEN}"
-    assert address_of(8765, access, host="::1", tls=True) == f"wss://[::1]:8765/?token={TOKEN}"
+@pytest.mark.parametrize(
+    ("settings", "address"),
+    [
+        ({}, "ws://127.0.0.1:{}/?token="),
+        ({"host": "::1"}, "ws://[::1]:{}/?token="),
+        ({"names": ("afm",)}, "ws://afm:{}/?token="),
+    ],
+)
+def test_an_address_has_the_token_where_a_viewer_can_have_it(settings: dict[str, Any], address: str) -> None:
+    pytest.importorskip("uvicorn")
+    with contextlib.closing(FoxgloveServer(ViewConfig(port=0, **settings), TOKEN)) as server:
+        assert server.address == address.format(server.port) + TOKEN

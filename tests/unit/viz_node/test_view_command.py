@@ -24,6 +24,7 @@ from services.viz_node.requests import PROTOCOL
 from telenano.console.emergency_stop import LocalRig
 from telenano.runtime.bus.local_endpoint import estop_endpoint
 from telenano.runtime.loop.healthcheck import endpoint_of, receive_health
+from telenano.serving.config import ViewConfig
 from telenano.serving.serve import Tls, announced, bind, check_exposure, page_folder
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, RecordingError, TelenanoError
@@ -66,11 +67,15 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
     assert list(runtime.iterdir()) == []
 
 
+# where the page is served, as the command line leaves it
+_NO_OPTIONS: dict[str, Any] = dict.fromkeys(ViewConfig.model_fields)
+
+
 def test_the_addresses_of_the_pages_that_run_are_printed_to_who_asks(
     runtime: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(typer.Exit):
-        view(addresses=True)
+        view(**_NO_OPTIONS, addresses=True)
     assert "you serve no page on this machine" in capsys.readouterr().err
     shown: list[str] = []
     with bind(port=0) as bound:
@@ -80,7 +85,7 @@ def test_the_addresses_of_the_pages_that_run_are_printed_to_who_asks(
             # what a server that was killed leaves behind is of no use
             (runtime / "view-1.addresses").write_text("operator: http://127.0.0.1:1/#old\n")
             (runtime / "view-1.addresses").chmod(0o600)
-            view(addresses=True)
+            view(**_NO_OPTIONS, addresses=True)
             assert capsys.readouterr().out.splitlines() == [f"{name}: {found}" for name, found in addresses.items()]
     # the output of the server itself says how to get there, and has no token
     assert "telenano view --addresses" in shown[1]
