@@ -50,14 +50,10 @@ if TYPE_CHECKING:
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
     from telenano.afm.programs.runner import Report as Report
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
-    from telenano.afm.programs.settings import InstrumentRequest as InstrumentRequest
     from telenano.afm.programs.settings import requested as requested
     from telenano.afm.programs.tactile import felt_speed_m_per_s as felt_speed_m_per_s
-    from telenano.afm.safety import ACTION_RETRACT as ACTION_RETRACT
     from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
-    from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
-    from telenano.afm.safety import initial_safety_state as initial_safety_state
     from telenano.afm.sample.surface import Surface as Surface
     from telenano.afm.sample.surface import dilated as dilated
     from telenano.afm.sample.surface import height_at as height_at

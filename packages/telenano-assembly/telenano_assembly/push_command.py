@@ -86,9 +86,8 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
-    from telenano_microscopy.virtual_instrument import VirtualInstrument
-
     from telenano.afm import requested
+    from telenano.devices import VirtualInstrument
     from telenano_assembly.particle_bench import DISTURBED, configured
 
     particles = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}

@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from telenano_microscopy.virtual_instrument import VirtualInstrument
-
 from telenano.afm import Report
-from telenano.devices import Step, line_fields
+from telenano.devices import Step, VirtualInstrument, line_fields
 from telenano.recording import FileSettings, RecordingWriter
 from telenano.wire import TOPICS, compose
 from telenano_assembly.layers import says

@@ -12,10 +12,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from telenano.afm import AfmConfig, requested
-from telenano.devices import Step
+from telenano.devices import Step, VirtualInstrument
 from telenano.wire import Scalar
 from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places

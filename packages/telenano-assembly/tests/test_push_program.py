@@ -9,11 +9,11 @@ from telenano_assembly.particles.push import KINETIC, RADIUS, RESTED, push_step
 from telenano_assembly.particles.settings import ParticlesConfig
 from telenano_assembly.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano_assembly.push_program import Push, PushSettings, PushState
-from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.programs import scan
 from telenano.afm.programs.settings import requested
+from telenano.devices import VirtualInstrument
 from telenano.extend.programs import Inputs, Instrument
 from telenano.extend.samples import Oscillation
 from telenano.extend.stage import LateralParams, Place

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import AfmConfig, Surface, height_at, requested
-from telenano.devices import line_fields
+from telenano.devices import VirtualInstrument, line_fields
 from telenano.extend.programs import FinishedLine
 from telenano.wire import AfmScanline, ConfigError, RefusedError, Scalar
 from telenano_microscopy.image_files import LiveImage
-from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 Array = npt.NDArray[np.float64]
 

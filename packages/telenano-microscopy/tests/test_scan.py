@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from telenano_microscopy.force_curve import force_curve
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
-from telenano_microscopy.virtual_instrument import VirtualInstrument
 
 from telenano.afm.config import AfmConfig
+from telenano.devices import VirtualInstrument
 from telenano.wire.errors import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"

@@ -1,13 +1,23 @@
-"""The instrument of a configuration in simulated time: guard, programs and device of the node, without a bus."""
+"""The instrument of a configuration in simulated time: guard, programs and device of the node, without a bus.
+
+instrument = VirtualInstrument(AfmConfig())
+for step in instrument.run(requested({"program": "curve"})):
+    instrument.fields(step)["tip_force_n"]
+instrument.outcome.state                       # "finished"
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from telenano.afm import ACTION_RETRACT, MODE_RETRACTING, AfmConfig, InstrumentRequest, Report, initial_safety_state
-from telenano.devices import AfmMemory, AfmPart, GuardedInstrument, Stage, Step, driver_of, reach_of, runner_of
+from telenano.afm.config import AfmConfig
+from telenano.afm.programs.runner import Report
+from telenano.afm.programs.settings import InstrumentRequest
+from telenano.afm.safety import ACTION_RETRACT, MODE_RETRACTING, initial_safety_state
+from telenano.devices.afm.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step
+from telenano.devices.afm.instrument import driver_of, reach_of, runner_of
 from telenano.extend.instruments import Simulation
 from telenano.extend.programs import Wanted
-from telenano.wire import RefusedError
+from telenano.wire.errors import RefusedError
 
 PERIOD_S = 1e-3
 
