@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from telenano_experiments.benchmark import plan as plan_module
 from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
-from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
+from telenano_experiments.benchmark.plan import HANDS, MEASURED_LINES, NETWORKS, TASKS, Plan, Run, is_random, plan_of
 from telenano_experiments.benchmark.results import Case, choices, digest_of, rows_of, runs_text, summary_of
 from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
 from telenano_studies.loops.cells import STRUCK_FORCES
@@ -186,6 +186,7 @@ def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
     assert set(quick.runs()) < set(whole.runs())
     assert len(set(whole.runs())) == len(whole.runs())
     assert [profile_named(name).about for name in NETWORKS]
+    assert {f"{line}_no_memory" for line in MEASURED_LINES} < set(NETWORKS)
     assert (whole.tasks, whole.hands) == (tuple(TASKS), tuple(HANDS))
     assert not is_random("clean")
     assert is_random("wifi")
@@ -201,7 +202,7 @@ def test_the_whole_set_is_as_large_as_the_document_says():
     runs = plan.runs()
     sizes = Counter((run.instrument, run.steadiness) for run in runs)
     assert sizes == {
-        ("ideal", "scripted"): 444, ("ideal", "trembling"): 480, ("real", "scripted"): 480, ("real", "trembling"): 480
+        ("ideal", "scripted"): 848, ("ideal", "trembling"): 896, ("real", "scripted"): 896, ("real", "trembling"): 896
     }  # fmt: skip
     assert len(plan_of(["wave"], quick=True).runs()) == 124
     chosen = plan_of(["wave"], quick=True, instruments=["real_drifting"], steadiness=["trembling"])
@@ -229,6 +230,16 @@ def test_instrument_and_hand_turn_a_run_and_a_seed_decides_their_noise(outcomes)
     learnt = run_of("model_mediated")
     drifting = run(learnt.model_copy(update={"instrument": "real_drifting"}))
     assert abs(drifting.measures["parted_mm"]) > 0.1 > 10.0 * abs(run(learnt).measures["parted_mm"])
+
+
+def test_a_line_that_stalls_while_the_tip_is_placed_is_guarded_and_the_others_are_run():
+    """A stall withdraws the tip before its session begins: the run has no measures, and the sweep goes to its end."""
+    stalled = run(run_of("passivity", "touch", "cicv5g_n78_arterial"))
+    assert (stalled.verdict, set(stalled.measures.values())) == ("guarded", {None})
+    assert "hold_expired" in stalled.reason
+    (row,) = rows_of([stalled])
+    assert (row.held, row.verdicts, row.measures["peak_force_n"]) == (0, {"guarded": 1}, None)
+    assert outcome_from(json.loads(json.dumps(stalled.as_dict()))) == stalled
 
 
 def test_another_file_of_a_network_is_another_run(monkeypatch):

@@ -21,7 +21,7 @@ from telenano.wire import ConfigError, known_names
 
 VERSION = 3
 
-TaskName = Literal["touch", "hold", "track"]
+TaskName = Literal["touch", "hold", "track", "stiff"]
 HandName = Literal["force", "soft", "stiff", "reacting"]
 HANDS: dict[HandName, str] = {
     "force": "a constant force whatever the device does",
@@ -38,9 +38,11 @@ _TREMBLING = {"tremor": {"enabled": True, "rms_n": 0.02}, "wander": {"enabled": 
 INSTRUMENTS = ("ideal", "real")
 # The moves of the reacting operator scatter by this share of them.
 REACTION_S, SCATTER = 0.25, 0.1
+# Each measured line has a twin that draws the delay of every message by itself.
+MEASURED_LINES = ("cicv5g_n78_arterial", "starlink_driving", "att_driving", "verizon_driving")
 NETWORKS = (
-    *("clean", "lan", "wifi", "4g", "5g", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
-    "netfi_delay_1",
+    *("clean", "wifi", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
+    *(name for line in MEASURED_LINES for name in (line, f"{line}_no_memory")),
 )
 QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
 SEEDS, QUICK_SEEDS = 4, 2
@@ -66,6 +68,7 @@ TASKS: dict[TaskName, Task] = {
         "press a cantilever of 40 N/m on mica with 1 N, then 2 N, and hold (Fig. 12)", "tip_sample", 40.0, 2.0
     ),
     "track": Task("press a spring of 20 N/m with 1 N, hold, then follow 0.3 N at 0.5 Hz", "spring", 20.0, 1.0, True),
+    "stiff": Task("the same on a spring of 80 N/m", "spring", 80.0, 1.0, True),
 }
 QUICK_TASKS: tuple[TaskName, ...] = ("touch", "track")
 QUICK_HANDS: tuple[HandName, ...] = ("force", "stiff")
