@@ -1,6 +1,6 @@
 """The page of the benchmark: which law for which network, a figure, the measures, and what was run."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from telenano_studies.loops.cells import STRUCK_FORCES
@@ -8,7 +8,7 @@ from telenano_studies.page import Page, text
 
 from telenano.link import profile_named
 from telenano_experiments.benchmark.plan import HANDS, STEADINESS, TASKS, VERSION, Plan
-from telenano_experiments.benchmark.results import Row, Spread, choices
+from telenano_experiments.benchmark.results import Case, Row, Situation, Spread, choices
 from telenano_experiments.benchmark.run import DIGITS, MEASURES
 
 if TYPE_CHECKING:
@@ -26,16 +26,24 @@ CHOICE_HEAD = (
     "tracking error",
     "then",
 )
+SITUATION_HEAD = (
+    *("line", "instrument", "sample", "take", "held", "made energy", "tracking error", "stiffness felt / true"),
+    *("force error", "hand and tip parted [mm]", "then"),
+)
 ROW_HEAD = (
     *("instrument", "hand", "network", "law", "held", "of", "made energy", "force error", "peak force [N]"),
     *("position error [mm]", "hand and tip parted [mm]", "stiffness felt / true", "tracking error"),
     *("time-offset there, back [ms]", "value-offset back [N]", "not held"),
 )
+# distinct in shades of grey as well as in colour (Okabe and Ito 2008)
+_COLOURS = ("#000000", "#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2")
+_TRACKING_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+_MARKERS = ("o", "s", "^", "D")
 # beyond this share of the scale of colours the words on it are dark
 _LIGHT = 0.45
 
 
-def choice_rows(rows: Sequence[Row]) -> list[tuple[Any, ...]]:
+def choice_rows(rows: Sequence[Row[Case]]) -> list[tuple[Any, ...]]:
     """Return the table that says which law for which network."""
     found = []
     for case, some in choices(rows).items():
@@ -49,7 +57,94 @@ def choice_rows(rows: Sequence[Row]) -> list[tuple[Any, ...]]:
     return found
 
 
-def law_rows(rows: Sequence[Row]) -> list[tuple[Any, ...]]:
+def situation_rows(situations: Mapping[Situation, Sequence[Row[Situation]]]) -> list[tuple[Any, ...]]:
+    """Return the table of the laws that are recommended, with what each costs."""
+    columns = ("tracking_error", "stiffness_ratio", "force_error", "parted_mm")
+    table = []
+    for situation, some in situations.items():
+        first = some[0]
+        table.append((
+            *situation, first.law if first.held else "none", f"{100.0 * first.share:.0f} %",
+            f"{100.0 * first.made_energy / first.runs:.0f} %",
+            *(_middle(first.measures[name]) for name in columns),
+            ", ".join(f"{row.law} {100.0 * row.share:.0f} %" for row in some[1:3] if row.held),
+        ))  # fmt: skip
+    return table
+
+
+def _middle(spread: Spread | None) -> str | None:
+    return None if spread is None else f"{spread.median:.2g}"
+
+
+def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) -> "Figure":
+    """Return the figure of what a law costs: stiffness felt and energy made against the tracking error.
+
+    A column is a sample, a point a law in a kind of line; a line leads from the ideal instrument (hollow) to the real
+    one (filled).
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
+
+    samples = list(dict.fromkeys(situation.sample for situation in situations))
+    lines = list(dict.fromkeys(situation.line for situation in situations))
+    laws = list(dict.fromkeys(row.law for some in situations.values() for row in some))
+    instruments = list(dict.fromkeys(situation.instrument for situation in situations))
+    figure = Figure(figsize=(1.0 + 4.6 * len(samples), 6.6), layout="constrained")
+    axes = figure.subplots(2, len(samples), sharex="col", squeeze=False)
+    for column, sample in enumerate(samples):
+        upper, lower = axes[:, column]
+        for line, marker in zip(lines, _MARKERS, strict=False):
+            for law, colour in zip(laws, _COLOURS, strict=False):
+                points = []
+                for instrument in instruments:
+                    some = situations.get(Situation(line, instrument, sample), ())
+                    points.append(next((_cost(row) for row in some if row.law == law), None))
+                _draw_costs((upper, lower), points, marker, colour)
+        upper.set_title(f"sample of {sample}", fontsize=9)
+        upper.axhline(1.0, color="0.6", linewidth=0.8)
+        lower.set_xscale("log")
+        lower.xaxis.set_major_locator(FixedLocator(_TRACKING_TICKS))
+        lower.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        lower.xaxis.set_minor_formatter(NullFormatter())
+        lower.set_xlabel("tracking error (0: the tip follows the hand)")
+    axes[0, 0].set_ylabel("stiffness felt / true")
+    axes[1, 0].set_ylabel("runs that made energy [%]")
+    handles = [
+        Line2D([], [], color=colour, marker="o", linestyle="", label=law.replace("_", " "))
+        for law, colour in zip(laws, _COLOURS, strict=False)
+    ]
+    handles += [
+        Line2D([], [], color="0.3", marker=marker, linestyle="", label=line)
+        for line, marker in zip(lines, _MARKERS, strict=False)
+    ]
+    handles += [
+        Line2D([], [], color="0.3", marker="o", linestyle="", markerfacecolor=fill, label=f"{instrument} instrument")
+        for instrument, fill in zip(instruments, ("none", "0.3"), strict=False)
+    ]
+    figure.legend(handles=handles, loc="outside right upper", fontsize="small")
+    return figure
+
+
+def _cost(row: Row[Situation]) -> tuple[float, float, float] | None:
+    """Return tracking error, stiffness ratio and share that made energy [%]; None where nothing that swung was held."""
+    tracking, stiffness = row.measures["tracking_error"], row.measures["stiffness_ratio"]
+    if tracking is None or stiffness is None:
+        return None
+    return tracking.median, stiffness.median, 100.0 * row.made_energy / row.runs
+
+
+def _draw_costs(axes: Any, points: Sequence[tuple[float, float, float] | None], marker: str, colour: str) -> None:
+    """Draw one law in one kind of line: the ideal instrument, the real one, and a line between."""
+    for index, axis in enumerate(axes, start=1):
+        if all(point is not None for point in points):
+            axis.plot([p[0] for p in points if p], [p[index] for p in points if p], color=colour, linewidth=0.7)
+        for point, fill in zip(points, ("none", colour), strict=False):
+            if point is not None:
+                axis.plot(point[0], point[index], marker, color=colour, markerfacecolor=fill, markersize=6)
+
+
+def law_rows(rows: Sequence[Row[Case]]) -> list[tuple[Any, ...]]:
     """Return the table of all laws over all networks."""
     return [
         (*row.case, row.law, row.held, row.runs, row.made_energy,
@@ -70,19 +165,19 @@ def _spread(spread: Spread | None) -> str | None:
     return f"{spread.median:.3g} ({spread.least:.3g} to {spread.most:.3g})"
 
 
-def _median(row: Row, measure: str) -> str:
+def _median(row: Row[Case], measure: str) -> str:
     spread = row.measures[measure]
     return text(None) if spread is None else f"{spread.median:.0f}"
 
 
-def benchmark_figure(rows: Sequence[Row]) -> "Figure":
+def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":
     """Return the figure: share of the runs that each law held over each network, and how near it followed.
 
     A panel is an instrument and a hand.
     """
     from matplotlib.figure import Figure
 
-    networks, laws = list(dict.fromkeys(row.network for row in rows)), list(dict.fromkeys(row.law for row in rows))
+    networks, laws = list(dict.fromkeys(row.case.network for row in rows)), list(dict.fromkeys(row.law for row in rows))
     panels = list(dict.fromkeys(row.case[:2] for row in rows))
     width = 2.6 + 1.25 * len(laws) * len(panels)
     figure = Figure(figsize=(width, 1.8 + 0.48 * len(networks)), layout="constrained")
@@ -97,9 +192,9 @@ def benchmark_figure(rows: Sequence[Row]) -> "Figure":
     return figure
 
 
-def _draw_shares(axes: Any, rows: Sequence[Row], networks: Sequence[str], laws: Sequence[str]) -> Any:
+def _draw_shares(axes: Any, rows: Sequence[Row[Case]], networks: Sequence[str], laws: Sequence[str]) -> Any:
     """Draw the shares of one instrument and hand, and return what has their scale of colours."""
-    known = {(row.network, row.law): row for row in rows}
+    known = {(row.case.network, row.law): row for row in rows}
     shares = [[known[network, law].share for law in laws] for network in networks]
     image = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")
     best = {case.network: some[0].law for case, some in choices(rows).items() if some[0].held}
@@ -117,11 +212,29 @@ def _draw_shares(axes: Any, rows: Sequence[Row], networks: Sequence[str], laws: 
     return image
 
 
-def benchmark_page(plan: Plan, summary: dict[str, Any], rows: Sequence[Row], image: bytes, command: str) -> Page:
+def benchmark_page(
+    plan: Plan,
+    summary: dict[str, Any],
+    rows: Sequence[Row[Case]],
+    situations: Mapping[Situation, Sequence[Row[Situation]]],
+    images: Mapping[str, bytes],
+    command: str,
+) -> Page:
     """Return the page of a result."""
     page = Page(f"Benchmark {VERSION}: which law for which network")
     page.code(command)
     page.paragraph(f"{summary['runs']} runs. SHA-256 of runs.csv: {summary['digest']}.")
+    if situations:
+        page.table(SITUATION_HEAD, situation_rows(situations))
+        page.paragraph(
+            "Recommended by what is known of a line, an instrument and a sample beforehand, over all hands: the law"
+            " that followed the swing nearest, of those whose share of runs held has a 95 % interval that meets that of"
+            " the best. Medians of the runs held."
+        )
+        page.image(
+            images["frontier.png"],
+            "What a law costs: medians of the runs held. From the ideal instrument (hollow) to the real one (filled).",
+        )
     page.table(CHOICE_HEAD, choice_rows(rows))
     page.paragraph(
         "Held: the verdict is stable, that is, the force comes to rest where the hand means it to, and it was never"
@@ -132,7 +245,7 @@ def benchmark_page(plan: Plan, summary: dict[str, Any], rows: Sequence[Row], ima
         " come, none is tuned for a network."
     )
     page.image(
-        image,
+        images["benchmark.png"],
         "Share of the runs held, and below it the tracking error (RMS of the tip's motion against the hand's, median of"
         " the runs held). Bold: the law to take.",
     )

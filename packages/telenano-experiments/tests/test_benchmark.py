@@ -14,9 +14,29 @@ import numpy as np
 import pytest
 from telenano_experiments.benchmark import plan as plan_module
 from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
-from telenano_experiments.benchmark.plan import HANDS, MEASURED_LINES, NETWORKS, TASKS, Plan, Run, is_random, plan_of
-from telenano_experiments.benchmark.results import Case, choices, digest_of, rows_of, runs_text, summary_of
+from telenano_experiments.benchmark.plan import (
+    HANDS,
+    LINES,
+    MEASURED_LINES,
+    NETWORKS,
+    SAMPLES,
+    TASKS,
+    Plan,
+    Run,
+    is_random,
+    plan_of,
+)
+from telenano_experiments.benchmark.results import (
+    Case,
+    choices,
+    digest_of,
+    rows_of,
+    runs_text,
+    situations_of,
+    summary_of,
+)
 from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
+from telenano_experiments.benchmark_page import frontier_figure
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
@@ -179,6 +199,31 @@ def test_the_law_to_take_held_most_and_followed_nearest():
     assert [(taken["network"], taken["law"]) for taken in summary["take"]] == [("lan", "smith"), ("satellite", None)]
     assert {(taken["instrument"], taken["steadiness"]) for taken in summary["take"]} == {("ideal", "scripted")}
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+
+
+def test_recommended_is_the_law_that_follows_nearest_of_those_that_chance_may_have_put_second():
+    def held(law, tracking, count, network="wifi"):
+        return [made(network, law, "stable" if n < count else "limit_cycle", tracking) for n in range(100)]
+
+    situations = situations_of([*held("wave", 0.5, 100), *held("smith", 0.1, 98), *held(PAPER, 0.01, 80)])
+    (situation,) = situations
+    assert situation == ("independent delays", "ideal", "20 to 40 N/m")
+    assert [row.law for row in situations[situation]] == ["smith", "wave", PAPER]
+    # a network of somebody's own stands for no kind of line
+    assert situations_of(held("wave", 0.5, 100, "lte")) == {}
+    assert {name for networks in LINES.values() for name in networks} == set(NETWORKS)
+    assert [task for tasks in SAMPLES.values() for task in tasks] == list(TASKS)
+
+
+def test_the_figure_of_costs_leads_from_the_ideal_to_the_real_instrument():
+    outcomes = [
+        made("wifi", "wave", "stable", tracking)._replace(cell=run_of("wave").model_copy(update={"instrument": name}))
+        for name, tracking in (("ideal", 0.1), ("real", 0.4))
+    ]
+    outcomes = [one._replace(measures={**one.measures, "stiffness_ratio": 0.9}) for one in outcomes]
+    upper, lower = frontier_figure(situations_of(outcomes)).axes
+    assert [point.get_xdata()[0] for point in upper.lines if point.get_marker() != "None"] == [0.1, 0.4]
+    assert lower.get_xscale() == "log"
 
 
 def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():

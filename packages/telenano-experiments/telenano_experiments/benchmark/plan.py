@@ -44,6 +44,16 @@ NETWORKS = (
     *("clean", "wifi", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
     *(name for line in MEASURED_LINES for name in (line, f"{line}_no_memory")),
 )
+# What a reader knows of a line before anything was measured on it, and the networks that stand for it.
+LINES: dict[str, tuple[str, ...]] = {
+    "local": ("clean",),
+    "long distance": ("transatlantic", "satellite"),
+    "independent delays": (
+        *("wifi", "leo_satellite", "lossy_bursts"),
+        *(f"{line}_no_memory" for line in MEASURED_LINES),
+    ),
+    "measured line": MEASURED_LINES,
+}
 QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
 SEEDS, QUICK_SEEDS = 4, 2
 # the swing that is followed: so many newtons about the force of the hold, this often, so many periods before and in the
@@ -70,6 +80,8 @@ TASKS: dict[TaskName, Task] = {
     "track": Task("press a spring of 20 N/m with 1 N, hold, then follow 0.3 N at 0.5 Hz", "spring", 20.0, 1.0, True),
     "stiff": Task("the same on a spring of 80 N/m", "spring", 80.0, 1.0, True),
 }
+# The tasks by the sample that they touch.
+SAMPLES: dict[str, tuple[TaskName, ...]] = {"20 to 40 N/m": ("touch", "hold", "track"), "80 N/m": ("stiff",)}
 QUICK_TASKS: tuple[TaskName, ...] = ("touch", "track")
 QUICK_HANDS: tuple[HandName, ...] = ("force", "stiff")
 
@@ -252,5 +264,5 @@ def _link_text(network: str) -> str:
 
 @functools.cache
 def _sources() -> str:
-    own = sorted(Path(__file__).parent.glob("*.py"))
+    own = [Path(__file__).with_name(name) for name in ("etvo.py", "plan.py", "run.py")]
     return sources() + hashlib.sha256(b"".join(path.read_bytes() for path in own)).hexdigest()
