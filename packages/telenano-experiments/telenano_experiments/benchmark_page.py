@@ -1,7 +1,8 @@
 """The page of the benchmark: which law for which network, a figure, the measures, and what was run."""
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.page import Page, text
@@ -35,10 +36,12 @@ ROW_HEAD = (
     *("position error [mm]", "hand and tip parted [mm]", "stiffness felt / true", "tracking error"),
     *("time-offset there, back [ms]", "value-offset back [N]", "not held"),
 )
-# distinct in shades of grey as well as in colour (Okabe and Ito 2008)
-_COLOURS = ("#000000", "#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2")
-_TRACKING_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-_MARKERS = ("o", "s", "^", "D")
+_TRACKING_TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+_TRACKING = (0.01, 2.0)
+_SOFTEST = -0.15
+_STIFFEST = 1.25
+# energy below this is drawn in the deepest colour [mJ]
+_LEAST_MJ = -2.0
 # beyond this share of the scale of colours the words on it are dark
 _LIGHT = 0.45
 
@@ -77,71 +80,101 @@ def _middle(spread: Spread | None) -> str | None:
 
 
 def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) -> "Figure":
-    """Return the figure of what a law costs: stiffness felt and energy made against the tracking error.
+    """Return the frontier: stiffness felt against tracking error against energy, a panel a kind of line.
 
-    A column is a sample, a point a law in a kind of line; a line leads from the ideal instrument (hollow) to the real
-    one (filled).
+    A law is a line from the first instrument (diamond) to the second (circle), or a point where there is one; its name
+    has the shares of the runs held. To the right follows worse, downwards is softer, and the colour is the least energy
+    at the ports.
     """
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
     from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 
-    samples = list(dict.fromkeys(situation.sample for situation in situations))
-    lines = list(dict.fromkeys(situation.line for situation in situations))
-    laws = list(dict.fromkeys(row.law for some in situations.values() for row in some))
-    instruments = list(dict.fromkeys(situation.instrument for situation in situations))
-    figure = Figure(figsize=(1.0 + 4.6 * len(samples), 6.6), layout="constrained")
-    axes = figure.subplots(2, len(samples), sharex="col", squeeze=False)
-    for column, sample in enumerate(samples):
-        upper, lower = axes[:, column]
-        for line, marker in zip(lines, _MARKERS, strict=False):
-            for law, colour in zip(laws, _COLOURS, strict=False):
-                points = []
-                for instrument in instruments:
-                    some = situations.get(Situation(line, instrument, sample), ())
-                    points.append(next((_cost(row) for row in some if row.law == law), None))
-                _draw_costs((upper, lower), points, marker, colour)
-        upper.set_title(f"sample of {sample}", fontsize=9)
-        upper.axhline(1.0, color="0.6", linewidth=0.8)
-        lower.set_xscale("log")
-        lower.xaxis.set_major_locator(FixedLocator(_TRACKING_TICKS))
-        lower.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        lower.xaxis.set_minor_formatter(NullFormatter())
-        lower.set_xlabel("tracking error (0: the tip follows the hand)")
-    axes[0, 0].set_ylabel("stiffness felt / true")
-    axes[1, 0].set_ylabel("runs that made energy [%]")
-    handles = [
-        Line2D([], [], color=colour, marker="o", linestyle="", label=law.replace("_", " "))
-        for law, colour in zip(laws, _COLOURS, strict=False)
-    ]
-    handles += [
-        Line2D([], [], color="0.3", marker=marker, linestyle="", label=line)
-        for line, marker in zip(lines, _MARKERS, strict=False)
-    ]
-    handles += [
-        Line2D([], [], color="0.3", marker="o", linestyle="", markerfacecolor=fill, label=f"{instrument} instrument")
-        for instrument, fill in zip(instruments, ("none", "0.3"), strict=False)
-    ]
-    figure.legend(handles=handles, loc="outside right upper", fontsize="small")
+    first_sample = next(iter(situations)).sample
+    shown = {situation: rows for situation, rows in situations.items() if situation.sample == first_sample}
+    lines = list(dict.fromkeys(situation.line for situation in shown))
+    across = min(2, len(lines))
+    down = -(-len(lines) // across)
+    figure = Figure(figsize=(6.2 * across, 0.4 + 4.0 * down), layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False)
+    for axes in panels.flat[len(lines) :]:
+        axes.set_visible(False)
+    dots: Any = None
+    for axes, line in zip(panels.flat, lines, strict=False):
+        axes.axhline(1.0, color="0.8", linewidth=0.8, zorder=0)
+        rows = {situation.instrument: some for situation, some in shown.items() if situation.line == line}
+        dots = _draw_frontier(axes, rows) or dots
+        axes.set(xscale="log", xlim=_TRACKING, ylim=(_SOFTEST, _STIFFEST), ylabel="stiffness felt / true")
+        axes.set_xlabel("tracking error, 0: the tip follows the hand")
+        axes.set_title(f"{line}, sample of {first_sample}", fontsize=9)
+        axes.xaxis.set_major_locator(FixedLocator(_TRACKING_TICKS))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    if dots is not None:
+        label = f"least energy at the ports of the runs held [mJ], {_LEAST_MJ:g} or less"
+        figure.colorbar(dots, ax=panels.ravel().tolist(), label=label, fraction=0.03)
     return figure
 
 
-def _cost(row: Row[Situation]) -> tuple[float, float, float] | None:
-    """Return tracking error, stiffness ratio and share that made energy [%]; None where nothing that swung was held."""
-    tracking, stiffness = row.measures["tracking_error"], row.measures["stiffness_ratio"]
-    if tracking is None or stiffness is None:
+def _draw_frontier(axes: Any, rows: Mapping[str, Sequence[Row[Situation]]]) -> Any:
+    """Draw the laws of one kind of line, by instrument, and return what has their scale of colours."""
+    by_law: dict[str, list[tuple[int, Row[Situation]]]] = {}
+    for index, some in enumerate(rows.values()):
+        for row in some:
+            by_law.setdefault(row.law, []).append((index, row))
+    dots, names = None, []
+    for law, results in by_law.items():
+        points = [(index, cost) for index, row in results if (cost := _cost(row)) is not None]
+        name = f"{law} {' → '.join(f'{100.0 * row.share:.0f} %' for _, row in results)}"
+        if not points:
+            names.append((math.nan, math.nan, name))
+            continue
+        axes.plot(
+            [cost.tracking for _, cost in points],
+            [cost.stiffness for _, cost in points],
+            color="0.5",
+            linewidth=0.8,
+            zorder=1,
+        )
+        for index, cost in points:
+            look = {"cmap": "viridis", "vmin": _LEAST_MJ, "vmax": 0.0, "edgecolors": "black", "zorder": 2}
+            size, marker = (26, "o") if index else (46, "D")
+            dots = axes.scatter(
+                [cost.tracking], [cost.stiffness], c=[max(cost.least_mj, _LEAST_MJ)], s=size, marker=marker, **look
+            )
+        last = points[-1][1]
+        names.append((last.tracking, last.stiffness, name))
+    _write_names(axes, names)
+    return dots
+
+
+def _write_names(axes: Any, names: Sequence[tuple[float, float, str]]) -> None:
+    """Write the names in a column beside the panel, in the order of their points, so that none lies on another."""
+    level = _STIFFEST
+    for tracking, stiffness, name in sorted(names, key=lambda one: -math.inf if math.isnan(one[1]) else -one[1]):
+        level = min(level - 0.085, stiffness + 0.02) if not math.isnan(stiffness) else level - 0.085
+        place = (tracking, stiffness) if not math.isnan(stiffness) else (_TRACKING[1], level)
+        arrow = {"arrowstyle": "-", "color": "0.75", "linewidth": 0.6} if not math.isnan(stiffness) else None
+        axes.annotate(
+            name, place, xytext=(1.02 * _TRACKING[1], level), fontsize=7, arrowprops=arrow, annotation_clip=False
+        )
+
+
+class _Cost(NamedTuple):
+    """What a law costs: medians of tracking error and stiffness ratio, and the least energy of a run [mJ]."""
+
+    tracking: float
+    stiffness: float
+    least_mj: float
+
+
+def _cost(row: Row[Situation]) -> _Cost | None:
+    """Return what a law costs; None where nothing that swung was held."""
+    tracking, stiffness, energy = (
+        row.measures[name] for name in ("tracking_error", "stiffness_ratio", "least_energy_mj")
+    )
+    if tracking is None or stiffness is None or energy is None:
         return None
-    return tracking.median, stiffness.median, 100.0 * row.made_energy / row.runs
-
-
-def _draw_costs(axes: Any, points: Sequence[tuple[float, float, float] | None], marker: str, colour: str) -> None:
-    """Draw one law in one kind of line: the ideal instrument, the real one, and a line between."""
-    for index, axis in enumerate(axes, start=1):
-        if all(point is not None for point in points):
-            axis.plot([p[0] for p in points if p], [p[index] for p in points if p], color=colour, linewidth=0.7)
-        for point, fill in zip(points, ("none", colour), strict=False):
-            if point is not None:
-                axis.plot(point[0], point[index], marker, color=colour, markerfacecolor=fill, markersize=6)
+    return _Cost(tracking.median, stiffness.median, energy.least)
 
 
 def law_rows(rows: Sequence[Row[Case]]) -> list[tuple[Any, ...]]:
@@ -233,7 +266,8 @@ def benchmark_page(
         )
         page.image(
             images["frontier.png"],
-            "What a law costs: medians of the runs held. From the ideal instrument (hollow) to the real one (filled).",
+            "What a law costs: medians of the runs held, from the ideal instrument (diamond) to the real one (circle)."
+            " To the right follows worse, downwards is softer. A name has the shares of the runs held.",
         )
     page.table(CHOICE_HEAD, choice_rows(rows))
     page.paragraph(

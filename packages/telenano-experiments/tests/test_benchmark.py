@@ -215,15 +215,23 @@ def test_recommended_is_the_law_that_follows_nearest_of_those_that_chance_may_ha
     assert [task for tasks in SAMPLES.values() for task in tasks] == list(TASKS)
 
 
-def test_the_figure_of_costs_leads_from_the_ideal_to_the_real_instrument():
+def test_the_frontier_leads_from_the_ideal_to_the_real_instrument_and_names_what_was_not_held():
+    def swung(law, instrument, verdict, tracking, stiffness, least_mj):
+        one = made("wifi", law, verdict, tracking, least_mj)
+        cell = one.cell.model_copy(update={"instrument": instrument})
+        return one._replace(cell=cell, measures={**one.measures, "stiffness_ratio": stiffness})
+
     outcomes = [
-        made("wifi", "wave", "stable", tracking)._replace(cell=run_of("wave").model_copy(update={"instrument": name}))
-        for name, tracking in (("ideal", 0.1), ("real", 0.4))
-    ]
-    outcomes = [one._replace(measures={**one.measures, "stiffness_ratio": 0.9}) for one in outcomes]
-    upper, lower = frontier_figure(situations_of(outcomes)).axes
-    assert [point.get_xdata()[0] for point in upper.lines if point.get_marker() != "None"] == [0.1, 0.4]
-    assert lower.get_xscale() == "log"
+        swung("wave", "ideal", "stable", 0.1, 0.9, 0.0), swung("wave", "ideal", "stable", 0.3, 0.7, -0.1),
+        swung("wave", "ideal", "diverged", 9.0, 9.0, -40.0), swung("wave", "real", "stable", 0.4, 0.5, -5.0),
+        swung(PAPER, "ideal", "diverged", None, None, -90.0), swung(PAPER, "real", "diverged", None, None, -90.0),
+    ]  # fmt: skip
+    panel = frontier_figure(situations_of(outcomes)).axes[0]
+    places = [dots.get_offsets()[0].tolist() for dots in panel.collections]
+    assert places == [pytest.approx([0.2, 0.8]), pytest.approx([0.4, 0.5])]
+    assert [dots.get_array().tolist() for dots in panel.collections] == [[-0.1], [-2.0]]
+    names = {text.get_text() for text in panel.texts}
+    assert names == {"wave 67 % → 100 %", "virtual_impedance 0 % → 0 %"}
 
 
 def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
