@@ -162,9 +162,10 @@ def row(name: str, found: dict[str, object]) -> str:
         return f"| {name} | no memory known |" + " – |" * 12
     for one in table:
         values = [one["measured"], one["generated"]]
-        shown = " / ".join("–" if value is None else f"{value:.3g}" for value in values)
+        shown = " / ".join("–" if value is None else f"{float(f'{value:.3g}'):g}" for value in values)
         mark = "" if one["agrees"] else " **no**"
-        cells.append(shown + ("*" if one["halves_differ"] else "") + mark)
+        # the star is escaped for Markdown
+        cells.append(shown + (r"\*" if one["halves_differ"] else "") + mark)
     return "| " + " | ".join(cells) + " |"
 
 
