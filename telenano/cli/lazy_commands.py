@@ -119,7 +119,7 @@ def function_of_package(words: str) -> Any:
 
     row = package_commands().get(tuple(words.split()))
     if row is None:
-        package = KNOWN_PACKAGES[words]
+        package = KNOWN_PACKAGES[f"command {words}"]
         raise ConfigError(f"the command {words!r} is in the package {package}: {how_to_add_package(package)}")
     return getattr(importlib.import_module(row.module), row.attribute)
 
@@ -249,10 +249,11 @@ class OpenGroup(TyperGroup):
         if row := self.own_rows.get(name) or self.rows().get(name):
             return name, load_row(name, row, path), args[1:]
         # A command of a group that is missing as well may be of another package than the group.
-        if words := [each for each in (" ".join([*path, *args[1:2]]), " ".join(path)) if each in KNOWN_PACKAGES]:
+        asked = (" ".join([*path, *args[1:2]]), " ".join(path))
+        if words := [each for each in asked if f"command {each}" in KNOWN_PACKAGES]:
             from telenano.wire.extras import how_to_add_package
 
-            package, last = KNOWN_PACKAGES[words[0]], words[0].removeprefix(" ".join([*self.path, ""]))
+            package, last = KNOWN_PACKAGES[f"command {words[0]}"], words[0].removeprefix(" ".join([*self.path, ""]))
             ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
         return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
