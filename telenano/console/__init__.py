@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.console.bridges import DEFAULT_RATE_HZ as DEFAULT_RATE_HZ
     from telenano.console.bridges import Rate as Rate
     from telenano.console.bridges import hand_on as hand_on
     from telenano.console.bridges import live_rig as live_rig

@@ -13,9 +13,6 @@ from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
 from telenano.wire.errors import RigError
 
-# 8000 messages a second of a rig would be more than a viewer draws.
-DEFAULT_RATE_HZ = 100.0
-
 
 class Bridge(Protocol):
     """What hands messages on; `sent` counts those that it has."""
@@ -27,7 +24,14 @@ class Bridge(Protocol):
 
 
 class Rate:
-    """Chooses the messages of each channel and source that are due by a rate; what is sent on change always is."""
+    """Chooses the messages of each channel and source that are due by a rate; what is sent on change always is.
+
+    rate = Rate(Rate.DEFAULT_HZ)
+    due = [message for message in live.messages() if rate.is_due(message)]
+    """
+
+    # 8000 messages a second of a rig would be more than a viewer draws.
+    DEFAULT_HZ = 100.0
 
     def __init__(self, rate_hz: float) -> None:
         """Choose up to `rate_hz` messages a second of each [Hz]; 0 for all of them."""

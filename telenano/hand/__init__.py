@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.motor import MotorState as MotorState
-    from telenano.hand.motor import bandwidth_hz as bandwidth_hz
     from telenano.hand.motor import closed_loop_coefficients as closed_loop_coefficients
-    from telenano.hand.motor import closed_loop_poles as closed_loop_poles
     from telenano.hand.operator_config import ARMS as ARMS
     from telenano.hand.operator_models import operator_at_rest as operator_at_rest
     from telenano.hand.operator_models import operator_step as operator_step

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from telenano.cli import DurationOption, SiteFileOption, report_errors, validated, with_options
-from telenano.console import DEFAULT_RATE_HZ, hand_on, live_rig
+from telenano.console import Rate, hand_on, live_rig
 from telenano.serving import ViewConfig, announced
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano_foxglove.bridge import DEFAULT_PORT, Bridge, FoxgloveServer
@@ -30,7 +30,7 @@ def foxglove(
     ] = None,
     rate: Annotated[
         float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each channel a second; 0: all.")
-    ] = DEFAULT_RATE_HZ,
+    ] = Rate.DEFAULT_HZ,
     duration: DurationOption = None,
 ) -> None:
     """Serve every topic with its schema to Foxglove and Lichtblick, until Ctrl-C; prints the address to open.

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from telenano.console import DEFAULT_RATE_HZ, Rate
+from telenano.console import Rate
 from telenano.recording import RecordedMessage, plain
 from telenano.wire import ConfigError, RecordingError
 from telenano_ros2.crtk import TOPICS_IN, Encoder, definitions
@@ -33,7 +33,7 @@ Opens = Callable[[str, str, str, str], Publisher]
 class Ros2Bridge:
     """Hands the messages of a rig on, of each topic no more than a rate."""
 
-    def __init__(self, open_publisher: Opens, rate_hz: float = DEFAULT_RATE_HZ, namespace: str = "") -> None:
+    def __init__(self, open_publisher: Opens, rate_hz: float = Rate.DEFAULT_HZ, namespace: str = "") -> None:
         """Prepare a bridge without topics: each is opened with its first message.
 
         Args:

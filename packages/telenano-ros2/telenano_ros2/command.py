@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from telenano.cli import DurationOption, SiteFileOption, report_errors
-from telenano.console import DEFAULT_RATE_HZ, hand_on, live_rig
+from telenano.console import Rate, hand_on, live_rig
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano_ros2.bridge import DEFAULT_ROUTER, Ros2Bridge, close_session, is_connected, zenoh_publishers
 
@@ -23,7 +23,7 @@ def ros2(
     namespace: Annotated[str, typer.Option("--namespace", metavar="NAME", help="What stands before each topic.")] = "",
     rate: Annotated[
         float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each topic a second; 0: all.")
-    ] = DEFAULT_RATE_HZ,
+    ] = Rate.DEFAULT_HZ,
     duration: DurationOption = None,
 ) -> None:
     """Publish positions and forces in ROS 2 by the names of CRTK, until Ctrl-C; no ROS has to be installed here.

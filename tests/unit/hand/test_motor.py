@@ -50,30 +50,6 @@ def analytic_step(params, reference, t):
     return reference * position.real, reference * velocity.real
 
 
-def test_poles_and_bandwidth_of_the_printed_gain():
-    params = device("paper_gain")
-    slow, fast = motor.closed_loop_poles(params)
-    assert slow.imag == fast.imag == 0.0
-    assert f"{slow.real:.3f}" == "-8.281"
-    assert f"{fast.real:.1f}" == "-900.8"
-    assert f"{motor.bandwidth_hz(params):.3f}" == "1.318"
-
-
-def test_bandwidth_of_the_default_preset_is_the_printed_one():
-    assert f"{motor.bandwidth_hz(device()):.1f}" == "30.0"
-    assert DeviceConfig().preset == "paper_bandwidth"
-
-
-@pytest.mark.parametrize("gain", [1e4, 1.917e5, 2.7e5, 3e6])
-def test_poles_solve_the_characteristic_equation_and_bandwidth_halves_the_power(gain):
-    params = device(servo_gain_v_per_m=gain)
-    a2, b = motor.closed_loop_coefficients(params)
-    for pole in motor.closed_loop_poles(params):
-        assert abs(pole * pole + b * pole + a2) < 1e-12 * a2
-    s = 2j * math.pi * motor.bandwidth_hz(params)
-    assert abs(a2 / (s * s + b * s + a2)) ** 2 == pytest.approx(0.5, rel=1e-12, abs=0.0)
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("dt", [1e-4, 2.5e-4, 1e-3, 7.3e-3, 0.1])
 def test_step_response_is_the_analytic_one_for_any_period(preset, dt):

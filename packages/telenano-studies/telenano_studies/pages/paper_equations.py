@@ -20,9 +20,10 @@ from telenano.afm import (
     printed_meniscus_force,
     pull_off,
 )
-from telenano.hand import DeviceConfig, bandwidth_hz, closed_loop_poles
+from telenano.hand import DeviceConfig
 from telenano.laws import LAWS, impedance_scaled
 from telenano_studies.loops.theory import critical_delay_s, loop_model
+from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 
 
 class Row(NamedTuple):
