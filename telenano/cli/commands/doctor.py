@@ -21,7 +21,7 @@ from rich.text import Text
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
-from telenano.doctor.devices import check_instrument
+from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.extend.checks import Finding
 from telenano.launcher.processors import held, shared_folder
 from telenano.settings.included import DEFAULT_SITE_FILE
@@ -109,6 +109,7 @@ def machine(*, container: bool) -> list[Finding]:
         checks.check_memory_lock(checks.attempt_memory_lock(), _limit(resource.RLIMIT_MEMLOCK), container=container),
         checks.check_synchronised(checks.kernel_clock()),
         checks.check_disk(here, shutil.disk_usage(here).free),
+        *check_serial_ports(),
     ]
 
 
