@@ -24,12 +24,12 @@ from pathlib import Path
 from typing import Any
 
 from telenano_afm_controllers.modbus_frames import Conversation, Operation
-from telenano_haptic_devices.serial_handle.calibration import read_handle_calibration
-from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.section_config import ModbusConfig
 from telenano.devices.afm.instrument import modbus_driver
+from telenano.devices.hand.calibration import read_handle_calibration
+from telenano.devices.hand.serial_driver import SerialHandle
 from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.hand.config import LimitsConfig
 from telenano.runtime.loop.log import StructuredLog, configure_logging

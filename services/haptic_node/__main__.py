@@ -7,6 +7,7 @@ if __name__ == "__main__":
     gc.disable()
 
 import sys
+from pathlib import Path
 
 from services.haptic_node.node import INPUTS, HapticNode
 from telenano.extend.hands import HapticDevice
@@ -25,8 +26,16 @@ def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevi
     if (driver := DRIVERS.find(config.driver)) is not None:
         device: HapticDevice = driver.device(config, config.limits, period_s)
         return device
-    declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None
-    return DisturbedHaptic(config.to_simulated_params(), config.device.start_position_m, config.disturbances, declared)
+    if config.serial is None or config.driver in ("simulated", SIMULATED_IMPEDANCE):
+        declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None
+        return DisturbedHaptic(
+            config.to_simulated_params(), config.device.start_position_m, config.disturbances, declared
+        )
+    from telenano.devices.hand.calibration import read_handle_calibration
+    from telenano.devices.hand.serial_driver import SerialHandle
+
+    calibration = read_handle_calibration(Path(config.serial.calibration))
+    return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits, period_s=period_s)
 
 
 HAPTIC_NODE = NodeKind("haptic_node", HapticConfig, ordinary(build, INPUTS))

@@ -56,7 +56,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
 
 def _held(ports: Sequence[Path], processes: Path) -> Iterator[Finding]:
-    from telenano.files.open_files import holder_of
+    from telenano.devices.hand.port import holder_of
 
     for port in ports:
         holder = holder_of(str(port), processes)

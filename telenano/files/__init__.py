@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from telenano.files.limited_child import Limits as Limits
     from telenano.files.limited_child import limits_for as limits_for
     from telenano.files.limited_child import read_in_child as read_in_child
-    from telenano.files.open_files import holder_of as holder_of
     from telenano.files.regular_files import is_own as is_own
     from telenano.files.regular_files import is_own_path as is_own_path
     from telenano.files.regular_files import open_regular as open_regular

@@ -134,10 +134,20 @@ class LimitsConfig(Settings):
         return filled(SafetyParams, self, has_position_mode=has_position_mode, has_force_mode=has_force_mode)
 
 
+class SerialConfig(Settings):
+    """A handle on a serial port, in handle protocol 1."""
+
+    port: str = Field(
+        min_length=1, description="Device file, best one of /dev/serial/by-id, whose name stays when it is plugged in"
+    )
+    baud: int = Field(1_000_000, ge=115_200, le=12_000_000, description="Bits a second; without effect on native USB")
+    calibration: str = Field(min_length=1, description="Calibration file of this very device (handle.yaml)")
+
+
 _DRIVER: Any = Field(
     default="simulated",
     description="simulated: device and operator below; simulated_impedance: a simulated device of three axes that takes"
-    " a force; or the driver of a package",
+    " a force; serial: a real handle; or the driver of a package",
 )
 
 
@@ -147,6 +157,7 @@ class _OwnSections(Settings):
     model_config = ConfigDict(serialize_by_alias=True)
 
     driver: str = _DRIVER
+    serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
     impedance: SimulatedImpedanceConfig = Field(
         default=SimulatedImpedanceConfig(), description="The simulated device of three axes that takes a force"
@@ -173,7 +184,9 @@ class _OwnSections(Settings):
         return self.driver in _SIMULATED or DRIVERS.is_simulated(self.driver)
 
     @model_validator(mode="after")
-    def _driver_is_described(self) -> Self:
+    def _serial_is_described(self) -> Self:
+        if self.driver == "serial" and self.serial is None:
+            raise ValueError("driver: serial needs a section serial with port and calibration")
         DRIVERS.require_section(self, self.driver)
         return self
 
@@ -231,9 +244,10 @@ class _OwnSections(Settings):
 
 SIMULATED_IMPEDANCE = "simulated_impedance"
 _SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
+_OWN_DRIVERS = (*_SIMULATED, "serial")
 # Packages may not use the keys of the section.
-TAKEN = frozenset({*_SIMULATED, *_OwnSections.model_fields})
-DRIVERS = Drivers("haptic_node", _SIMULATED, TAKEN)
+TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields})
+DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN, experimental=("serial",))
 
 if TYPE_CHECKING:
     DriverName = str

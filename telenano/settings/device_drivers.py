@@ -77,11 +77,15 @@ class Drivers(Entries[DeviceDriver]):
         node: The node that drives them.
         own: The names of the node's own drivers.
         taken: Those, and what else in the section of the node has a name.
+        experimental: Those of the node's own drivers that have driven an emulator and never a real device.
     """
 
-    def __init__(self, node: str, own: Collection[str], taken: Collection[str]) -> None:
+    def __init__(
+        self, node: str, own: Collection[str], taken: Collection[str], experimental: Collection[str] = ()
+    ) -> None:
         super().__init__("devices", "driver", self._checked, taken, own)
         self._node = node
+        self._experimental = experimental
 
     def is_absent(self, name: object) -> bool:
         """Return whether a driver is neither one of the node's own nor one of a package on this machine."""
@@ -94,7 +98,7 @@ class Drivers(Entries[DeviceDriver]):
     def caution(self, name: str | None) -> str:
         """Return the warning of a driver that never drove a real device; empty for every other and for None."""
         driver = None if name is None else self.find(name)
-        if driver is None or not driver.experimental:
+        if name not in self._experimental and (driver is None or not driver.experimental):
             return ""
         return (
             f"{self._node}.driver: {name} is experimental: it has driven an emulator and never a real device, so keep "

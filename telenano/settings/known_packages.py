@@ -54,7 +54,6 @@ KNOWN_PACKAGES = {
     "driver hd": "telenano-haptic-devices",
     "driver modbus": "telenano-afm-controllers",
     "driver nanonis": "telenano-afm-controllers",
-    "driver serial": "telenano-haptic-devices",
     "format csv": "telenano-tables",
     "format hdf5": "telenano-tables",
     "format nexus": "telenano-nexus",

@@ -1,6 +1,6 @@
 """The payloads that a handle answers with, packed as its firmware packs them."""
 
-from telenano_haptic_devices.serial_handle import wire
+from telenano.devices.hand import wire
 
 
 def pack_hello(hello: wire.HandleHello) -> bytes:

@@ -5,10 +5,10 @@ from typing import Any
 
 import yaml
 from telenano_emulators.emulated_handle import EmulatedHandle, calibration_of
-from telenano_haptic_devices.serial_handle.calibration import HandleCalibration
-from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
 
 from services.haptic_node.node import HapticNode
+from telenano.devices.hand.calibration import HandleCalibration
+from telenano.devices.hand.serial_driver import SerialHandle
 from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
 from telenano.settings.config import parse_yaml, validate

@@ -16,11 +16,11 @@ from telenano_afm_controllers import gwyscope_wire, nanonis_wire
 from telenano_haptic_devices import dhd, haply, hd
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
-from telenano_haptic_devices.serial_handle import wire
 from telenano_haptic_devices.servo import ServoCommand
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
+from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_POSITION, DeviceError, DriveCommand
 from telenano.extend.instruments import DeviceError as InstrumentError
 from telenano.hand.config import HapticConfig

@@ -120,7 +120,7 @@ def _print_facts(facts: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def _probe_handle(port: str, baud: int) -> dict[str, Any]:
-    from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
+    from telenano.devices import SerialHandle
 
     driver = SerialHandle(port, baud, None, LimitsConfig())
     try:
@@ -260,8 +260,7 @@ def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
 
 
 def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
-    from telenano_haptic_devices.serial_handle.calibration import read_handle_calibration
-    from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
+    from telenano.devices import SerialHandle, read_handle_calibration
 
     driver = SerialHandle(port, baud, read_handle_calibration(calibration), LimitsConfig())
     driver.open()

@@ -31,10 +31,10 @@ def budget(
         import json
 
         from telenano_afm_controllers.converter_calibration import read_stage_calibration
-        from telenano_haptic_devices.serial_handle.calibration import read_handle_calibration
 
         from telenano.analysis import read_session, summarise
         from telenano.cli import results_in
+        from telenano.devices import read_handle_calibration
         from telenano.recording import open_recordings
         from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 

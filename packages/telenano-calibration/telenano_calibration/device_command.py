@@ -46,8 +46,7 @@ def calibrate_handle(
     A point off the line by more than 2 % is refused.
     """
     with report_errors(as_json=False):
-        from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
-
+        from telenano.devices import SerialHandle
         from telenano.hand import LimitsConfig
         from telenano_calibration.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, sample_raw
         from telenano_calibration.line_fit import fit_line
@@ -89,8 +88,7 @@ def calibrate_handle(
 
 
 def _check_and_write(path: Path, document: dict[str, object]) -> None:
-    from telenano_haptic_devices.serial_handle.calibration import HandleCalibration
-
+    from telenano.devices import HandleCalibration
     from telenano.settings import parse_yaml, validate
 
     validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), str(path)), str(path))

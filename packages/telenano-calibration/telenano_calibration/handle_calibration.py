@@ -2,9 +2,7 @@
 
 from typing import NamedTuple
 
-from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
-from telenano_haptic_devices.serial_handle.wire import HandleHello
-
+from telenano.devices import HandleHello, SerialHandle
 from telenano.extend.hands import DeviceError
 from telenano_calibration.line_fit import mean_of
 

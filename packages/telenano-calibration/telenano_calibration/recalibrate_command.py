@@ -22,9 +22,9 @@ def recalibrate(
     """Read what real devices sent with another calibration, into a new recording."""
     with report_errors(as_json):
         from telenano_afm_controllers.converter_calibration import read_stage_calibration
-        from telenano_haptic_devices.serial_handle.calibration import read_handle_calibration
 
         from telenano.cli import print_document
+        from telenano.devices import read_handle_calibration
         from telenano_calibration.recalibrate import recalibrate as read_again
 
         found = read_again(

@@ -6,8 +6,7 @@ millisecond. The drive is a voltage, a millivolt a count.
 
 from datetime import UTC, datetime
 
-from telenano_haptic_devices.serial_handle.wire import HandleAbility, HandleFlag
-
+from telenano.devices import HandleAbility, HandleFlag
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, DriveCommand
 from telenano.hand import HapticConfig, MotorParams, MotorState, initial_plant, plant_step
 from telenano_emulators.firmware import BoardIdentity, BoardSample, FirmwareCore

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 from telenano_emulators.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
 from telenano_emulators.firmware import FirmwareError
-from telenano_haptic_devices.serial_handle import wire
 
+from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION
 
 WATCHDOG_MS = 20

@@ -44,7 +44,7 @@ def serial_ports() -> list[dict[str, Any]]:
         from serial.tools.list_ports import comports
     except ImportError as error:
         raise ConfigError(f"serial ports need pyserial: {how_to_install('haptic')}") from error
-    from telenano.files.open_files import holder_of
+    from telenano.devices.hand.port import holder_of
 
     names = {str(link.resolve()): str(link) for link in _BY_ID.iterdir()} if _BY_ID.is_dir() else {}
     return [

@@ -16,8 +16,8 @@ from handle_line import Line
 from stage_line import StageLine
 from telenano_afm_controllers.nanonis_driver import FrameLog
 from telenano_afm_controllers.nanonis_model import DEFLECTION
-from telenano_haptic_devices.serial_handle import wire
 
+from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.testing import HOSTILITIES, HostileService, TakenReading, unseen
 

@@ -7,8 +7,7 @@ until its watchdog switches it off, and its cable is pulled out.
 import math
 from typing import Any, NamedTuple
 
-from telenano_haptic_devices.serial_handle.calibration import HandleCalibration
-
+from telenano.devices import HandleCalibration
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DriveCommand
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of

@@ -93,9 +93,7 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
 
 
 def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from telenano_haptic_devices.serial_handle.calibration import read_handle_calibration
-    from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
-
+    from telenano.devices import SerialHandle, read_handle_calibration
     from telenano_acceptance.handle.take import facts_of, record_take
 
     if port is None or calibration is None:

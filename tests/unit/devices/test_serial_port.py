@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from telenano_haptic_devices.serial_handle.port import SerialPort, holder_of
 
+from telenano.devices.hand.port import SerialPort, holder_of
 from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig, LimitsConfig
 
@@ -125,7 +125,8 @@ def test_holder_of_a_port_is_named(tmp_path: Path) -> None:
 def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) -> None:
     from telenano_emulators.emulated_handle import EmulatedHandle
     from telenano_emulators.handle_on_pty import HandleOnPty
-    from telenano_haptic_devices.serial_handle.serial_driver import SerialHandle
+
+    from telenano.devices.hand.serial_driver import SerialHandle
 
     link = tmp_path / "by-id/handle"
     port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), link)

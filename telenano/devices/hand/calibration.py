@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field, model_validator
 
-from telenano.hand import LimitsConfig
-from telenano.settings import Settings, read_yaml, validate
-from telenano_haptic_devices.serial_handle import wire
+from telenano.devices.hand import wire
+from telenano.hand.config import LimitsConfig
+from telenano.settings.config import Settings, read_yaml, validate
 
 _COUNT_LIMIT = 2**31 - 1
 _Q16 = 65536.0

@@ -12,9 +12,9 @@ if shutil.which("cc") is None:
 
 from handle_answers import pack_fault, pack_hello
 from handle_line import MS, PATH, Line, Rig
-from telenano_haptic_devices.serial_handle import serial_driver, wire
 
 from services.haptic_node.node import HapticNode
+from telenano.devices.hand import serial_driver, wire
 from telenano.extend.hands import MODE_OFF, MODE_POSITION
 from telenano.hand.config import HapticConfig
 from telenano.wire.errors import ConfigError

@@ -13,10 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-import serial
-
 from telenano.extend.hands import DeviceError
-from telenano.files import holder_of
+from telenano.wire.extras import how_to_install
 
 # A device sends far less than this in 50 ms at 1 Mbaud.
 _READ_BYTES = 8192
@@ -50,6 +48,10 @@ class SerialPort:
         Raises:
             DeviceError: The port cannot be opened; the message has the reason, and the process that holds it.
         """
+        try:
+            import serial
+        except ImportError as error:
+            raise DeviceError(f"haptic_node.driver: serial needs pyserial: {how_to_install('haptic')}") from error
         self.path = path
         self._cut = False
         try:
@@ -109,6 +111,18 @@ class SerialPort:
             fcntl.ioctl(self._serial.fileno(), termios.TIOCNXCL)
         with contextlib.suppress(*PORT_ERRORS):
             self._serial.close()
+
+
+def holder_of(path: str, processes: Path = Path("/proc")) -> str:
+    """Return the process that has a device file open as `name (pid)`; empty if none is found or may be seen."""
+    wanted = os.path.realpath(path)
+    for folder in processes.iterdir():
+        if not folder.name.isdecimal() or int(folder.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):
+            if any(os.path.realpath(entry) == wanted for entry in (folder / "fd").iterdir()):
+                return f"{(folder / 'comm').read_text().strip()} ({folder.name})"
+    return ""
 
 
 def _refusal(path: str, error: BaseException) -> str:

@@ -8,7 +8,8 @@ import pytest
 from handle_answers import pack_configured, pack_fault, pack_hello, pack_state
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from telenano_haptic_devices.serial_handle import wire
+
+from telenano.devices.hand import wire
 
 COMMAND = "0410010703efbe010440420f0101010103133600"
 ASK = "02010101020103341201010103aba900"

@@ -10,6 +10,10 @@ import time
 from collections.abc import Callable
 from enum import Enum
 
+from telenano.devices.hand import wire
+from telenano.devices.hand.calibration import HandleCalibration
+from telenano.devices.hand.port import OpenPort, Port, SerialPort
+from telenano.devices.hand.sample_clock import RecentMinimum, SampleClock
 from telenano.extend.hands import (
     MODE_FORCE,
     MODE_NAMES,
@@ -22,12 +26,8 @@ from telenano.extend.hands import (
     HapticReport,
     Status,
 )
-from telenano.hand import LimitsConfig
-from telenano.wire import cause
-from telenano_haptic_devices.serial_handle import wire
-from telenano_haptic_devices.serial_handle.calibration import HandleCalibration
-from telenano_haptic_devices.serial_handle.port import OpenPort, Port, SerialPort
-from telenano_haptic_devices.serial_handle.sample_clock import RecentMinimum, SampleClock
+from telenano.hand.config import LimitsConfig
+from telenano.wire.errors import cause
 
 _MS = 1_000_000
 ASK_EVERY_NS = 100 * _MS

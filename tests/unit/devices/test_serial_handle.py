@@ -10,8 +10,8 @@ if shutil.which("cc") is None:
 
 from handle_line import PATH, Line, Rig, calibration
 from telenano_emulators.simulate import handled
-from telenano_haptic_devices.serial_handle.serial_driver import refusal
 
+from telenano.devices.hand.serial_driver import refusal
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION, DeviceError, DriveCommand
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic

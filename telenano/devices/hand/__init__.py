@@ -1,0 +1,1 @@
+"""Real and simulated haptic devices behind the guard of the hand."""
