@@ -23,11 +23,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from telenano_afm_controllers.modbus_frames import Conversation, Operation
-
 from telenano.afm.config import AfmConfig
 from telenano.afm.section_config import ModbusConfig
 from telenano.devices.afm.instrument import modbus_driver
+from telenano.devices.afm.modbus_frames import Conversation, Operation
 from telenano.devices.hand.calibration import read_handle_calibration
 from telenano.devices.hand.serial_driver import SerialHandle
 from telenano.extend.hands import MODE_OFF, DriveCommand

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
+    from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
     from telenano.afm.section_config import CantileverConfig as CantileverConfig
     from telenano.afm.section_config import SafetyConfig as SafetyConfig
     from telenano.afm.section_config import TipSampleConfig as TipSampleConfig

@@ -28,6 +28,7 @@ from telenano.afm.section_config import (
     CantileverConfig,
     FrictionConfig,
     LateralConfig,
+    ModbusConfig,
     SafetyConfig,
     SpringConfig,
     TipSampleConfig,
@@ -56,7 +57,8 @@ _LEAST_RESONANCE_HZ = 8e3
 
 _DRIVER: Any = Field(
     "simulated",
-    description="simulated: everything below; or the driver of a package, whose guard is safety below.",
+    description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the driver of"
+    " a package.",
 )
 _ENVIRONMENT: Any = Field(
     "tip_sample",
@@ -70,6 +72,7 @@ class _OwnSections(Settings):
     model_config = ConfigDict(serialize_by_alias=True)
 
     driver: str = _DRIVER
+    modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
     attended: bool = Field(
         False,
         description="Whether a person stands by who retracts the tip of an AFM controller, in the place of a guard"
@@ -168,6 +171,8 @@ class _OwnSections(Settings):
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
+        if self.driver == "modbus" and self.modbus is None:
+            raise ValueError("driver: modbus needs a section modbus with calibration")
         DRIVERS.require_section(self, self.driver)
         if self.begin is not None and self.begin.program not in PROGRAMS:
             raise ValueError(f"begin.program: must be one of {', '.join(PROGRAMS)}, and is {self.begin.program}")
@@ -403,12 +408,11 @@ class _OwnSections(Settings):
         return AfmParams(self.to_guard(), plant)
 
 
-_OWN_DRIVERS = ("simulated",)
-_OWN_ENVIRONMENTS = ("tip_sample", "spring")
+_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields})
 SAMPLES = load("samples", checked_sample, TAKEN)
-DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys())
+DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys(), experimental=("modbus",))
 
 if TYPE_CHECKING:
     DriverName = str

@@ -145,3 +145,19 @@ class SpringConfig(Settings):
     stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m].")
     rest_position_m: BasePosition = Field(0.0, description="Base at which it is at rest [m]: F = K (x_s - L).")
     bilateral: bool = Field(True, description="Whether it also pulls, which is what makes it linear.")
+
+
+class ModbusConfig(Settings):
+    """A stage and a deflection behind a Modbus instrument."""
+
+    calibration: str = Field(min_length=1, description="Calibration file of this very device (stage.yaml)")
+    host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
+    port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
+
+
+class AfmControllerConfig(Settings):
+    """The controller of an AFM, or the guard in front of it."""
+
+    calibration: str = Field(min_length=1, description="Calibration file of this very controller")
+    host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
+    port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")

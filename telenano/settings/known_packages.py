@@ -52,7 +52,6 @@ KNOWN_PACKAGES = {
     "driver gwyscope": "telenano-afm-controllers",
     "driver haply": "telenano-haptic-devices",
     "driver hd": "telenano-haptic-devices",
-    "driver modbus": "telenano-afm-controllers",
     "driver nanonis": "telenano-afm-controllers",
     "format csv": "telenano-tables",
     "format hdf5": "telenano-tables",

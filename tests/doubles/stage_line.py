@@ -6,15 +6,15 @@ from typing import Any
 import yaml
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
-from telenano_afm_controllers.converter_calibration import InstrumentCalibration
-from telenano_afm_controllers.modbus_driver import ModbusAfm
-from telenano_afm_controllers.register_map import RegisterMap, read_map
 from telenano_emulators.t7_model import T7Model, calibration_of
 from telenano_emulators.t7_server import respond, served_requests
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.register_map import RegisterMap, read_map
 from telenano.settings.config import merge, parse_yaml, validate
 
 MS = 1_000_000

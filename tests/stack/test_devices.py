@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import yaml
 from stack_rig import ROOT, Rig
-from telenano_afm_controllers.modbus_frames import Conversation
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 from telenano.analysis.modes import fitted
+from telenano.devices.afm.modbus_frames import Conversation
 from telenano.laws.config import ControllerConfig
 from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording

@@ -133,14 +133,15 @@ def test_the_library_reads_a_recording_and_simulates_without_any_extra(
 # what each extra is for, done with that extra alone: a command, or a program
 ALONE = {
     "haptic": "device list",
-    "afm": "-c import pymodbus.client",
+    "afm": "-c import telenano.devices.afm.modbus_driver",
     "recorder": "-c import services.recorder.__main__",
+    "instrument": "sample --sample dots --out dots",
     "export": "-c import pandas, xarray, telenano; telenano.simulate(law='wave').df('afm/state')",
     "viz": "bag plot REFERENCE afm/state.tip_force_n.2 --out plot.png",
     "view": "-c import services.viz_node.server",
     "launcher": "report REFERENCE --out report",
     "studies": "-c import control, scipy, telenano; telenano.simulate(law='wave')",
-    "rig": "-c import serial, pymodbus, starlette, telenano; telenano.simulate(law='wave').df('afm/state')",
+    "rig": "sample --sample dots --out dots",
     "dask": "-c import dask.distributed",
     "peers": "-c import zenoh, iceoryx2",
     "notebooks": "-c import ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",

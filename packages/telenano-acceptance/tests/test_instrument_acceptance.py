@@ -15,14 +15,14 @@ from telenano_acceptance.instrument.instruments import facts_of, make_take
 from telenano_acceptance.instrument.take import STEPS, Facts, record_take
 from telenano_acceptance.take import Clock, Guide, Take, Verdict, overall, read_take
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
-from telenano_afm_controllers.modbus_driver import ModbusAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
-from telenano_afm_controllers.register_map import read_map
 from typer.testing import CliRunner
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.cli.root import app
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.register_map import read_map
 from telenano.wire.errors import ConfigError
 
 # near the sample, so that the approach is short
@@ -160,7 +160,9 @@ def test_a_take_without_a_guard_and_one_of_a_soft_sample_cannot_say(good: Take[F
 
 def test_a_driver_of_a_package_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     other = AfmConfig().model_copy(update={"driver": "somebodys_afm"})
-    with pytest.raises(ConfigError, match="somebodys_afm declares no capabilities"):
+    with pytest.raises(
+        ConfigError, match="somebodys_afm is not one of simulated, modbus, and declares no capabilities"
+    ):
         make_take(other)
 
 

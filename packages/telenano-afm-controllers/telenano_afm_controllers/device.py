@@ -129,8 +129,8 @@ def approach_nanonis(
 ) -> None:
     """Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input."""
     with report_errors(as_json=False):
+        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import NanonisCalibration
-        from telenano_afm_controllers.converter_calibration import read_controller
         from telenano_afm_controllers.nanonis_client import NanonisClient, approach
 
         found = read_controller(calibration, NanonisCalibration)
@@ -152,8 +152,8 @@ def guard_nanonis(
 ) -> None:
     """Stand between rig and Nanonis, and withdraw the tip when the rig is silent. Ctrl-C ends it, withdrawn."""
     with report_errors(as_json=False):
+        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import NanonisCalibration
-        from telenano_afm_controllers.converter_calibration import read_controller
         from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 
         _guard(GuardedNanonis(read_controller(calibration, NanonisCalibration)), controller, (host, port))
@@ -169,8 +169,8 @@ def guard_gwyscope(
 ) -> None:
     """Stand between rig and Gwyscope, and retract the tip when the rig is silent. Ctrl-C ends it, retracted."""
     with report_errors(as_json=False):
+        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import GwyscopeCalibration
-        from telenano_afm_controllers.converter_calibration import read_controller
         from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 
         _guard(GuardedGwyscope(read_controller(calibration, GwyscopeCalibration)), controller, (host, port))

@@ -1,19 +1,13 @@
-"""What telenano finds of this package: its drivers, which it imports when a scenario names one."""
+"""What telenano finds of this package: the drivers of both controllers, which it imports when a scenario names one."""
 
 from pathlib import Path
 from typing import Any
 
-from telenano.devices import AfmCapabilities
+from telenano.afm import AfmControllerConfig as ControllerSettings
+from telenano.devices import AfmCapabilities, read_controller
 from telenano.extend.instruments import AfmDriver, SafetyParams
 from telenano.settings import DeviceDriver
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
-from telenano_afm_controllers.controller_settings import ControllerSettings, ModbusSettings
-from telenano_afm_controllers.converter_calibration import (
-    InstrumentCalibration,
-    read_controller,
-    read_stage_calibration,
-)
-from telenano_afm_controllers.register_map import read_map
 
 
 def _gwyscope(settings: ControllerSettings, limits: SafetyParams, **told: Any) -> AfmDriver:
@@ -30,28 +24,6 @@ def _nanonis(settings: ControllerSettings, limits: SafetyParams, **told: Any) ->
     return NanonisAfm(found.reached_at(settings.host, settings.port), limits, **told)
 
 
-def _modbus(settings: ModbusSettings, limits: SafetyParams, *, period_s: float) -> AfmDriver:
-    from telenano_afm_controllers.modbus_driver import ModbusAfm
-
-    calibration = read_stage_calibration(Path(settings.calibration))
-    own = {"host": settings.host, "port": settings.port}
-    network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
-    calibration = calibration.model_copy(update={"network": network})
-    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits, period_s=period_s)
-
-
-MODBUS = DeviceDriver(
-    "afm_node",
-    "modbus",
-    ModbusSettings,
-    _modbus,
-    told=("period_s",),
-    capabilities=AfmCapabilities(
-        500.0, 500.0, 2.5e-3, False, False, True, ("deflection",), "a script on a T7; a watchdog of 1 s elsewhere"
-    ),
-    calibration=InstrumentCalibration,
-    experimental=True,
-)
 GWYSCOPE = DeviceDriver(
     "afm_node",
     "gwyscope",

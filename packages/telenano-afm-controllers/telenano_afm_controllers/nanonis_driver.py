@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from telenano.devices import Line
 from telenano.extend.instruments import DeviceError, OwnImage, OwnLine, SafetyParams
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.calibration import NanonisCalibration
-from telenano_afm_controllers.modbus_line import Line
 from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
 from telenano_afm_controllers.request_answer import LARGEST_BYTES, Incoming, Talk, WireError
 from telenano_afm_controllers.request_driver import RequestDriver

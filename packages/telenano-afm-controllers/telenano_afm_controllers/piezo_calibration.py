@@ -5,10 +5,10 @@ from typing import Literal, Self
 from pydantic import AwareDatetime, Field, model_validator
 
 from telenano.afm import ChannelName
+from telenano.devices import CantileverCalibration, Readings
 from telenano.extend.instruments import SafetyParams
 from telenano.extend.samples import AfmSample
 from telenano.settings import Settings
-from telenano_afm_controllers.converter_calibration import CantileverCalibration, Readings
 
 _REACH_M = 1e-3
 

@@ -9,11 +9,10 @@ from abc import abstractmethod
 from collections import deque
 from typing import Any, TypeVar
 
+from telenano.devices import LOST_NS, STALE_CYCLES, STEP_NS, Line, TcpDriver
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
-from telenano_afm_controllers.modbus_line import LOST_NS, STEP_NS, Line
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Cut, Incoming, Talk
-from telenano_afm_controllers.tcp_driver import STALE_CYCLES, TcpDriver
 
 _MS = 1_000_000
 

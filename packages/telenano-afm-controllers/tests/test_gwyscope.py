@@ -28,14 +28,15 @@ from controller_line import (
     swallow,
     walk,
 )
-from telenano_afm_controllers import gwyscope_model, gwyscope_wire, modbus_line, request_driver
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire, request_driver
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
-from telenano_afm_controllers.converter_calibration import read_controller
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
+from telenano.devices import read_controller
+from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of
 from telenano.wire import ConfigError, RefusedError

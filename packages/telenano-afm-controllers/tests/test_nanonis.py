@@ -27,11 +27,12 @@ from controller_line import (
     swallow,
     walk,
 )
-from telenano_afm_controllers import modbus_line, nanonis_driver, nanonis_model, nanonis_wire, request_driver
+from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire, request_driver
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
+from telenano.devices.afm import modbus_line
 from telenano.testing import afm_node, instrument_of, refused_laws
 from telenano.wire import ConfigError, RefusedError
 

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from telenano_afm_controllers.converter_calibration import InstrumentCalibration
 
 from telenano.analysis import DEVIATIONS, mean_half_width, split_age
-from telenano.devices import HandleCalibration
+from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.recording import RecordingSource, Timeline
 from telenano.timing import ACROSS_CLOCKS, STAGES
 from telenano.wire import TelenanoError

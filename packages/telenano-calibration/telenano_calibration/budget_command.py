@@ -30,11 +30,9 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from telenano_afm_controllers.converter_calibration import read_stage_calibration
-
         from telenano.analysis import read_session, summarise
         from telenano.cli import results_in
-        from telenano.devices import read_handle_calibration
+        from telenano.devices import read_handle_calibration, read_stage_calibration
         from telenano.recording import open_recordings
         from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
-from telenano_afm_controllers.converter_calibration import InstrumentCalibration
 
-from telenano.devices import HandleCalibration
+from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.numerics import to_site_frame
 from telenano.recording import CopyResult, CopyWriter, Recording
 from telenano.wire import AfmState, ConfigError, HapticState, Message, NodeHealth, RecordingError, decode, encode

@@ -21,10 +21,8 @@ def recalibrate(
 ) -> None:
     """Read what real devices sent with another calibration, into a new recording."""
     with report_errors(as_json):
-        from telenano_afm_controllers.converter_calibration import read_stage_calibration
-
         from telenano.cli import print_document
-        from telenano.devices import read_handle_calibration
+        from telenano.devices import read_handle_calibration, read_stage_calibration
         from telenano_calibration.recalibrate import recalibrate as read_again
 
         found = read_again(

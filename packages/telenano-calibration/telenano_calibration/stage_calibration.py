@@ -10,8 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from telenano_afm_controllers.converter_calibration import InstrumentCalibration
-
+from telenano.devices import InstrumentCalibration
 from telenano.extend.instruments import AfmDriver, DeviceError
 from telenano_calibration.line_fit import CalibrationError, LineFit, fit_line, mean_of
 

@@ -83,8 +83,7 @@ def calibrate_stage(
 
 
 def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
-    from telenano_afm_controllers.register_map import read_map
-
+    from telenano.devices import read_map
     from telenano_calibration.stage_calibration import fit_travel
 
     if len(outputs) < 2:
@@ -134,11 +133,8 @@ def _metres(text: str) -> float:
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return an open driver, what moves it, and the provisional calibration of both."""
-    from telenano_afm_controllers.converter_calibration import InstrumentCalibration
-    from telenano_afm_controllers.modbus_driver import ModbusAfm
-    from telenano_afm_controllers.register_map import read_map
-
     from telenano.afm import AfmConfig
+    from telenano.devices import InstrumentCalibration, ModbusAfm, read_map
     from telenano.settings import parse_yaml, validate
     from telenano_calibration.stage_calibration import Mover
 

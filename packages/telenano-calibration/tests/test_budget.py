@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import yaml
 from made_sessions import Made
-from telenano_afm_controllers.converter_calibration import read_stage_calibration
 from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 from typer.testing import CliRunner
 
 from telenano.analysis.report import read_session
 from telenano.cli.root import app
+from telenano.devices.afm.converter_calibration import read_stage_calibration
 from telenano.devices.hand.calibration import read_handle_calibration
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.site_clock import Timeline

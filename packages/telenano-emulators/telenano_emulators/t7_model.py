@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
-from telenano_afm_controllers.modbus_frames import Operation
-
 from telenano.afm import AfmConfig, SimulatedInstrument, simulated_afm
+from telenano.devices import Operation
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.samples import AfmSample
 from telenano.wire import ConfigError

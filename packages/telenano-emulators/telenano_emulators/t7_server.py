@@ -14,8 +14,8 @@ from pymodbus.pdu.register_message import (
 )
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
-from telenano_afm_controllers.modbus_frames import FeedbackAnswer, FeedbackRequest
 
+from telenano.devices import FeedbackAnswer, FeedbackRequest
 from telenano_emulators.t7_model import RegisterError, T7Model
 
 # the step of a script on the device

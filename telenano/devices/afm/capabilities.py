@@ -5,7 +5,7 @@ possible, before anything is started. A driver of a package brings its own row; 
 says of itself whether it closes a loop (`Law.link_loop`), so no law is known here by its name.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from telenano.afm.config import DRIVERS
@@ -35,21 +35,24 @@ class AfmCapabilities(NamedTuple):
     scans: bool = False
 
 
-SIMULATED = AfmCapabilities(1000.0, 1000.0, 0.0, True, True, True, ("deflection",), "nothing has to")
+TABLE: Mapping[str, AfmCapabilities] = {
+    "simulated": AfmCapabilities(1000.0, 1000.0, 0.0, True, True, True, ("deflection",), "nothing has to"),
+    "modbus": AfmCapabilities(
+        500.0, 500.0, 2.5e-3, False, False, True, ("deflection",), "a script on a T7; a watchdog of 1 s elsewhere"
+    ),
+}
 
 
 def capabilities_of(driver: str) -> AfmCapabilities | None:
     """Return what a driver declares of its instrument; None where it declares nothing.
 
-    capabilities_of("nanonis").sample_hz    # 50.0, where its package is installed
-
     Raises:
         ValueError: The driver of a package cannot be used.
     """
-    if driver == "simulated":
-        return SIMULATED
     found = DRIVERS.find(driver)
-    return None if found is None or found.capabilities is None else AfmCapabilities(*found.capabilities)
+    if found is None or found.capabilities is None:
+        return TABLE.get(driver)
+    return AfmCapabilities(*found.capabilities)
 
 
 def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:

@@ -1,6 +1,5 @@
 """What a configuration of the AFM means: its driver, what its base reaches, and what runs its programs."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,11 @@ from telenano.afm.programs.reach import Reach
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.programs.settings import LateralTarget
 from telenano.afm.sample.surface import Surface
+from telenano.afm.section_config import ModbusConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.afm.step import AfmParams
 from telenano.extend.feedback import remaining
-from telenano.extend.instruments import AfmDriver
+from telenano.extend.instruments import AfmDriver, SafetyParams
 from telenano.extend.programs import Instrument
 from telenano.extend.stage import Place
 from telenano.runtime.loop.node import LOOP_PERIOD_S
@@ -25,12 +25,11 @@ from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.extras import how_to_install
 
-# The calibration file of a stage and a converter names no controller: it is for this driver.
-_WITHOUT_CONTROLLER = "modbus"
-
 
 def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
+    if config.driver == "modbus" and config.modbus is not None:
+        return modbus_driver(config.modbus, config.to_params().safety, period_s)
     if (driver := DRIVERS.find(config.driver)) is not None:
         device: AfmDriver = driver.device(config, config.to_params().safety, period_s)
         return device
@@ -96,22 +95,44 @@ def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
     return SimulatedInstrument(plant, None, cantilever, config.disturbances, over.about, over.channel)
 
 
+def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
+    """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
+    try:
+        from telenano.devices.afm.modbus_driver import ModbusAfm
+    except ImportError as error:
+        raise ConfigError(f"afm_node.driver: modbus needs pymodbus: {how_to_install('afm')}") from error
+    from telenano.devices.afm.converter_calibration import read_stage_calibration
+    from telenano.devices.afm.register_map import read_map
+
+    calibration = read_stage_calibration(Path(section.calibration))
+    own = {"host": section.host, "port": section.port}
+    network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
+    calibration = calibration.model_copy(update={"network": network})
+    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits, period_s=period_s)
+
+
 def calibration_of_file(calibration: Path) -> Any:
     """Return the calibration of a real instrument, whichever kind it is; ConfigError names what is wrong."""
+    from telenano.devices.afm.converter_calibration import read_stage_calibration
+
     document = read_yaml(calibration)
-    return validate(_calibrated(document, calibration)[1], document, str(calibration))
+    if (kind := document.get("controller")) is None:
+        return read_stage_calibration(calibration)
+    return validate(_calibrated(kind, calibration)[1], document, str(calibration))
 
 
 def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
     """Return the driver of a real instrument by its calibration file alone, whichever kind it is."""
-    driver, _ = _calibrated(read_yaml(calibration), calibration)
+    limits, kind = config.to_params().safety, read_yaml(calibration).get("controller")
+    if kind is None:
+        return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
+    driver, _ = _calibrated(kind, calibration)
     section = driver.config(calibration=str(calibration))
-    return driver.device(config, config.to_params().safety, LOOP_PERIOD_S, section)
+    return driver.device(config, limits, LOOP_PERIOD_S, section)
 
 
-def _calibrated(document: Mapping[str, Any], calibration: Path) -> tuple[DeviceDriver, type[BaseModel]]:
+def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseModel]]:
     """Return the driver that a calibration file is for, and its model; ConfigError names what would have it."""
-    kind = document.get("controller", _WITHOUT_CONTROLLER)
     try:
         driver = DRIVERS.find(str(kind))
     except ValueError as error:

@@ -25,9 +25,8 @@ PACKAGE = """
 from pathlib import Path
 from typing import Literal
 from telenano.settings import DeviceDriver
-from telenano.devices import AfmCapabilities
-from telenano_afm_controllers.controller_settings import ControllerSettings
-from telenano_afm_controllers.converter_calibration import read_controller
+from telenano.devices import AfmCapabilities, read_controller
+from telenano.afm import AfmControllerConfig as ControllerSettings
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_driver import RequestDriver
 

@@ -213,7 +213,7 @@ def test_a_driver_is_no_name_of_the_other_node(found: dict[str, Any]) -> None:
     assert found["sections"] == 2 * [["stub_handle"]] + 2 * [["stub_afm"]]
     section, driver, misspelt, soft = found["messages"]
     assert section.startswith("file: afm_node.stub_handle: unknown key, known are ")
-    assert driver.startswith("file: afm_node.driver: Input should be 'simulated', ")
+    assert driver.startswith("file: afm_node.driver: Input should be 'simulated', 'modbus'")
     assert driver.endswith(" or 'stub_afm', got 'stub_handle'")
     assert misspelt.endswith(" or 'stub_afm', got 'stub_amf'; did you mean stub_afm?")
     assert soft.startswith("file: afm_node.stub_afm.stiffness_n_per_m: Input should be a valid number")

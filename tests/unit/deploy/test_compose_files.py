@@ -96,8 +96,7 @@ def test_every_image_has_a_lock_and_its_extras_exist() -> None:
 
 
 @pytest.mark.parametrize(
-    ("driver", "image"),
-    [("haply", "haptic_node"), ("gwyscope", "afm_node"), ("modbus", "afm_node"), ("nanonis", "session")],
+    ("driver", "image"), [("haply", "haptic_node"), ("gwyscope", "afm_node"), ("nanonis", "session")]
 )
 def test_the_image_of_a_device_has_the_package_of_its_drivers(driver: str, image: str) -> None:
     packages = makefile_images()[image][1]

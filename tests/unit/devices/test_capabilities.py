@@ -5,19 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from telenano.afm.config import DRIVERS
+from telenano.afm.config import TAKEN
 from telenano.afm.programs.table import PROGRAMS
-from telenano.devices.afm.capabilities import capabilities_of, refusal
+from telenano.devices.afm.capabilities import TABLE, refusal
 from telenano.launcher.plan import UpRequest, make_plan, refused_laws
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.laws.law_names import LAW_NAMES
 from telenano.wire.errors import ConfigError
 
 
-def test_every_driver_of_an_instrument_declares_what_it_can_do() -> None:
-    for driver in (*DRIVERS._own, *DRIVERS.all().found):
-        assert capabilities_of(driver) is not None, driver
-    assert capabilities_of("somebodys") is None
+def test_every_driver_of_the_node_has_a_row() -> None:
+    assert set(TABLE) == {"simulated", "modbus"}
+    assert set(TABLE) <= TAKEN
 
 
 def test_an_instrument_with_all_abilities_is_refused_nothing() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.afm import AfmConfig
-from telenano.devices import calibration_of_file, capabilities_of, driver_of
+from telenano.devices import TABLE, calibration_of_file, capabilities_of, driver_of
 from telenano.extend.instruments import AfmDriver
 from telenano.settings import merge, validate
 from telenano.wire import ConfigError
@@ -49,7 +49,8 @@ def _declared_hz(config: AfmConfig) -> float:
     """Return how often a new sample comes, as the driver of a section declares it [Hz]; ConfigError if it does not."""
     found = capabilities_of(config.driver)
     if found is None:
-        raise ConfigError(f"afm_node.driver = {config.driver} declares no capabilities: its package judges it")
+        known = f"is not one of {', '.join(TABLE)}, and declares no capabilities"
+        raise ConfigError(f"afm_node.driver = {config.driver} {known}: its package judges it")
     return found.sample_hz
 
 

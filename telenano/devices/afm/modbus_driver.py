@@ -6,14 +6,14 @@ retract, read back) is a generator of requests that opening runs to its end, and
 
 from typing import Any
 
+from telenano.devices.afm import modbus_line
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.afm.modbus_frames import Answer, Conversation, Operation
+from telenano.devices.afm.modbus_handshake import EXCEPTIONS, Handshake, heartbeat_of, is_retracted
+from telenano.devices.afm.modbus_line import Line
+from telenano.devices.afm.register_map import RegisterMap
+from telenano.devices.afm.tcp_driver import STALE_CYCLES, TcpDriver
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
-from telenano_afm_controllers import modbus_line
-from telenano_afm_controllers.converter_calibration import InstrumentCalibration
-from telenano_afm_controllers.modbus_frames import Answer, Conversation, Operation
-from telenano_afm_controllers.modbus_handshake import EXCEPTIONS, Handshake, heartbeat_of, is_retracted
-from telenano_afm_controllers.modbus_line import Line
-from telenano_afm_controllers.register_map import RegisterMap
-from telenano_afm_controllers.tcp_driver import STALE_CYCLES, TcpDriver
 
 _MS = 1_000_000
 _BUSY = (5, 6)

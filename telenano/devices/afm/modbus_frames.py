@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersRequest,
 )
 
-from telenano.wire import TelenanoError
+from telenano.wire.errors import TelenanoError
 
 _FRAME = struct.Struct(">BHB")
 _HEADER = 8

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 from stage_line import MS, PARAMS, StageLine, calibration
-from telenano_afm_controllers.host_address import HostAddress
-from telenano_afm_controllers.modbus_driver import ModbusAfm
-from telenano_afm_controllers.modbus_line import NAME_NS, STEP_NS, TcpConnector
-from telenano_afm_controllers.register_map import read_map
 
+from telenano.devices.afm.host_address import HostAddress
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.modbus_line import NAME_NS, STEP_NS, TcpConnector
+from telenano.devices.afm.register_map import read_map
 from telenano.extend.instruments import DeviceError
 
 NAME = "instrument.test"

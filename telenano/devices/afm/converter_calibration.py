@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple, TypeVar
 
 from pydantic import AwareDatetime, Field, model_validator
 
+from telenano.devices.afm.register_map import MapName, RegisterMap
 from telenano.extend.instruments import SafetyParams
 from telenano.extend.samples import AfmSample
-from telenano.settings import Settings, read_yaml, validate
-from telenano_afm_controllers.register_map import MapName, RegisterMap
+from telenano.settings.config import Settings, read_yaml, validate
 
 _C = TypeVar("_C", bound=Settings)
 

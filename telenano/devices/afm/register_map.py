@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from telenano.settings import Settings, read_yaml, validate
+from telenano.settings.config import Settings, read_yaml, validate
 
 MAPS = Path(__file__).parent / "maps"
 # A request can ask for this number of neighbouring registers.

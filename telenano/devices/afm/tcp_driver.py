@@ -9,12 +9,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+from telenano.devices.afm import modbus_line
+from telenano.devices.afm.converter_calibration import Readings
+from telenano.devices.afm.modbus_line import Connect, Line, TcpConnector, go_on_connecting
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano.extend.samples import AfmSample
-from telenano.wire import cause
-from telenano_afm_controllers import modbus_line
-from telenano_afm_controllers.converter_calibration import Readings
-from telenano_afm_controllers.modbus_line import Connect, Line, TcpConnector, go_on_connecting
+from telenano.wire.errors import cause
 
 STALE_CYCLES = 3
 _CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import pytest
 from pymodbus.pdu import ExceptionResponse
 from stage_line import MS, PARAMS, Rig, StageLine
-from telenano_afm_controllers import modbus_line
 from telenano_emulators import t7_model
 from telenano_emulators.t7_server import respond
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
+from telenano.devices.afm import modbus_line
 from telenano.wire.errors import ConfigError
 
 DAC_STEP_V = 5.0 / 4095.0

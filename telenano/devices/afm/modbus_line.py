@@ -6,8 +6,8 @@ import socket
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from telenano.devices.afm.host_address import HostAddress
 from telenano.extend.instruments import DeviceError
-from telenano_afm_controllers.host_address import HostAddress
 
 _MS = 1_000_000
 LOST_NS = 50 * _MS

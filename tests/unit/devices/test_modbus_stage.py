@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from pymodbus.pdu import ModbusPDU
 from stage_line import MS, PARAMS, Rig, StageLine, calibration
-from telenano_afm_controllers.modbus_driver import ModbusAfm
-from telenano_afm_controllers.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
-from telenano_afm_controllers.register_map import Register, RegisterMap, read_map
 from telenano_emulators import t7_model
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
+from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices.afm.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
+from telenano.devices.afm.register_map import Register, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
 from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError

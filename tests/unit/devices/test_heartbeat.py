@@ -9,11 +9,11 @@ import pytest
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import WriteMultipleRegistersRequest, WriteMultipleRegistersResponse
 from stage_line import PARAMS, StageLine, calibration
-from telenano_afm_controllers.register_map import MAPS, RegisterMap, read_map
 from telenano_emulators.t7_model import HeartbeatScript, T7Model
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
+from telenano.devices.afm.register_map import MAPS, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError

@@ -3,10 +3,10 @@
 import struct
 from collections.abc import Callable, Generator
 
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.afm.modbus_frames import Answer, Conversation
+from telenano.devices.afm.register_map import Check, Heartbeat, Register, RegisterMap, Setting, agrees
 from telenano.extend.instruments import DeviceError
-from telenano_afm_controllers.converter_calibration import InstrumentCalibration
-from telenano_afm_controllers.modbus_frames import Answer, Conversation
-from telenano_afm_controllers.register_map import Check, Heartbeat, Register, RegisterMap, Setting, agrees
 
 EXCEPTIONS = {
     1: "illegal function: the device does not know it",

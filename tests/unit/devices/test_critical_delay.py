@@ -89,7 +89,7 @@ def test_critical_round_trip_is_that_of_theory_less_the_declared_latency(cycle_s
     model = loop_model(config.law, config.law_config(), SPRING_N_PER_M)
     assert model is not None
     bears_s = critical_link_delay_s(model, PERIOD_S)
-    from telenano_afm_controllers.register_map import read_map
+    from telenano.devices.afm.register_map import read_map
 
     registers = read_map("t7").model_copy(update={"device_cycle_s": cycle_s})
     latency_s = StageLine(registers=registers).driver.latency_s
