@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from telenano.devices.afm.register_map import read_map as read_map
     from telenano.devices.afm.tcp_driver import STALE_CYCLES as STALE_CYCLES
     from telenano.devices.afm.tcp_driver import TcpDriver as TcpDriver
+    from telenano.devices.afm.virtual_instrument import VirtualInstrument as VirtualInstrument
     from telenano.devices.hand.calibration import HandleCalibration as HandleCalibration
     from telenano.devices.hand.calibration import read_handle_calibration as read_handle_calibration
     from telenano.devices.hand.serial_driver import SerialHandle as SerialHandle
     from telenano.devices.hand.wire import HandleAbility as HandleAbility
     from telenano.devices.hand.wire import HandleFlag as HandleFlag
     from telenano.devices.hand.wire import HandleHello as HandleHello
-    from telenano.devices.afm.virtual_instrument import VirtualInstrument as VirtualInstrument
 else:
     __getattr__, __dir__ = face(__name__)
