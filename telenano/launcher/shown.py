@@ -29,6 +29,7 @@ _FAILED_BELOW = 0.9
 RIG_MS = 6.0
 # of what a session has, in its order
 _ADDED_BY_RIG = (RIG_MS, RIG_MS, 0.0, 0.0)
+_NOTHING = (0.0, 0.0, 0.0, 0.0)
 
 
 class Known(NamedTuple):
@@ -105,9 +106,14 @@ class Shown:
             place.is_as_easy_as(failed) and failed.is_as_easy_as(held) for failed in self.failed
         )
 
-    def holds_some(self, session: Session) -> bool:
-        """Return whether the law was shown to hold some place within the intervals of a session."""
-        return any(self.holds(Place(*map(_clipped, held, session, _ADDED_BY_RIG))) for held in self.held)
+    def holds_some(self, session: Session, added: Sequence[float] = _ADDED_BY_RIG) -> bool:
+        """Return whether the law was shown to hold some place within the intervals of a session.
+
+        Args:
+            session: What is known of the session.
+            added: What of each figure may be the rig's own.
+        """
+        return any(self.holds(Place(*map(_clipped, held, session, added))) for held in self.held)
 
     def fits(self, session: Session) -> bool:
         """Return whether the law was shown to hold a session, whatever is not known of it."""
@@ -249,7 +255,7 @@ def _up_to(shown: Shown, session: Session) -> str:
     """Return in words which round trips the law was shown to hold on the sample and with the drift of a session."""
     lengths = (place.round_trip_ms for place in shown.held)
     rest = Session(stiffness_n_per_m=session.stiffness_n_per_m, drift_pm_per_s=session.drift_pm_per_s)
-    held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Known(ms, ms, ms)))]
+    held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Known(ms, ms, ms)), _NOTHING)]
     return f"shown up to {max(held):.0f} ms" if held else "not shown over any line"
 
 

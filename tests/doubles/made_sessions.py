@@ -1,4 +1,4 @@
-"""Sessions of which the truth is known: lines, and contacts at an instrument with noise, drift, creep and hysteresis."""
+"""Sessions whose truth is known: lines, and contacts at an instrument with noise, drift, creep and hysteresis."""
 
 import math
 from collections.abc import Iterator
@@ -52,8 +52,8 @@ def made_line(seed: int, length_s: float = 12.0) -> MadeLine:
 def made_contact(seed: int, stiffness: float, drift_pm_per_s: float, length_s: float = 40.0) -> MadeContact:
     """Draw a contact that is pressed with 100 nN and held, by a hand that trembles, swings or stands, or by its base.
 
-    The instrument has white and 1/f noise, an open-loop piezo's creep of up to 2 % of a step in a decade, and hysteresis
-    of up to 5 % of its motion.
+    The instrument has white and 1/f noise, an open-loop piezo's creep of up to 2 % of a step in a decade, and
+    hysteresis of up to 5 % of its motion.
     """
     rng = np.random.default_rng(seed)
     count, step_s = round(length_s * RATE_HZ), 1.0 / RATE_HZ

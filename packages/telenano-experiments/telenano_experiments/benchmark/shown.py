@@ -58,12 +58,12 @@ def shown_of(runs_csv: str) -> dict[str, Any]:
     """Return the table, given the text of `runs.csv`.
 
     Raises:
-        ValueError: The text is not that of this version of the benchmark, or its laws had other settings than their own.
+        ValueError: The text is not that of this version of the benchmark, or the settings of a law were changed.
     """
     rows = list(csv.DictReader(io.StringIO(runs_csv)))
     wanted = {"benchmark", "instrument", "network", "task", "law", "settings", "verdict", "tracking_error"}
     if not rows or not wanted <= rows[0].keys():
-        raise ValueError(f"not the runs of a benchmark: the first line must name the columns {', '.join(sorted(wanted))}")
+        raise ValueError(f"not the runs of a benchmark: the first line must name {', '.join(sorted(wanted))}")
     if {row["benchmark"] for row in rows} != {str(VERSION)}:
         raise ValueError(f"runs of benchmark {rows[0]['benchmark']}, and this is benchmark {VERSION}")
     if any(row["settings"] for row in rows):
