@@ -186,7 +186,9 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
 
 
 def _shown_watch(plan: Plan, participant: Participant) -> ShownWatch | None:
-    """Return what compares the session with what its law was shown to hold; None where the law is not known here."""
+    """Return what compares the session with what its law was shown to hold; None where its settings are not known."""
+    if plan.attach:
+        return None
     try:
         laws = laws_as_shown(plan.loaded.section("controller", ControllerConfig))
     except ConfigError:

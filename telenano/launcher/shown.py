@@ -14,6 +14,7 @@ not. A session is outside when no place within its intervals was shown.
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
+from operator import le
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -59,7 +60,7 @@ class Place(NamedTuple):
 
     def is_as_easy_as(self, other: "Place") -> bool:
         """Return whether nothing here is more demanding than there."""
-        return all(map(float.__le__, self, other))
+        return all(map(le, self, other))
 
 
 class Cell(NamedTuple):
@@ -113,7 +114,7 @@ class Shown:
             session: What is known of the session.
             added: What of each figure may be the rig's own.
         """
-        return any(self.holds(Place(*map(_clipped, held, session, added))) for held in self.held)
+        return any(map(self.holds, {Place(*map(_clipped, held, session, added)) for held in self.held}))
 
     def fits(self, session: Session) -> bool:
         """Return whether the law was shown to hold a session, whatever is not known of it."""
@@ -121,11 +122,12 @@ class Shown:
         least = [
             None if value is None else max(0.0, value - own) for value, own in zip(most, _ADDED_BY_RIG, strict=True)
         ]
-        return bool(self.held) and all(
-            self.holds(Place(*(own if value is None else value for own, value in zip(held, ends, strict=True))))
+        places = {
+            Place(*(own if value is None else value for own, value in zip(held, ends, strict=True)))
             for held in self.held
             for ends in (least, most)
-        )
+        }
+        return bool(places) and all(map(self.holds, places))
 
 
 def _on_as_hard_a_line(held: Place, place: Place) -> bool:
@@ -211,7 +213,7 @@ def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     if there is not None and not shown.holds_some(Session(there)):
         return f"{said}{there_ms}, {_up_to(shown, session)}.", "a shorter line"
     lengths = Session(there)
-    held = [place.unevenness_ms for place in shown.held]
+    held = {place.unevenness_ms for place in shown.held}
     most = max((ms for ms in held if shown.holds_some(lengths._replace(unevenness_ms=Known(ms, ms, ms)))), default=0.0)
     longer = uneven.value if uneven is not None else 0.0
     return f"{said}{there_ms}, at times {longer:.0f} ms more, shown up to {most:.0f} ms more.", "a steadier line"
@@ -253,10 +255,11 @@ def _drift(session: Session) -> str:
 
 def _up_to(shown: Shown, session: Session) -> str:
     """Return in words which round trips the law was shown to hold on the sample and with the drift of a session."""
-    lengths = (place.round_trip_ms for place in shown.held)
+    lengths = {place.round_trip_ms for place in shown.held}
     rest = Session(stiffness_n_per_m=session.stiffness_n_per_m, drift_pm_per_s=session.drift_pm_per_s)
     held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Known(ms, ms, ms)), _NOTHING)]
-    return f"shown up to {max(held):.0f} ms" if held else "not shown over any line"
+    somewhere = "" if session.stiffness_n_per_m is not None else " on some sample"
+    return f"shown up to {max(held):.0f} ms{somewhere}" if held else "not shown over any line"
 
 
 _HAPPENED = {"line": _of_line, "stiffness": _of_stiffness, "drift": _of_drift, "together": _of_all}

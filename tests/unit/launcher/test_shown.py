@@ -96,7 +96,7 @@ def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
 
     far = Session(exactly(78.0), exactly(1.0))
     assert text(far) == (
-        "The line is outside of what one was shown to hold: 78 ms there and back, shown up to 20 ms. "
+        "The line is outside of what one was shown to hold: 78 ms there and back, shown up to 20 ms on some sample. "
         "The hand may feel a swing, or the tip rest off its force. "
         "Take other (--set controller.law=other) or a shorter line."
     )
