@@ -31,7 +31,8 @@ UNEVEN_SHARE = 0.95
 _STEP_MS = 0.5
 # A stiffness counts as known where half its interval is less than this share of it.
 _KNOWN_TO = 0.3
-# By hysteresis and creep a contact looks softer than it is, by up to this share, and by noise of the base a little.
+# By hysteresis and creep a piezo goes less far than it is commanded to, by up to this share: a contact looks softer than
+# it is, and its drift faster. By noise it may look a little stiffer.
 _SOFTER = 0.37
 _STIFFER = 0.05
 # Of a step, the share that creep adds in a decade of time, and the time from which it does [s].
@@ -161,7 +162,8 @@ class ContactEstimate:
         pressed = softer * abs(_slope(times, force)) / stiffness.value
         half = 1e3 * (math.hypot(scatter, crept) + pressed)
         value = 1e3 * abs(speed + crept)
-        return Known(value, max(0.0, value - half), value + half)
+        # The base is commanded further than the piezo goes, as it is where the contact looks too soft.
+        return Known(value, max(0.0, value - half) * (1.0 - _SOFTER), value + half)
 
     def _creep(self, times: Series) -> Series:
         """Return how far a piezo goes by itself after the steps of the base, where that is its whole step a decade."""

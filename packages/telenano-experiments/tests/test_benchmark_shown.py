@@ -7,7 +7,7 @@ import pytest
 from telenano_experiments.benchmark.plan import VERSION, Run
 from telenano_experiments.benchmark.results import digest_of, runs_text
 from telenano_experiments.benchmark.run import MEASURES, Outcome
-from telenano_experiments.benchmark.shown import line_of, main, shown_of, text_of
+from telenano_experiments.benchmark.shown import line_of, main, shown_of, stiffness_of, text_of
 
 from telenano.analysis import wilson
 
@@ -46,6 +46,12 @@ def test_a_line_is_what_the_newest_answer_of_a_loop_is_late_by() -> None:
     assert found["round_trip_ms"] == pytest.approx(78.3, abs=0.6) and found["unevenness_ms"] <= 2.0
     # Where each message is delayed by itself, one of the last few is fast, and the loop is sooner than their mean.
     assert line_of("verizon_driving_no_memory")["round_trip_ms"] < 0.6 * 100.7
+
+
+def test_a_sample_is_what_the_base_meets() -> None:
+    assert (stiffness_of("touch"), stiffness_of("track"), stiffness_of("stiff")) == (38.0, 20.0, 80.0)
+    # The cantilever of 40 N/m is in series with its contact, which is softer than mica.
+    assert stiffness_of("hold") == pytest.approx(17.5, abs=1.0)
 
 
 def test_the_command_writes_the_table_that_the_function_returns(tmp_path: Path) -> None:

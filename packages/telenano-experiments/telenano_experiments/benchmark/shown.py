@@ -6,7 +6,8 @@ A cell is a law over a network on a sample with an instrument; its runs are thos
 instrument's guard ended before it began to be judged says nothing of the law: it is counted by itself.
 
 The loop is closed by the newest message, so a line is described as a law meets it: by the age of the hand's sample that
-the newest answer descends from, which `law/status` of a running rig has by the same definition.
+the newest answer descends from, which `law/status` of a running rig has by the same definition. A sample is described
+by the slope of force over base, which is less than that of the cantilever where a soft contact is in series with it.
 """
 
 import csv
@@ -25,8 +26,9 @@ import numpy as np
 from telenano.analysis import wilson
 from telenano.link import parse_settings
 from telenano.lockstep import schedule_of
-from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, disturbances_of, is_random
+from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, disturbances_of, is_random
 from telenano_experiments.benchmark.results import HELD
+from telenano_experiments.benchmark.run import course_of
 
 # Ages are those of this long a draw of the line for each of the benchmark's seeds, after its beginning [s].
 _LINE_S, _BEGINNING_S = 20.0, 3.0
@@ -38,8 +40,9 @@ _COLUMNS = ("network", "stiffness_n_per_m", "drift_pm_per_s", "runs", "held", "l
 _ABOUT = (
     "Made by `python -m telenano_experiments.benchmark.shown RUNS.CSV SHOWN.JSON`; digest is that of runs.csv. "
     "A line has the mean age of the hand's sample that the newest answer descends from, and by how much 95 % of these "
-    "ages are at most above their median [ms]. low and high are the 95 % interval of the share held (Wilson); guarded "
-    "runs were ended by the instrument's guard before the law was judged, and are not among the runs."
+    "ages are at most above their median [ms]. The stiffness is the slope of force over base. low and high are the "
+    "95 % interval of the share held (Wilson); guarded runs were ended by the instrument's guard before the law was "
+    "judged, and are not among the runs."
 )
 
 
@@ -110,11 +113,26 @@ def _ages(network: str, seed: int) -> np.ndarray[Any, np.dtype[np.int64]]:
     return now[newest >= 0] - schedule.forward_of[schedule.backward_of[newest[newest >= 0]]]
 
 
+@cache
+def stiffness_of(name: str) -> float:
+    """Return the slope of force over base [N/m] of what a task touches; of a contact, between its two holds."""
+    task = TASKS[name]  # type: ignore[index]
+    if task.environment != "tip_sample":
+        return task.stiffness_n_per_m
+    run = Run(task=name, network="clean", law="position_force", hand="force", seed=0)  # type: ignore[arg-type]
+    points, held_s, _, end_s = run.programme()
+    course = course_of(run, points, end_s)
+    # The last corner but one ends the hold at the smaller force.
+    first, last = np.searchsorted(course.time_s, (points[-2][0] - _PERIOD_S, held_s - _PERIOD_S))
+    force_n, base_m = course.tip_force_n, course.base_position_m
+    return round(float((force_n[last] - force_n[first]) / (base_m[last] - base_m[first])), 1)
+
+
 def _law_of(rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
     grouped: dict[tuple[str, float, float], list[Mapping[str, str]]] = {}
     for row in rows:
-        stiffness = TASKS[row["task"]].stiffness_n_per_m  # type: ignore[index]
-        grouped.setdefault((row["network"], stiffness, _drift_of(row["instrument"])), []).append(row)
+        place = row["network"], stiffness_of(row["task"]), _drift_of(row["instrument"])
+        grouped.setdefault(place, []).append(row)
     errors = [float(row["tracking_error"]) for row in rows if row["verdict"] in HELD and row["tracking_error"]]
     return {
         "tracking_error": round(statistics.median(errors), 4) if errors else None,
