@@ -31,8 +31,8 @@ UNEVEN_SHARE = 0.95
 _STEP_MS = 0.5
 # A stiffness counts as known where half its interval is less than this share of it.
 _KNOWN_TO = 0.3
-# By hysteresis and creep a piezo goes less far than it is commanded to, by up to this share: a contact looks softer than
-# it is, and its drift faster. By noise it may look a little stiffer.
+# By hysteresis and creep a piezo goes less far than it is commanded to, by up to this share: a contact looks softer
+# than it is, and its drift faster. By noise it may look a little stiffer.
 _SOFTER = 0.37
 _STIFFER = 0.05
 # Of a step, the share that creep adds in a decade of time, and the time from which it does [s].

@@ -40,6 +40,7 @@ def test_a_cell_counts_the_runs_of_every_hand_and_leaves_guarded_ones_out() -> N
     assert shown["laws"]["passivity"] == {"tracking_error": None, "cells": [["clean", 20.0, 0.0, 0, 0, 0.0, 1.0, 1]]}
 
 
+@pytest.mark.check("draws 80 s of two lines")
 def test_a_line_is_what_the_newest_answer_of_a_loop_is_late_by() -> None:
     assert line_of("clean") == {"round_trip_ms": 0.0, "unevenness_ms": 0.0}
     found = line_of("transatlantic")
