@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import pytest
+from telenano_studies.loops import cells
 from telenano_studies.loops.advice import CANDIDATES, Question, advise, in_words
 from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_of
 from telenano_studies.loops.sweep import Journal, Sweep
@@ -96,6 +97,16 @@ class Told(Sweep):
                 CellResult(asked, verdict, None, 0.0, 0.0, 1.0, 0.0, False, reason, peak_n, tip_n, 1.0, 0.0, 0.0)
             )
         return found
+
+
+@pytest.mark.usefixtures("plain")
+def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cells, "judge_holds", lambda *course: [])
+    result = run_cell(cell("force", session_s=2.0))
+    assert (result.verdict, result.outcome) == ("stable", "nothing_moved")
+    assert result.reason == "the hand does not press, and the tip does not touch"
 
 
 def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited(tmp_path: Any) -> None:
