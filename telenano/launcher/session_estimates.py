@@ -17,10 +17,10 @@ from telenano.analysis.intervals import DEVIATIONS, student
 from telenano.launcher.shown import Known
 
 Series = npt.NDArray[np.float64]
-# The line is that of the last so many seconds, and nothing is said of it before the first of these [s].
+# The line is estimated over this time, and not before the second has passed [s].
 LINE_S = 10.0
 _LINE_LEAST_S = 4.0
-# The contact is looked at over this time [s], of which a drift needs the second at least.
+# The contact is estimated over this time, of which a drift needs the second at least [s].
 CONTACT_S = 12.0
 _DRIFT_LEAST_S = 8.0
 # Samples within this time of one another are not taken to be independent [s].
@@ -45,7 +45,7 @@ NEVER = -math.inf
 
 
 class LineEstimate:
-    """Mean and unevenness of the age of the hand's sample that the newest answer descends from."""
+    """Mean and unevenness of the age of the sample that the newest answer descends from."""
 
     def __init__(self) -> None:
         self._ages: deque[tuple[float, float]] = deque()

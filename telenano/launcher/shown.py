@@ -3,7 +3,7 @@
     table = read_shown()
     outside(table["wave"], Session(round_trip_ms=Known(78.0, 77.0, 79.0)))   # None: it was shown to hold that
 
-A session has the age of the hand's sample that the newest answer descends from, its unevenness, the stiffness of the
+A session has the age of the sample that the newest answer descends from, its unevenness, the stiffness of the
 sample and its drift, each with the interval that it lies in, or None where it is not known. A law was shown to hold a
 place where cells of the benchmark that it held are at least as demanding, one of them on a sample as stiff without a
 failed cell between, and one on a sample as soft, and no cell that it failed is as easy, unless a harder one that is as
@@ -208,15 +208,15 @@ def advice(table: Mapping[str, Shown], law: str, axis: Axis, session: Session, c
 
 def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     there, uneven = session.round_trip_ms, session.unevenness_ms
-    said = f"The line is outside of what {law} was shown to hold: "
+    beginning = f"The line is outside of what {law} was shown to hold: "
     there_ms = f"{there.value:.0f} ms there and back" if there is not None else "any length"
     if there is not None and not shown.holds_some(Session(there)):
-        return f"{said}{there_ms}, {_up_to(shown, session)}.", "a shorter line"
+        return f"{beginning}{there_ms}, {_up_to(shown, session)}.", "a shorter line"
     lengths = Session(there)
     held = {place.unevenness_ms for place in shown.held}
     most = max((ms for ms in held if shown.holds_some(lengths._replace(unevenness_ms=Known(ms, ms, ms)))), default=0.0)
     longer = uneven.value if uneven is not None else 0.0
-    return f"{said}{there_ms}, at times {longer:.0f} ms more, shown up to {most:.0f} ms more.", "a steadier line"
+    return f"{beginning}{there_ms}, at times {longer:.0f} ms more, shown up to {most:.0f} ms more.", "a steadier line"
 
 
 def _of_stiffness(shown: Shown, law: str, session: Session) -> tuple[str, str]:
@@ -244,8 +244,8 @@ def _of_all(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     parts += [f"{sample.low:.3g} to {sample.high:.3g} N/m"] if sample is not None else []
     parts += [f"a drift of {_drift(session)}"] if session.drift_pm_per_s is not None else []
     remedy = "a shorter line" if line is not None and line.low > RIG_MS else "a softer sample or an instrument at rest"
-    said = f"The session is outside of what {law} was shown to hold: {', '.join(parts)} together"
-    return f"{said}, {_up_to(shown, session)}.", remedy
+    beginning = f"The session is outside of what {law} was shown to hold: {', '.join(parts)} together"
+    return f"{beginning}, {_up_to(shown, session)}.", remedy
 
 
 def _drift(session: Session) -> str:

@@ -1,6 +1,6 @@
 """Whether the session in force is outside of what its law was shown to hold, a few times a second beside the loop.
 
-It reads a copy of what the controller and the instrument publish from a socket of its own, which wakes nobody: the
+It reads a copy of what the controller and the instrument publish from a socket of its own, which wakes no process: the
 newest of each topic is taken at every tick of the launcher. What it finds is advice, and never acts on a device.
 """
 

@@ -1,97 +1,226 @@
-"""Sessions whose truth is known: lines, and contacts at an instrument with noise, drift, creep and hysteresis."""
+"""Recordings of sessions that are made up: Fig. 12 as a law would hold it, with clocks, ways and losses of choice."""
 
+import functools
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import msgpack
+import msgspec
 import numpy as np
-import numpy.typing as npt
+from wire_contract import examples
 
-RATE_HZ = 20.0
-Series = npt.NDArray[np.float64]
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.timing.clock_offset import Exchange, OffsetFilter
+from telenano.wire import encode
+from telenano.wire.ends import end_data
+from telenano.wire.topics import TOPICS
 
-
-class MadeLine(NamedTuple):
-    """A line: mean age and unevenness over ten minutes [ms], and the ages of its first seconds [s]."""
-
-    round_trip_ms: float
-    unevenness_ms: float
-    ages_s: Series
-
-
-class MadeContact(NamedTuple):
-    """A contact: stiffness [N/m], drift [pm/s], and samples: time [s], base [m], force [N]."""
-
-    stiffness_n_per_m: float
-    drift_pm_per_s: float
-    samples: Series
+SCENARIO = Path(__file__).resolve().parents[2] / "telenano/settings/scenarios/fig12.yaml"
+HAND, TIP, LINK, CONTROLLER = "haptic_node@master", "afm_node@slave", "delay_node@master", "controller@master"
+BEGAN_NS = 1_750_000_000_000_000_000
+MS, NS = 1_000_000, 1_000_000_000
+STEP_S = 5e-3
+SESSION_S = 8.0
+FORCE_SCALE = 1e8
+# what the hand does, from the scenario
+HAND_TIMES_S, HAND_FORCES_N = (0.8, 1.2, 2.6, 2.9, 4.5, 4.6), (0.0, 1.0, 1.0, 2.0, 2.0, 0.0)
 
 
-def made_line(seed: int, length_s: float = 12.0) -> MadeLine:
-    """Draw a line: constant, with independent delays, or with a memory of 0.1 to 2 s; a rig adds up to 4 ms."""
-    rng = np.random.default_rng(seed)
-    count = round(600 * RATE_HZ)
-    least_ms, spread_ms = (
-        float(np.exp(rng.uniform(0.0, math.log(300.0)))),
-        float(np.exp(rng.uniform(-1.0, math.log(60.0)))),
-    )
-    kind = rng.choice(("constant", "independent", "memory"))
-    normal = rng.standard_normal(count)
-    if kind == "memory":
-        keep = math.exp(-1.0 / (RATE_HZ * rng.uniform(0.1, 2.0)))
-        for place in range(1, count):
-            normal[place] = keep * normal[place - 1] + math.sqrt(1.0 - keep * keep) * normal[place]
-    extra = np.zeros(count) if kind == "constant" else spread_ms * np.exp(0.7 * normal)
-    ages_ms = least_ms + extra
-    own_ms = np.round(rng.uniform(0.0, 4.0) + rng.uniform(0.0, 1.0, count))
-    uneven_ms = float(np.quantile(ages_ms, 0.95) - np.median(ages_ms))
-    seen = np.round(ages_ms + own_ms)[: round(length_s * RATE_HZ)]
-    return MadeLine(float(ages_ms.mean()), uneven_ms, 1e-3 * seen)
+@functools.cache
+def example(topic: str) -> Any:
+    """Return an ordinary message of a topic."""
+    return examples(TOPICS[topic])["ordinary"]
 
 
-def made_contact(seed: int, stiffness: float, drift_pm_per_s: float, length_s: float = 40.0) -> MadeContact:
-    """Draw a contact that is pressed with 100 nN and held, by a hand that trembles, swings or stands, or by its base.
+def hand_force_n(time_s: float) -> float:
+    """Return F_m [N] at a time of the session [s]."""
+    return float(np.interp(time_s, HAND_TIMES_S, HAND_FORCES_N))
 
-    The instrument has white and 1/f noise, an open-loop piezo's creep of up to 2 % of a step in a decade, and
-    hysteresis of up to 5 % of its motion.
+
+@dataclass
+class Made:
+    """What is made: the slave's clock and the ways between the sites; what the tip does; what is left out.
+
+    ahead_s, drift: the slave's clock is ahead by ahead_s when the session begins, and gains drift; there_s, back_s: the
+    ways [s], with jitter_s; tip_n: alpha_f F_s at a session time [N], the hand's force of one way ago if None; mode,
+    in_contact: of the instrument at a session time; without: topic and session time of what the recorder did not get;
+    answers: until when the hand gets answers [s]; events: session time and data of what the instrument reports;
+    incidents: session time and text of what the slave's launcher does; end_s: when the recording ends, None if the
+    programme is ended; set_s: when the tip has acknowledged a setting; queue_s: by which the way there grows in a
+    second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s];
+    blocked_s: from when to when UDP is blocked from the slave to the master [s]; hand_mode: of the device at a session
+    time; killed_s: when the hand's process is killed, from which on its numbers begin anew and its programme does not
+    run, until anew_s if that is given; set_back_s: when the one clock of both sites is set back, and by how much, both
+    in [s].
     """
-    rng = np.random.default_rng(seed)
-    count, step_s = round(length_s * RATE_HZ), 1.0 / RATE_HZ
-    times = np.arange(count) * step_s
-    swings = rng.random() < 0.5
-    begins_s = rng.uniform(3.0, 10.0)
-    wanted = 100.0 * np.minimum(times / rng.uniform(0.5, 2.0), 1.0) + rng.uniform(0.0, 4.0) * _flicker(rng, count)
-    if swings:
-        wanted += np.where(times > begins_s, 30.0 * np.sin(math.pi * (times - begins_s)), 0.0)
-    noise = 40.0 * (
-        rng.uniform(0.002, 0.02) * rng.standard_normal(count) + rng.uniform(0.0, 0.02) * _flicker(rng, count)
-    )
-    creep, hysteresis = rng.uniform(0.0, 0.02), rng.uniform(0.0, 0.05)
-    base_is_held_s = rng.uniform(8.0, 20.0) if rng.random() < 0.3 else math.inf
-    drift = 1e-3 * drift_pm_per_s * rng.choice((-1.0, 1.0))
-    base, force, steps, play = np.zeros(count), np.zeros(count), np.zeros(count), 0.0
-    for now in range(1, count):
-        follows = times[now] < base_is_held_s
-        error = wanted[now] - force[now - 1]
-        steps[now] = 0.5 * error / stiffness if follows else 0.0
-        base[now] = base[now - 1] + steps[now]
-        crept = creep * float(steps[:now] @ np.log10(1.0 + (times[now] - times[:now]) / 0.1))
-        # a play of a nanometre either way of what the motion has of it
-        play = min(max(play, base[now] - 1.0), base[now] + 1.0)
-        moved = base[now] - hysteresis * (base[now] - play) + crept
-        force[now] = stiffness * (moved - drift * times[now]) + noise[now]
-    return MadeContact(stiffness, drift_pm_per_s, np.stack([times, 1e-9 * base, 1e-9 * force]))
 
+    ahead_s: float = 0.0
+    drift: float = 0.0
+    there_s: float = 0.02
+    back_s: float = 0.02
+    tip_n: Callable[[float], float] | None = None
+    mode: Callable[[float], str] = lambda time_s: "follow"
+    in_contact: Callable[[float], bool] | None = None
+    without: Callable[[str, float], bool] = lambda topic, time_s: False
+    answers: float = SESSION_S
+    events: tuple[tuple[float, dict[str, Any]], ...] = ()
+    end_s: float | None = None
+    jitter_s: float = 2e-4
+    incidents: tuple[tuple[float, str], ...] = ()
+    set_s: float | None = None
+    queue_s: float = 0.0
+    told_s: float = 0.0
+    full_s: float | None = None
+    blocked_s: tuple[float, float] | None = None
+    hand_mode: Callable[[float], str] = lambda time_s: "position"
+    killed_s: float | None = None
+    anew_s: float | None = None
+    set_back_s: tuple[float, float] | None = None
 
-def samples_of(contact: MadeContact) -> Iterator[tuple[float, float, float]]:
-    """Yield time [s], base [m] and force [N] of each sample."""
-    yield from zip(*(row.tolist() for row in contact.samples), strict=True)
+    def hand_at(self, time_s: float) -> tuple[float, float]:
+        """Return session_s [s], and F_m [N], of the hand at a session time."""
+        programme_s = time_s
+        if self.killed_s is not None and time_s >= self.killed_s:
+            programme_s = -1.0 if self.anew_s is None else time_s - self.anew_s
+        session_s = programme_s if 0.0 <= programme_s <= SESSION_S and time_s <= SESSION_S else -1.0
+        return session_s, hand_force_n(session_s) if session_s >= 0.0 else 0.0
 
+    def slave_ns(self, time_s: float) -> int:
+        """Return what the slave's clock shows at a session time [ns]."""
+        return BEGAN_NS + round((time_s + self.ahead_s + self.drift * time_s) * NS)
 
-def _flicker(rng: np.random.Generator, count: int) -> Series:
-    """Draw noise with a spectrum of 1/f, of variance 1."""
-    spectrum = np.fft.rfft(rng.standard_normal(count))
-    spectrum[1:] /= np.sqrt(np.arange(1, spectrum.size))
-    spectrum[0] = 0.0
-    found = np.fft.irfft(spectrum, count)
-    return np.asarray(found / found.std(), dtype=np.float64)
+    def write(self, folder: Path, site: str = "master") -> Path:
+        """Write the recording of a site's recorder, which receives what the slave sends after the way back."""
+        dice = random.Random(5)
+        name = "session.mcap" if site == "master" else f"{site}.mcap"
+        writer = RecordingWriter.create(f"recorder@{site}", FileSettings(directory=folder, file_name=name))
+        writer.attach("scenario.yaml", "application/yaml", SCENARIO.read_bytes(), BEGAN_NS)
+        writer.add_metadata("recording", {"node": f"recorder@{site}"})
+        rows: list[tuple[int, int, str, str, int, int, bytes]] = []
+        counts: dict[tuple[str, str], int] = {}
+
+        def add(topic: str, src: str, time_s: float, **fields: Any) -> None:
+            of_slave = src.endswith("@slave")
+            t_ns = self.slave_ns(time_s) if of_slave else BEGAN_NS + round(time_s * NS)
+            seq = counts.get((topic, src), 0)
+            counts[topic, src] = seq + 1
+            if self.without(topic, time_s) or (self.end_s is not None and time_s > self.end_s):
+                return
+            model = TOPICS[topic].model
+            made = msgspec.structs.replace(example(topic), seq=seq, t_ns=t_ns, src=src, **fields)
+            if "v" not in fields:
+                made = msgspec.structs.replace(made, v=model.version)
+            if site == "master":
+                log_ns = BEGAN_NS + round((time_s + (self.back_s if of_slave else 0.0)) * NS)
+            else:
+                log_ns = self.slave_ns(time_s + (0.0 if of_slave else self.there_s))
+            rows.append((log_ns + 50_000, len(rows), topic, src, t_ns, seq, encode(made)))
+
+        steps = round((SESSION_S + 0.3) / STEP_S)
+        trip_s = self.there_s + self.back_s
+        for step in range(-round(0.3 / STEP_S), steps):
+            time_s = step * STEP_S
+            session_s, pressed_now_n = self.hand_at(time_s)
+            if self.killed_s is not None and abs(time_s - self.killed_s) < 0.5 * STEP_S:
+                counts.pop(("haptic/state", HAND), None)
+            answered_s = min(time_s, self.answers) - trip_s
+            is_answered = self.answers > 0.0
+            add(
+                "haptic/state",
+                HAND,
+                time_s,
+                session_s=session_s,
+                operator_force_n=(0.0, 0.0, -pressed_now_n),
+                mode=self.hand_mode(time_s),
+                position_m=(0.0, 0.0, -1e-3 * time_s),
+                answered_seq=round(answered_s / STEP_S) + 1000 if is_answered else 0,
+                answered_t_ns=BEGAN_NS + round(answered_s * NS) if is_answered else 0,
+                answered_at_ns=BEGAN_NS + round((answered_s + trip_s) * NS) if is_answered else 0,
+            )
+            add("haptic/command", CONTROLLER, time_s, position_m=(0.0, 0.0, -1e-3 * time_s))
+            pressed_n = self.hand_at(time_s - self.there_s)[1]
+            tip_n = pressed_n if self.tip_n is None else self.tip_n(time_s)
+            touches = pressed_n > 0.0 if self.in_contact is None else self.in_contact(time_s)
+            mode = self.mode(time_s)
+            add(
+                "afm/state",
+                TIP,
+                time_s,
+                tip_force_n=(0.0, 0.0, tip_n / FORCE_SCALE),
+                in_contact=touches,
+                mode=mode,
+                hand_t_ns=BEGAN_NS + round((time_s - self.there_s) * NS),
+                hand_seq=max(0, step + 1000),
+            )
+        self._clock(add, dice)
+        for time_s, data in self.events:
+            src, text = TIP, f"the AFM is in mode {data['mode']}: {data.get('reason')}"
+            if data["mode"] == "off":
+                src, text = HAND, "no command within the deadline: off until commands are fresh"
+            add("session/event", src, time_s, kind="mode", level="warning", id="", text=text, data=data)
+        if self.set_s is not None:
+            text = "set afm_node.safety.force_limit_n to 3e-08"
+            add("session/event", TIP, self.set_s, kind="ack", level="info", id="a", text=text, data={})
+        for time_s, text in self.incidents:
+            ended = {"about_node": text.partition(" ")[0], "exit_code": -9} if "was killed" in text else {}
+            add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data=ended)
+        if self.end_s is None:
+            numbers = {"haptic/state": counts.get(("haptic/state", HAND), 0)}
+            data = end_data(numbers)
+            add("session/event", HAND, SESSION_S + 0.3, kind="node", level="info", id="", text="ended", data=data)
+        channels: dict[tuple[str, str], int] = {}
+        for log_ns, _, topic, src, t_ns, seq, payload in sorted(rows):
+            if (topic, src) not in channels:
+                channels[topic, src] = writer.channel(topic, src, src.partition("@")[2])
+            channel = channels[topic, src]
+            if self.set_back_s is not None:
+                fields = self._set_back(msgpack.unpackb(payload))
+                log_ns, t_ns, payload = self._set_back(log_ns), fields["t_ns"], msgpack.packb(fields)
+            writer.write(channel, log_ns, t_ns, seq, payload)
+        writer.finish()
+        return writer.path
+
+    def _set_back(self, value: Any) -> Any:
+        """Return a stamp, and each within a message, as the clock that is set back has it."""
+        assert self.set_back_s is not None
+        at_s, by_s = self.set_back_s
+        if isinstance(value, dict):
+            return {key: self._set_back(one) if key.endswith("_ns") else one for key, one in value.items()}
+        return value - round(by_s * NS) if isinstance(value, int) and value >= BEGAN_NS + round(at_s * NS) else value
+
+    def _clock(self, add: Callable[..., None], dice: random.Random) -> None:
+        """Add what the link measures of the other clock, ten times a second, by the link's own filter."""
+        found = OffsetFilter(64)
+        for tenth in range(-3, round(10 * (SESSION_S + 0.3))):
+            asked_s = 0.1 * tenth - 0.08 - self.there_s - self.back_s
+            there, back = (way + dice.expovariate(1.0 / self.jitter_s) for way in (self.there_s, self.back_s))
+            there += self.queue_s * (asked_s + 1.0)
+            stamps = (self.slave_ns(asked_s + there), self.slave_ns(asked_s + there + 1e-4))
+            back_ns = BEGAN_NS + round((asked_s + there + 1e-4 + back) * NS)
+            asked_ns = BEGAN_NS + round(asked_s * NS)
+            found.record(Exchange(asked_ns, *stamps, back_ns))
+            answered_s = asked_s + there + 1e-4
+            add("clock/pong", TIP, answered_s, ping_t_ns=asked_ns, received_ns=stamps[0])
+            estimate = found.estimate()
+            assert estimate is not None and math.isfinite(estimate.offset_s)
+            told = {**estimate._asdict(), "offset_s": estimate.offset_s + self.told_s, "valid": True}
+            clock = msgspec.structs.replace(example("link/status").clock, **told)
+            answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns}
+            # an earlier version tells no answers
+            add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))
+            if self.full_s is not None and tenth % 5 == 0:
+                counts = {"sent": 50 * (tenth + 10), "settled": 50 * tenth + 200, "lost": 5 * tenth + 20}
+                line = {"queue_s": self.full_s, "capacity_bit_per_s": 1_000_000}
+                # Both ways are delayed as much, and the slave alone takes its own for full.
+                for source, way, sends in ((LINK, "backward", "free"), ("controller@slave", "forward", "full")):
+                    add("link/network", source, 0.1 * tenth, direction=way, **counts, **line, line=sends)
+            if self.blocked_s is not None and tenth % 5 == 0:
+                begin_s, end_s = self.blocked_s
+                since = {"blocked_since_ns": BEGAN_NS + round(begin_s * NS)} if begin_s < 0.1 * tenth < end_s else {}
+                # Nothing is known of a queue where no datagram was ever answered.
+                unknown = {"queue_s": None, "capacity_bit_per_s": None, "line": "free"}
+                add("link/network", LINK, 0.1 * tenth, direction="backward", **{**unknown, **since})

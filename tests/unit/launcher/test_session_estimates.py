@@ -5,7 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from made_sessions import RATE_HZ, made_contact, made_line, samples_of
+from made_contacts import RATE_HZ, made_contact, made_line, samples_of
 
 from telenano.launcher.session_estimates import ContactEstimate, LineEstimate, Unknown
 from telenano.launcher.shown import Cell, Known, Place, Session, Shown, outside

@@ -5,7 +5,7 @@
 A cell is a law over a network on a sample with an instrument; its runs are those of every hand. A run that the
 instrument's guard ended before it began to be judged says nothing of the law: it is counted by itself.
 
-The loop is closed by the newest message, so a line is described as a law meets it: by the age of the hand's sample that
+The loop is closed by the newest message, so a line is described as a law meets it: by the age of the sample that
 the newest answer descends from, which `law/status` of a running rig has by the same definition. A sample is described
 by the slope of force over base, which is less than that of the cantilever where a soft contact is in series with it.
 """
@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from telenano_studies.option_values import disturbances_of
 
 from telenano.analysis import wilson
 from telenano.link import parse_settings
 from telenano.lockstep import schedule_of
-from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, disturbances_of, is_random
+from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_random
 from telenano_experiments.benchmark.results import HELD
 from telenano_experiments.benchmark.run import course_of
 
@@ -39,7 +40,7 @@ _GUARDED = "guarded"
 _COLUMNS = ("network", "stiffness_n_per_m", "drift_pm_per_s", "runs", "held", "low", "high", "guarded")
 _ABOUT = (
     "Made by `python -m telenano_experiments.benchmark.shown RUNS.CSV SHOWN.JSON`; digest is that of runs.csv. "
-    "A line has the mean age of the hand's sample that the newest answer descends from, and by how much 95 % of these "
+    "A line has the mean age of the sample that the newest answer descends from, and by how much 95 % of these "
     "ages are at most above their median [ms]. The stiffness is the slope of force over base. low and high are the "
     "95 % interval of the share held (Wilson); guarded runs were ended by the instrument's guard before the law was "
     "judged, and are not among the runs."
@@ -104,7 +105,7 @@ def line_of(network: str) -> dict[str, float]:
 
 
 def _ages(network: str, seed: int) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return at each period [ms] the age of the hand's sample that the newest answer descends from."""
+    """Return at each period [ms] the age of the sample that the newest answer descends from."""
     ticks = round(_LINE_S / _PERIOD_S)
     settings = parse_settings({"profile": network, "seed": seed}, f"network {network}")
     schedule = schedule_of(settings, ticks, _PERIOD_S)
