@@ -16,7 +16,7 @@ from telenano.recording.site_clock import Timeline
 from telenano.settings.config import validate
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.scenario import Scenario
-from telenano.wire.nodes import LINK
+from telenano.wire.nodes import LAUNCHER, LINK, name_of
 
 _MASTER = "controller@master"
 # A round trip that varies by more than this, and by more than this share of its median, was changed, or jitters.
@@ -37,7 +37,8 @@ def conditions(
 
     Returns:
         `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
-        set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back, and
+        set while the session ran; `outside_of_shown`, warnings that the session was outside of what its law was shown
+        to hold, if there were any; `link_round_trip_ms`, median of the delays that the link added there and back, and
         `link_round_trip_range_ms`, the least and the greatest of them; `loop_round_trip_ms`, median age, in whole
         periods, of the sample that the newest answer descends from, as the law has to bridge it (both null where
         nothing was recorded); name of the network and seed of the link; `instrument`,
@@ -52,13 +53,16 @@ def conditions(
     require_installed({key: facts for key, facts in plugins.items() if key.startswith("laws.")})
     controller = validate(ControllerConfig, scenario.controller_in_force, origin, "controller")
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
+    timeline = timeline or Timeline(recording)
     laws, loop_ms = _law_status(recording, start_ns, end_ns)
+    outside = _outside(recording, timeline, start_ns, end_ns)
     versions = recording.metadata.get("versions", {})
     trips_ms = _link_round_trips_ms(recording, start_ns, end_ns)
     return {
         "law": laws or [controller.law],
         "parameters": controller.law_config().model_dump(mode="json"),
-        "changed": _changed(recording, timeline or Timeline(recording), start_ns, end_ns),
+        "changed": _changed(recording, timeline, start_ns, end_ns),
+        **({"outside_of_shown": outside} if outside else {}),
         "link_round_trip_ms": None if trips_ms is None else round(float(np.median(trips_ms)), 3),
         "link_round_trip_range_ms": None if trips_ms is None else _range(trips_ms),
         "loop_round_trip_ms": loop_ms,
@@ -143,3 +147,22 @@ def _changed(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
         if timeline.stamp_ns(event.src, start_ns) <= event.publish_ns <= timeline.stamp_ns(event.src, end_ns):
             texts.append(f"{event.src}: {text}")
     return texts
+
+
+def _outside(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
+    """Return the warnings that a session was outside of what its law was shown to hold, in session time [s]."""
+    events = recording.select(
+        lambda channel: channel.topic == "session/event" and name_of(channel.src) == name_of(LAUNCHER)
+    )
+    # One of the other site may be recorded where it was sent and where it arrived.
+    found: dict[tuple[str, int], dict[str, Any]] = {}
+    for event, fields in readable(events, recording.left_out):
+        axis, law = fields["data"].get("outside"), fields["data"].get("law")
+        if not isinstance(axis, str) or not isinstance(law, str):
+            continue
+        at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
+        if start_ns <= at_ns <= end_ns:
+            time_s = round(1e-9 * (at_ns - start_ns), 3)
+            row = {"time_s": time_s, "law": law, "axis": axis, "text": fields["text"]}
+            found.setdefault((event.src, event.publish_ns), row)
+    return sorted(found.values(), key=lambda row: row["time_s"])

@@ -393,6 +393,9 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
             found.guards.append(Guard(at_s, str(data.get("reason", ""))))
         elif kind == "mode" and told.mode in ("hold", "off"):
             (found.held if name == "afm_node" else found.let_go).append(told)
+        elif "outside" in data:
+            # It is advice, and no cause of what happened to a device.
+            continue
         elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:
             found.incidents.append(Incident(at_s, text))
             if "exit_code" in data:

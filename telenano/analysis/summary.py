@@ -8,7 +8,7 @@ prints its JSON Schema, or the page docs/summary.md. `make schemas` writes both.
 import json
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -114,6 +114,17 @@ class InterruptionSummary(_Part):
     reason: str = Field(description="What the device or the launcher reported of it")
 
 
+class OutsideSummary(_Part):
+    """A warning that the session was outside of what its law was shown to hold."""
+
+    time_s: float = Field(description="When it was given, in the session [s]")
+    law: str = Field(description="Law that was in force")
+    axis: Literal["line", "stiffness", "drift", "together"] = Field(
+        description="By what the session was outside; `together`: each was shown with others, but not with one another"
+    )
+    text: str = Field(description="What was found, what it means, and what to do")
+
+
 class OtherReading(_Part):
     """The figures of the other reading of the clocks."""
 
@@ -201,6 +212,11 @@ class Summary(_Part):
     law: list[str] = Field(description="Laws that were in force, one after the other")
     parameters: dict[str, Any] = Field(description="Parameters of the law that the scenario names, SI units")
     changed: list[str] = Field(description="What was set while the session ran, each with the node that set it")
+    outside_of_shown: list[OutsideSummary] = Field(
+        default=[],
+        description="Warnings that the session was outside of what its law was shown to hold by the benchmark "
+        "(`docs/laws.md`); the key is absent where there was none",
+    )
     link_round_trip_ms: float | None = Field(
         description="Median of the delays that the link added there and back [ms]; null without `link/status`"
     )

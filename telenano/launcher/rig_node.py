@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 from telenano.launcher.liveness import Change, LivenessMonitor
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.recorder_wait import has_last
+from telenano.launcher.shown_watch import ShownWatch
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
@@ -71,6 +72,8 @@ class RigNode(Node):
         self.ended: dict[str, int] = {}
         self._recorder_states: dict[str, Scalar] = {}
         self.observe: Callable[[RigNode], None] = lambda node: None
+        # Compares the session with what its law was shown to hold; None where that is not looked at.
+        self.shown: ShownWatch | None = None
         self.state = "starting"
         self._failure = ""
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), round(TICK_S * 1e9))
@@ -139,6 +142,8 @@ class RigNode(Node):
         for change in self.liveness.check():
             self._report_change(change)
         self.advance()
+        if self.shown is not None and (found := self.shown.look(runs=self.phase == "running")):
+            self.report("warning", found.text, **found.facts)
         self.observe(self)
 
     def make_safe(self) -> None:

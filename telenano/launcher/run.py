@@ -17,9 +17,11 @@ from telenano.launcher.plan import RECORDING_NAME, Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.session import SessionNode
+from telenano.launcher.shown_watch import ShownWatch, laws_as_shown
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import ProcFiles, Watchdog
+from telenano.laws.config import ControllerConfig
 from telenano.recording.disk_watch import free_bytes
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
@@ -29,8 +31,8 @@ from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import shallow_idle
-from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
-from telenano.wire.errors import RecordingError, RigError, TelenanoError
+from telenano.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
+from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 
 Observer = Callable[[RigNode], None]
@@ -140,6 +142,7 @@ def run_rig(
         supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
+        rig.shown = _shown_watch(plan, participant)
         if plan.site != "slave":
             # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
             forget_stops(plan)
@@ -180,6 +183,19 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
         far=ExternalRecording(context.clock, FAR_RECORDER) if plan.fetches else None,
         on_far=lambda files: note_files(plan.out, files),
     )
+
+
+def _shown_watch(plan: Plan, participant: Participant) -> ShownWatch | None:
+    """Return what compares the session with what its law was shown to hold; None where its settings are not known."""
+    if plan.attach:
+        return None
+    try:
+        laws = laws_as_shown(plan.loaded.section("controller", ControllerConfig))
+    except ConfigError:
+        return None
+    sources = plan.book.sources(participant.key, ShownWatch.inputs)
+    readers = participant.subscribers(sources, newest_only=True)
+    return ShownWatch(participant.clock, participant.log, laws, readers)
 
 
 def note_files(folder: Path, files: Sequence[str]) -> None:

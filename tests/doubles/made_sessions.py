@@ -167,6 +167,7 @@ class Made:
             add("session/event", TIP, self.set_s, kind="ack", level="info", id="a", text=text, data={})
         for time_s, text in self.incidents:
             ended = {"about_node": text.partition(" ")[0], "exit_code": -9} if "was killed" in text else {}
+            ended |= {"outside": "drift", "law": "wave"} if "was shown to hold" in text else {}
             add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data=ended)
         if self.end_s is None:
             numbers = {"haptic/state": counts.get(("haptic/state", HAND), 0)}

@@ -104,3 +104,28 @@ def test_a_session_states_its_round_trip_and_versions(recording_of: Callable[[st
     # 4 ms each way, and what the loop itself takes, in whole periods
     assert 8.0 <= found["loop_round_trip_ms"] <= 12.0
     assert found["version"] != "unknown"
+
+
+def test_a_warning_that_the_session_was_outside_of_what_was_shown_is_stated_once(tmp_path: Path) -> None:
+    def found(name: str, *data: dict[str, object]) -> dict[str, object]:
+        writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path / name))
+        for n, facts in enumerate(data):
+            text = {"kind": "node", "level": "warning", "text": f"warning {n}", "data": facts}
+            message = sample("session/event", n, src="launcher@slave", t_ns=EPOCH_NS + (n + 1) * MILLISECOND_NS, **text)
+            # it is recorded where it was sent and where it arrived
+            for site in ("slave", "master"):
+                channel = writer.channel("session/event", message.src, site)
+                writer.write(channel, message.t_ns, message.t_ns, n, encode(message))
+        writer.finish()
+        return conditions(Recording(writer.path), SCENARIO, EPOCH_NS, EPOCH_NS + 3 * MILLISECOND_NS)
+
+    (tmp_path / "warned").mkdir()
+    (tmp_path / "plain").mkdir()
+    facts: dict[str, object] = {"outside": "drift", "law": "wave", "drift_pm_per_s": 50.0}
+    # the second is another warning, and the last is of a time after the session
+    rows = found("warned", facts, {"state": "silent"}, facts, facts)["outside_of_shown"]
+    assert rows == [
+        {"time_s": 0.001, "law": "wave", "axis": "drift", "text": "warning 0"},
+        {"time_s": 0.003, "law": "wave", "axis": "drift", "text": "warning 2"},
+    ]
+    assert "outside_of_shown" not in found("plain", {"state": "silent"})

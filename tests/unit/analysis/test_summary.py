@@ -31,6 +31,7 @@ MADE: dict[str, Made] = {
     "of_two_clocks": Made(ahead_s=0.3, drift=1e-5),
     "of_two_readings": Made(told_s=0.02),
     "set": Made(set_s=2.0),
+    "warned": Made(incidents=((2.0, "faster than what wave was shown to hold"),)),
     "of_a_full_line": Made(full_s=0.05),
     "of_a_blocked_line": Made(blocked_s=(1.2, 3.3)),
     "cut_off": Made(end_s=3.0),

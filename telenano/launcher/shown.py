@@ -1,0 +1,265 @@
+"""What each law was shown to hold by the benchmark, and whether a session is outside of it.
+
+    table = read_shown()
+    outside(table["wave"], Session(round_trip_ms=Known(78.0, 77.0, 79.0)))   # None: it was shown to hold that
+
+A session has the age of the sample that the newest answer descends from, its unevenness, the stiffness of the
+sample and its drift, each with the interval that it lies in, or None where it is not known. A law was shown to hold a
+place where cells of the benchmark that it held are at least as demanding, one of them on a sample as stiff without a
+failed cell between, and one on a sample as soft, and no cell that it failed is as easy, unless a harder one that is as
+easy was held. So nothing beyond what was run counts as shown, and nothing between a cell that was held and one that was
+not. A session is outside when no place within its intervals was shown.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from operator import le
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import msgspec
+
+Axis = Literal["line", "stiffness", "drift", "together"]
+TABLE = Path(__file__).with_name("shown.json")
+# A cell was held where this much of its runs is within the 95 % interval at least: 29 of 32.
+_HELD_FROM = 0.75
+# It was failed where a smaller share than this was held; where neither is so, there were too few runs.
+_FAILED_BELOW = 0.9
+# What the processes of a rig add to the age, which the benchmark's loop of one process does not have [ms].
+RIG_MS = 6.0
+# of what a session has, in its order
+_ADDED_BY_RIG = (RIG_MS, RIG_MS, 0.0, 0.0)
+_NOTHING = (0.0, 0.0, 0.0, 0.0)
+
+
+class Known(NamedTuple):
+    """An estimate and the interval of 95 % that it lies in."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Session(NamedTuple):
+    """What is known of a session: ages in ms, N/m, and pm/s; None where nothing is."""
+
+    round_trip_ms: Known | None = None
+    unevenness_ms: Known | None = None
+    stiffness_n_per_m: Known | None = None
+    drift_pm_per_s: Known | None = None
+
+
+class Place(NamedTuple):
+    """A place among the cells: mean age and unevenness [ms], stiffness [N/m], and drift [pm/s]."""
+
+    round_trip_ms: float
+    unevenness_ms: float
+    stiffness_n_per_m: float
+    drift_pm_per_s: float
+
+    def is_as_easy_as(self, other: "Place") -> bool:
+        """Return whether nothing here is more demanding than there."""
+        return all(map(le, self, other))
+
+
+class Cell(NamedTuple):
+    """The runs of a law at a place."""
+
+    place: Place
+    runs: int
+    held: int
+    low: float
+
+    @property
+    def was_held(self) -> bool:
+        return self.low >= _HELD_FROM
+
+    @property
+    def was_failed(self) -> bool:
+        return not self.was_held and self.runs > 0 and self.held / self.runs < _FAILED_BELOW
+
+
+class Shown:
+    """What a law was shown to hold; tracking_error: how near the tip followed the swing in the runs that were held."""
+
+    def __init__(self, cells: Sequence[Cell], tracking_error: float | None) -> None:
+        self.held = tuple(cell.place for cell in cells if cell.was_held)
+        self.failed = tuple(cell.place for cell in cells if cell.was_failed)
+        self.tracking_error = tracking_error
+
+    def holds(self, place: Place) -> bool:
+        """Return whether the law was shown to hold a place."""
+        softest = min(
+            (held.stiffness_n_per_m for held in self.held if _on_as_hard_a_line(held, place)), default=math.inf
+        )
+        if softest > place.stiffness_n_per_m:
+            return False
+        easier = [held for held in self.held if held.is_as_easy_as(place)]
+        # A failed cell is outweighed by one that is harder than it, was held, and is still as easy as the place.
+        return any(self._leads_to(place, held) for held in self.held) and all(
+            any(failed.is_as_easy_as(held) for held in easier) for failed in self.failed if failed.is_as_easy_as(place)
+        )
+
+    def _leads_to(self, place: Place, held: Place) -> bool:
+        """Return whether a cell that was held is at least as hard as a place, and none between them was failed."""
+        return place.is_as_easy_as(held) and not any(
+            place.is_as_easy_as(failed) and failed.is_as_easy_as(held) for failed in self.failed
+        )
+
+    def holds_some(self, session: Session, added: Sequence[float] = _ADDED_BY_RIG) -> bool:
+        """Return whether the law was shown to hold some place within the intervals of a session.
+
+        Args:
+            session: What is known of the session.
+            added: What of each figure may be the rig's own.
+        """
+        return any(map(self.holds, {Place(*map(_clipped, held, session, added)) for held in self.held}))
+
+    def fits(self, session: Session) -> bool:
+        """Return whether the law was shown to hold a session, whatever is not known of it."""
+        most = [None if one is None else one.value for one in session]
+        least = [
+            None if value is None else max(0.0, value - own) for value, own in zip(most, _ADDED_BY_RIG, strict=True)
+        ]
+        places = {
+            Place(*(own if value is None else value for own, value in zip(held, ends, strict=True)))
+            for held in self.held
+            for ends in (least, most)
+        }
+        return bool(places) and all(map(self.holds, places))
+
+
+def _on_as_hard_a_line(held: Place, place: Place) -> bool:
+    return place._replace(stiffness_n_per_m=held.stiffness_n_per_m).is_as_easy_as(held)
+
+
+def _clipped(value: float, known: Known | None, added: float) -> float:
+    """Return the nearest to a value within what is known, of which so much may be the rig's own."""
+    return value if known is None else max(0.0, known.low - added, min(value, known.high))
+
+
+class _Line(msgspec.Struct):
+    round_trip_ms: float
+    unevenness_ms: float
+
+
+class _Law(msgspec.Struct):
+    tracking_error: float | None
+    cells: list[tuple[str, float, float, int, int, float, float, int]]
+
+
+class _Table(msgspec.Struct):
+    benchmark: int
+    digest: str
+    lines: dict[str, _Line]
+    laws: dict[str, _Law]
+
+
+@cache
+def read_shown(path: Path = TABLE) -> Mapping[str, Shown]:
+    """Return what each law of a table was shown to hold, by its name; OSError or msgspec.MsgspecError for no table."""
+    table = msgspec.json.decode(path.read_bytes(), type=_Table)
+    return {
+        name: Shown(
+            [
+                Cell(Place(table.lines[line].round_trip_ms, table.lines[line].unevenness_ms, k, drift), runs, held, low)
+                for line, k, drift, runs, held, low, _, _ in law.cells
+            ],
+            law.tracking_error,
+        )
+        for name, law in table.laws.items()
+    }
+
+
+def outside(shown: Shown, session: Session) -> Axis | None:
+    """Return by what a session is outside of what a law was shown to hold; None where it may be inside.
+
+    It is `together` where line, sample and drift were each shown with others, and not with one another.
+    """
+    if shown.holds_some(session):
+        return None
+    alone: dict[Axis, Session] = {
+        "line": Session(session.round_trip_ms, session.unevenness_ms),
+        "stiffness": Session(stiffness_n_per_m=session.stiffness_n_per_m),
+        "drift": Session(drift_pm_per_s=session.drift_pm_per_s),
+    }
+    return next((axis for axis, part in alone.items() if not shown.holds_some(part)), "together")
+
+
+def advice(table: Mapping[str, Shown], law: str, axis: Axis, session: Session, choices: Sequence[str]) -> str:
+    """Return what happened, what it means and what to do, in sentences.
+
+    Args:
+        table: What each law was shown to hold.
+        law: The law in force.
+        axis: By what the session is outside.
+        session: What is known of the session.
+        choices: The laws that can be taken instead.
+    """
+    happened, remedy = _HAPPENED[axis](table[law], law, session)
+    means = "The hand may feel a swing, or the tip rest off its force."
+    fitting = [name for name in choices if name != law and name in table and table[name].fits(session)]
+    best = min(fitting, key=lambda name: (table[name].tracking_error or math.inf, name), default="")
+    if best:
+        return f"{happened} {means} Take {best} (--set controller.law={best}) or {remedy}."
+    return f"{happened} {means} Take {remedy}: no law was shown to hold this session."
+
+
+def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+    there, uneven = session.round_trip_ms, session.unevenness_ms
+    beginning = f"The line is outside of what {law} was shown to hold: "
+    there_ms = f"{there.value:.0f} ms there and back" if there is not None else "any length"
+    if there is not None and not shown.holds_some(Session(there)):
+        return f"{beginning}{there_ms}, {_up_to(shown, session)}.", "a shorter line"
+    lengths = Session(there)
+    held = {place.unevenness_ms for place in shown.held}
+    most = max((ms for ms in held if shown.holds_some(lengths._replace(unevenness_ms=Known(ms, ms, ms)))), default=0.0)
+    longer = uneven.value if uneven is not None else 0.0
+    return f"{beginning}{there_ms}, at times {longer:.0f} ms more, shown up to {most:.0f} ms more.", "a steadier line"
+
+
+def _of_stiffness(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+    held, known = [place.stiffness_n_per_m for place in shown.held], session.stiffness_n_per_m
+    if known is None or not held:
+        return f"{law} was shown to hold no sample.", "another law"
+    softer = known.high < min(held)
+    text = f"{known.low:.3g} to {known.high:.3g} N/m, shown from {min(held):g} to {max(held):g} N/m"
+    return (
+        f"The sample is {'softer' if softer else 'stiffer'} than what {law} was shown to hold: {text}.",
+        f"a {'stiffer' if softer else 'softer'} cantilever or sample",
+    )
+
+
+def _of_drift(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+    most = max((place.drift_pm_per_s for place in shown.held), default=0.0)
+    limit = f"up to {most:g} pm/s" if most else "without drift only"
+    text = f"The contact drifts faster than what {law} was shown to hold: {_drift(session)}, shown {limit}."
+    return text, "a pause until the instrument rests"
+
+
+def _of_all(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+    line, sample = session.round_trip_ms, session.stiffness_n_per_m
+    parts = [f"{line.value:.0f} ms there and back"] if line is not None else []
+    parts += [f"{sample.low:.3g} to {sample.high:.3g} N/m"] if sample is not None else []
+    parts += [f"a drift of {_drift(session)}"] if session.drift_pm_per_s is not None else []
+    remedy = "a shorter line" if line is not None and line.low > RIG_MS else "a softer sample or an instrument at rest"
+    beginning = f"The session is outside of what {law} was shown to hold: {', '.join(parts)} together"
+    return f"{beginning}, {_up_to(shown, session)}.", remedy
+
+
+def _drift(session: Session) -> str:
+    known = session.drift_pm_per_s
+    return "" if known is None else f"{known.value:.0f} ± {0.5 * (known.high - known.low):.0f} pm/s"
+
+
+def _up_to(shown: Shown, session: Session) -> str:
+    """Return in words which round trips the law was shown to hold on the sample and with the drift of a session."""
+    lengths = {place.round_trip_ms for place in shown.held}
+    rest = Session(stiffness_n_per_m=session.stiffness_n_per_m, drift_pm_per_s=session.drift_pm_per_s)
+    held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Known(ms, ms, ms)), _NOTHING)]
+    somewhere = "" if session.stiffness_n_per_m is not None else " on some sample"
+    return f"shown up to {max(held):.0f} ms{somewhere}" if held else "not shown over any line"
+
+
+_HAPPENED = {"line": _of_line, "stiffness": _of_stiffness, "drift": _of_drift, "together": _of_all}

@@ -1,0 +1,162 @@
+"""Whether the session in force is outside of what its law was shown to hold, a few times a second beside the loop.
+
+It reads a copy of what the controller and the instrument publish from a socket of its own, which wakes no process: the
+newest of each topic is taken at every tick of the launcher. What it finds is advice, and never acts on a device.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import ClassVar, NamedTuple
+
+from telenano.launcher.session_estimates import ContactEstimate, LineEstimate
+from telenano.launcher.shown import Known, Session, advice, outside, read_shown
+from telenano.laws.config import LAWS, ControllerConfig
+from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.loop.log import StructuredLog
+from telenano.settings.config import section_of
+from telenano.timing.clock import Clock
+from telenano.wire.messages import AfmState, LawStatus, Message, Scalar
+
+# It is judged this often [ns].
+_LOOK_NS = 500_000_000
+# A session is outside when it has been for this time, and back when it has been inside for that [ns].
+_OUTSIDE_NS = 2_000_000_000
+_INSIDE_NS = 10_000_000_000
+# A reader takes at most 256 messages in a turn, and five times as much as comes in a tick.
+_MOST_TURNS = 4
+_UNITS = ("round_trip_ms", "unevenness_ms", "stiffness_n_per_m", "drift_pm_per_s")
+
+
+class Advice(NamedTuple):
+    """A warning in sentences, and its facts for a program."""
+
+    text: str
+    facts: dict[str, Scalar]
+
+
+class ShownWatch:
+    """Watches the session: what it reads, what it has estimated, and whether a warning is in force."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("law/status", "afm/state")
+
+    def __init__(
+        self, clock: Clock, log: StructuredLog, laws: Collection[str], readers: Sequence[Subscriber] = ()
+    ) -> None:
+        """Prepare to watch.
+
+        Args:
+            clock: The clock of the launcher.
+            log: Where a failure of the watch is written.
+            laws: The laws whose settings are those that the benchmark ran.
+            readers: What is read at each look.
+        """
+        self._clock = clock
+        self._log = log
+        self._laws = frozenset(laws)
+        self._readers = readers
+        self._line, self._contact = LineEstimate(), ContactEstimate()
+        self._law = ""
+        self._hears_master = self._has_failed = False
+        self._look_ns = clock.monotonic_ns()
+        # Since when the session has been outside, or back inside, without a look that found it otherwise.
+        self._since_ns: int | None = None
+        # What was known of the session when it was warned of; None while no warning is in force.
+        self._warned: Session | None = None
+
+    def look(self, *, runs: bool) -> Advice | None:
+        """Read what has come, and return a warning where the session has left what its law was shown to hold.
+
+        A failure of the watch is logged, and ends it: no session depends on it.
+        """
+        if self._has_failed:
+            return None
+        try:
+            self.take(self._received(), runs=runs)
+            return self._judged() if runs else None
+        # whatever is wrong with the advice, the session continues
+        except Exception as error:  # noqa: BLE001
+            self._has_failed = True
+            self._log.warning(f"the session is not compared with what its law was shown to hold: {error!r}")
+            return None
+
+    def take(self, messages: Iterable[Message], *, runs: bool) -> None:
+        """Take note of messages; of the line only while the session runs."""
+        for message in messages:
+            if isinstance(message, AfmState):
+                _, _, base_m = message.base_position_m
+                touches = message.in_contact and message.mode == "follow" and message.felt_channel is None
+                self._contact.record(1e-9 * message.t_ns, 0.0 - base_m, message.tip_force_n[2], touches=touches)
+            elif isinstance(message, LawStatus):
+                # The round trip is measured at the master's half, and the slave's may be at another law for a moment.
+                self._hears_master |= message.round_trip_valid
+                if self._hears_master and not message.round_trip_valid:
+                    continue
+                if message.law != self._law:
+                    self._law, self._warned, self._since_ns = message.law, None, None
+                if not runs:
+                    self._line.forget()
+                elif message.round_trip_valid:
+                    self._line.record(1e-9 * message.t_ns, message.round_trip_s)
+
+    def session(self) -> Session:
+        """Return what is known of the session."""
+        line, stiffness, drift = self._line.estimate(), self._contact.stiffness(), self._contact.drift()
+        there, uneven = line if line is not None else (None, None)
+        return Session(
+            there,
+            uneven,
+            stiffness if isinstance(stiffness, Known) else None,
+            drift if isinstance(drift, Known) else None,
+        )
+
+    def _received(self) -> Iterable[Message]:
+        for reader in self._readers:
+            for _ in range(_MOST_TURNS):
+                yield from (received.message for received in reader.receive())
+                if reader.drained:
+                    break
+
+    def _judged(self) -> Advice | None:
+        now_ns = self._clock.monotonic_ns()
+        table = read_shown()
+        if now_ns < self._look_ns or self._law not in table or self._law not in self._laws:
+            return None
+        self._look_ns = now_ns + _LOOK_NS
+        session = self.session()
+        axis = outside(table[self._law], session)
+        if self._warned is None:
+            if not self._lasts(axis is not None, _OUTSIDE_NS, now_ns) or axis is None:
+                return None
+            self._warned, self._since_ns = session, None
+            text = advice(table, self._law, axis, session, [law for law in LAWS if law in self._laws])
+            return Advice(text, {"outside": axis, "law": self._law, **_facts(session)})
+        # What is not known any more is not known to be inside.
+        is_known = all(new is not None for old, new in zip(self._warned, session, strict=True) if old is not None)
+        if self._lasts(axis is None and is_known, _INSIDE_NS, now_ns):
+            self._warned, self._since_ns = None, None
+        return None
+
+    def _lasts(self, is_so: bool, for_ns: int, now_ns: int) -> bool:
+        """Return whether something has been so for a time, which begins again when it is not."""
+        if not is_so:
+            self._since_ns = None
+        elif self._since_ns is None:
+            self._since_ns = now_ns
+        return self._since_ns is not None and now_ns - self._since_ns >= for_ns
+
+
+def laws_as_shown(controller: ControllerConfig) -> list[str]:
+    """Return the laws that a scenario leaves as the benchmark ran them."""
+    plain = ControllerConfig()
+    shared = ("period_s", "deadband", "clamp", "lateral")
+    if any(getattr(controller, name) != getattr(plain, name) for name in shared):
+        return []
+    return [law for law in LAWS if section_of(controller, law) == section_of(plain, law)]
+
+
+def _facts(session: Session) -> dict[str, Scalar]:
+    return {
+        f"{part}{name}": round(value, 3)
+        for name, known in zip(_UNITS, session, strict=True)
+        if known is not None
+        for part, value in zip(("", "least_", "most_"), known, strict=True)
+    }
