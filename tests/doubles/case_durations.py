@@ -22,7 +22,7 @@ import pytest
 # CPython 3.11 takes so long on the machine of docs/performance.md [s].
 YARDSTICK_S = 0.015
 MARKED_ABOVE_S = 5.0
-LISTED_ABOVE_S = 0.8
+LISTED_ABOVE_S = 0.5
 LIST = Path(__file__).parents[1] / "slow_cases.txt"
 # Between the two a case is named at the end of the run. It fails only beyond what noise makes of a case that is just
 # below the first: a shared processor doubles its time at most, and an empty cache of compiled steps adds up to 20 s.
