@@ -21,7 +21,6 @@ from controller_line import (
     answer_twice,
     interrupt,
     kill,
-    needs_a_guard,
     refuses_to_start,
     stop,
     swallow,
@@ -283,10 +282,6 @@ def test_frames_of_a_logger_are_cut_and_others_refused() -> None:
 def test_calibration_that_would_not_do_is_refused(changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         Nanonis(**changes).driver.open()
-
-
-def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> None:
-    needs_a_guard(Nanonis, "nanonis")
 
 
 def test_a_law_with_a_loop_and_a_program_of_the_node_are_refused_in_words(bench_of: Any) -> None:
