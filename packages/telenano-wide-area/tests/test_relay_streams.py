@@ -75,9 +75,6 @@ class Bench:
         self.ends.append(end)
         self._tasks[name] = asyncio.create_task(end.run())
 
-    async def stop_site(self, name: str) -> None:
-        await self._stop(name)
-
     async def _stop(self, name: str) -> None:
         task = self._tasks.pop(name)
         task.cancel()

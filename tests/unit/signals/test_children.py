@@ -134,10 +134,6 @@ def test_shells_images_and_units_start_python_with_a_safe_path() -> None:
         assert "PYTHONSAFEPATH=1" in (ROOT / unit).read_text()
 
 
-def said_by(code: str) -> list[str]:
-    return str(children.run([sys.executable, "-c", code], capture_output=True, text=True).stdout).split()[1:]
-
-
 @pytest.fixture
 def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "foreign"
