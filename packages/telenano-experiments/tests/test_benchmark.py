@@ -202,14 +202,17 @@ def test_the_law_to_take_held_most_and_followed_nearest():
 
 
 def test_recommended_is_the_law_that_follows_nearest_of_those_that_chance_may_have_put_second():
-    def held(law, tracking, count, network="wifi"):
-        return [made(network, law, "stable" if n < count else "limit_cycle", tracking) for n in range(100)]
+    def held(law, tracking, count, network="wifi", energy=0.0):
+        return [made(network, law, "stable" if n < count else "limit_cycle", tracking, energy) for n in range(100)]
 
-    situations = situations_of([*held("wave", 0.5, 100), *held("smith", 0.1, 98), *held(PAPER, 0.01, 80)])
+    outcomes = [*held("wave", 0.5, 100), *held("smith", 0.1, 98), *held(PAPER, 0.01, 80)]
+    # a law that holds and makes energy is not recommended
+    situations = situations_of([*outcomes, *held("position_force", 0.02, 100, energy=-0.1)])
     (situation,) = situations
     assert situation == ("independent delays", "ideal", "20 to 40 N/m")
-    assert [row.law for row in situations[situation]] == ["smith", "wave", PAPER]
-    # a network of somebody's own stands for no kind of line
+    assert [row.law for row in situations[situation]] == ["smith", "wave", PAPER, "position_force"]
+    assert [row.sound for row in situations[situation]] == [98, 100, 80, 0]
+    # a network beside those of the benchmark stands for no kind of line
     assert situations_of(held("wave", 0.5, 100, "lte")) == {}
     assert {name for networks in LINES.values() for name in networks} == set(NETWORKS)
     assert [task for tasks in SAMPLES.values() for task in tasks] == list(TASKS)

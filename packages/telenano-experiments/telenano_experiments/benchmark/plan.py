@@ -13,10 +13,11 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 from telenano_studies.loops.cells import Cell, Environment, sources
+from telenano_studies.option_values import disturbances_of
 
 from telenano.laws import LAWS
 from telenano.link import LinkSettings, parse_settings, profile_named
-from telenano.settings import Settings, flatten, scenario_of
+from telenano.settings import Settings
 from telenano.wire import ConfigError, known_names
 
 VERSION = 3
@@ -238,14 +239,6 @@ def plan_of(
     return whole._replace(
         instruments=tuple(dict.fromkeys(instruments)) or INSTRUMENTS, steadiness=hands or tuple(STEADINESS)
     )
-
-
-@functools.cache
-def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | bool], ...]:
-    """Return the keys of `afm_node.disturbances` of a named instrument; ConfigError lists the names."""
-    named = {"name": "benchmark", "description": "a run", "duration_s": 1.0, "instrument": instrument}
-    section = scenario_of(named, "--instrument").scenario.afm_node.get("disturbances", {})
-    return tuple(flatten(section).items())
 
 
 @functools.cache

@@ -51,7 +51,11 @@ Of = TypeVar("Of", bound=Case | Situation)
 
 
 class Row(NamedTuple, Generic[Of]):
-    """A law in a case or a situation: runs, those held and the interval of their share, those with energy, measures."""
+    """A law in a case or a situation: its runs.
+
+    Of them were held (with the interval of their share), made energy, and were held without it; measures are of those
+    held.
+    """
 
     case: Of
     law: str
@@ -60,6 +64,7 @@ class Row(NamedTuple, Generic[Of]):
     low: float
     high: float
     made_energy: int
+    sound: int
     verdicts: dict[str, int]
     measures: dict[str, Spread | None]
 
@@ -89,9 +94,9 @@ def rows_of(outcomes: Sequence[Outcome]) -> list[Row[Case]]:
 def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situation]]]:
     """Return the laws in each situation, the one that is recommended first.
 
-    Recommended is the law that followed the swing nearest, of those whose share of runs held may by chance be the
-    greatest: its 95 % interval meets that of the law that held most. Networks that stand for no kind of line are left
-    out.
+    Recommended is the law that followed the swing nearest, of those whose share of runs held without making energy may
+    by chance be the greatest: its 95 % interval meets that of the law with the greatest. Networks that stand for no
+    kind of line are left out.
     """
     lines = {network: line for line, networks in LINES.items() for network in networks}
     samples = {task: sample for sample, tasks in SAMPLES.items() for task in tasks}
@@ -104,11 +109,11 @@ def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situa
 
 
 def _recommended(rows: Sequence[Row[Situation]]) -> list[Row[Situation]]:
-    best = max(rows, key=lambda row: row.share)
+    greatest = max(wilson(row.sound, row.runs)[0] for row in rows)
 
     def order(row: Row[Situation]) -> tuple[Any, ...]:
-        share, tracking = row.price()
-        return row.high < best.low, *((share, tracking) if row.high < best.low else (tracking, share)), row.law
+        tracking, is_behind = row.price()[1], wilson(row.sound, row.runs)[1] < greatest
+        return is_behind, *((-row.sound / row.runs, tracking) if is_behind else (tracking,)), row.law
 
     return sorted(rows, key=order)
 
@@ -126,10 +131,15 @@ def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
         verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
     held = [outcome for outcome in some if outcome.verdict in HELD]
     low, high = wilson(len(held), len(some))
-    made = sum((outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ for outcome in some)
+    made = sum(_made_energy(outcome) for outcome in some)
+    sound = sum(not _made_energy(outcome) for outcome in held)
     # What is not held has no place that its force or position could be compared at.
     measures = {name: spread_of(held, name) for name in MEASURES}
-    return Row(case, law, len(some), len(held), low, high, made, dict(sorted(verdicts.items())), measures)
+    return Row(case, law, len(some), len(held), low, high, made, sound, dict(sorted(verdicts.items())), measures)
+
+
+def _made_energy(outcome: Outcome) -> bool:
+    return (outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ
 
 
 def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:

@@ -315,6 +315,20 @@ class CellResult:
         return cls(**{**data, **own})
 
 
+class _Judgement(NamedTuple):
+    """What a hold is judged to be: verdict, growth [1/s], force from peak to peak [N], reason, and facts."""
+
+    verdict: str
+    growth_per_s: float | None
+    peak_to_peak_n: float
+    reason: str
+    facts: tuple[str, ...]
+
+
+# A hold in which the hand does not press and the tip does not touch is none, and the law brought neither there.
+_UNTOUCHED = _Judgement("stable", None, 0.0, "the hand does not press, and the tip does not touch", ("nothing_moved",))
+
+
 class Energies(NamedTuple):
     """At the hand's scale: put in by the hand [J], given to the tip [J], shape (n,) each."""
 
@@ -426,7 +440,11 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     known = programme_of(course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s))
     late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
-    (found,) = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))
+    holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))
+    judgement = _UNTOUCHED
+    for found in holds:
+        facts = tuple(fact.kind for fact in found.facts)
+        judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, found.reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
         # A run that a guard ended early is judged from the beginning of the hold.
@@ -437,19 +455,19 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     pressed = force[hold] > 0.0
     return CellResult(
         cell,
-        found.verdict,
-        found.growth_per_s,
-        found.peak_to_peak_n,
+        judgement.verdict,
+        judgement.growth_per_s,
+        judgement.peak_to_peak_n,
         1.0 - float(course.in_contact[hold].mean()) if ended > first else 1.0,
         float(np.mean(course.hand_force_n[hold] / force[hold])) if pressed.size and pressed.all() else None,
         float(energies_of(course, scales).stored_j.min()),
         ended < len(lost),
-        found.reason,
+        judgement.reason,
         peak_n,
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
         float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
-        tuple(fact.kind for fact in found.facts),
+        judgement.facts,
     )
 
 
