@@ -26,6 +26,7 @@ from controller_line import (
     swallow,
     walk,
 )
+from recorded_maps import frequency_shift_hz
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire, request_driver
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
@@ -303,12 +304,6 @@ FEEL = {
     "slope_limit_n_per_unit": 1e-9, "rate_limit_n_per_s": 1e-3,
 }  # fmt: skip
 SHIFT = {"frequency_shift": {"signal": "OC M1 Freq. Shift (Hz)"}}
-
-
-def frequency_shift_hz(z_m: Any) -> Any:
-    """Return a frequency shift with its minimum of -8 Hz at 0.4 nm [Hz]."""
-    u = np.asarray(z_m) / 0.4e-9
-    return -8.0 * u * np.exp(1.0 - u)
 
 
 def shift_map(tmp_path: Path) -> dict[str, Any]:
