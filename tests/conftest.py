@@ -28,7 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave dear cases to `make check`, and those of a grid but for the one law that stands for it in `make test`."""
+    """Leave slow cases to `make check`, and those of a grid but for the one law that stands for it in `make test`."""
     for item in items:
         spent_s, marked = listed().get(item.nodeid), any(item.get_closest_marker(name) for name in MARKS)
         if spent_s and not marked:

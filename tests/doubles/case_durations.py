@@ -1,8 +1,8 @@
-"""What each case takes of the processors, children included: every run writes it, and a dear one has to be marked.
+"""What each case takes of the processors, children included: every run writes it, and a slow one has to be marked.
 
     python tests/doubles/case_durations.py out/durations/RUN.tsv
 
-writes the cases of a run that took more than LISTED_ABOVE_S into `tests/dear_cases.txt`, which leaves them to `make
+writes the cases of a run that took more than LISTED_ABOVE_S into `tests/slow_cases.txt`, which leaves them to `make
 check`: so what every commit waits for is bounded, and no case has to be marked by hand for it.
 
 A case is judged by processor time, because time on the clock depends on what else the machine does. What it may take
@@ -22,12 +22,12 @@ import pytest
 # CPython 3.11 takes so long on the machine of docs/performance.md [s].
 YARDSTICK_S = 0.015
 MARKED_ABOVE_S = 5.0
-LISTED_ABOVE_S = 0.8
-LIST = Path(__file__).parents[1] / "dear_cases.txt"
+LISTED_ABOVE_S = 0.5
+LIST = Path(__file__).parents[1] / "slow_cases.txt"
 # Between the two a case is named at the end of the run. It fails only beyond what noise makes of a case that is just
 # below the first: a shared processor doubles its time at most, and an empty cache of compiled steps adds up to 20 s.
 REFUSED_ABOVE_S = 40.0
-MARKS = {"stack", "check", "dear", "endurance"}
+MARKS = {"stack", "check", "slow", "endurance"}
 KEPT_RUNS = 40
 
 
@@ -114,11 +114,11 @@ class CaseDurations:
         mute = [
             item.nodeid
             for item in items
-            for name in ("check", "dear")
+            for name in ("check", "slow")
             if (mark := item.get_closest_marker(name)) and not mark.args and "stack" not in item.path.parts
         ]
         if mute:
-            raise pytest.UsageError(f"a dear case needs its reason, as in mark.check('compiles every law'): {mute[0]}")
+            raise pytest.UsageError(f"a slow case needs its reason, as in mark.check('compiles every law'): {mute[0]}")
 
     def unmarked_above(self, bound_s: float) -> list[str]:
         """Return the cases without a mark that took more than a time, that of another machine by the yardstick."""
@@ -130,9 +130,9 @@ class CaseDurations:
         ]
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        if dear := self.unmarked_above(MARKED_ABOVE_S):
+        if slow := self.unmarked_above(MARKED_ABOVE_S):
             terminalreporter.section(f"more than {MARKED_ABOVE_S:.0f} s of processor time: to be marked")
-            for line in dear:
+            for line in slow:
                 terminalreporter.line(line)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -149,15 +149,15 @@ class CaseDurations:
             old.unlink(missing_ok=True)
 
     def table(self) -> str:
-        """Return the run as tab-separated lines, the dearest case first."""
+        """Return the run as tab-separated lines, the slowest case first."""
         total_s = sum(case.processor_s for case in self.cases.values())
         lines = [
             f"# pytest {' '.join(map(str, self.config.invocation_params.args))}",
             f"# {len(self.cases)} cases, {total_s:.1f} s of processor time; yardstick {self.yardstick_s:.4f} s",
             "processor_s\tcall_s\twall_s\tmarks\tcase",
         ]
-        dearest_first = sorted(self.cases.items(), key=lambda pair: -pair[1].processor_s)
-        for name, case in dearest_first:
+        slowest_first = sorted(self.cases.items(), key=lambda pair: -pair[1].processor_s)
+        for name, case in slowest_first:
             lines.append(f"{case.processor_s:.2f}\t{case.call_s:.2f}\t{case.wall_s:.2f}\t{case.marks}\t{name}")
         return "\n".join(lines) + "\n"
 

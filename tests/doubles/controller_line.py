@@ -13,7 +13,6 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.extend.instruments import DeviceError
 from telenano.settings import merge, validate
 from telenano.testing import afm_config, afm_node, instrument_of
 from telenano.wire import ConfigError
@@ -357,15 +356,3 @@ def refuses_to_start(bench: Any, line: Any, begin: Callable[[Any], None], text: 
     with pytest.raises(ConfigError, match=text):
         afm_node(bench, line.driver)
     assert bench.sent == []
-
-
-def needs_a_guard(made: Callable[..., Any], name: str) -> None:
-    """See that a driver without a guard and without a person beside it is refused before it moves anything."""
-    line = made(guarded=False)
-    line.model.z_m = 3e-7
-    with pytest.raises(DeviceError, match=rf"has no guard in front of it, .*telenano device guard {name}.*--attended"):
-        line.driver.open()
-    assert line.model.z_m == 3e-7
-    attended = made(guarded=False, attended=True)
-    attended.driver.open()
-    assert attended.driver.report.status == "ok"

@@ -94,6 +94,13 @@ class StageLine:
             self.now_ns += MS
             self.model.pass_time(self.now_ns)
 
+    def follow(self, base_m: float, count: int) -> Any:
+        """Have the driver follow to a place for a number of periods, and return the last sample."""
+        for _ in range(count):
+            self.pass_ms(1)
+            sample = self.driver.exchange(base_m)
+        return sample
+
 
 class Rig:
     """An AFM node with the T7 model on a bench."""

@@ -1,10 +1,26 @@
 """A package that a stranger could have written, put where Python finds it: files, and entry points by group."""
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+
+def describe(
+    site: Path, name: str, entries: Mapping[str, Mapping[str, str]], version: str = "1.2", more: str = ""
+) -> None:
+    """Put what pip notes of a package in a folder of packages; `more` is further lines of its metadata."""
+    facts = site / f"{name}-{version}.dist-info"
+    facts.mkdir(parents=True, exist_ok=True)
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{more}")
+    groups = (
+        f"[telenano.{kind}]\n" + "".join(f"{entry} = {target}\n" for entry, target in rows.items())
+        for kind, rows in entries.items()
+    )
+    (facts / "entry_points.txt").write_text("".join(groups))
 
 
 def install(site: Path, name: str, files: Mapping[str, str], entries: Mapping[str, Mapping[str, str]]) -> None:
@@ -19,14 +35,7 @@ def install(site: Path, name: str, files: Mapping[str, str], entries: Mapping[st
     for file, text in files.items():
         (site / name / file).parent.mkdir(parents=True, exist_ok=True)
         (site / name / file).write_text(text)
-    facts = site / f"{name}-1.2.dist-info"
-    facts.mkdir()
-    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
-    groups = (
-        f"[telenano.{kind}]\n" + "".join(f"{entry} = {target}\n" for entry, target in rows.items())
-        for kind, rows in entries.items()
-    )
-    (facts / "entry_points.txt").write_text("".join(groups))
+    describe(site, name, entries)
 
 
 def environment(site: Path, **more: str) -> dict[str, str]:
@@ -35,13 +44,13 @@ def environment(site: Path, **more: str) -> dict[str, str]:
 
 
 def run(script: str, site: Path, *arguments: str, **more: str) -> str:
-    """Return what a script prints in a process that has the packages of a folder."""
-    done = subprocess.run(
-        [sys.executable, "-c", script, *arguments],
-        capture_output=True,
-        text=True,
-        env=environment(site, **more),
-        check=False,
-    )
+    """Return what a script prints in a process that has the packages of a folder, which it runs in."""
+    command = [sys.executable, "-W", "error", "-c", script, *arguments]
+    done = subprocess.run(command, cwd=site, capture_output=True, text=True, env=environment(site, **more), check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def said(script: str, site: Path, *arguments: str, **more: str) -> Any:
+    """Return the document that a script prints as JSON in a process that has the packages of a folder."""
+    return json.loads(run(script, site, *arguments, **more))

@@ -122,6 +122,8 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "telenano/console/emergency_stop.py": {
         "emergency_stop: reader.set(zmq.LINGER, 0) [reader.set(zmq.LINGER, 0) => pass]": "libzmq itself waits for"
         " nothing at the end of a socket that subscribes",
+        "emergency_stop: while time.monotonic() < next_s and reader.poll(0): [0 => 1]": "a turn waits for one more"
+        " answer by a millisecond at most",
         "emergency_stop: while time.monotonic() < next_s and reader.poll(0): [time.monotonic() < next_s =>"
         " time.monotonic() <= next_s]": "at that very nanosecond one answer more is read before the next turn",
         "module: _MOST_SUBSCRIPTIONS = 256 [256 => 512]": "any number at which a turn ends that is above what one inlet"

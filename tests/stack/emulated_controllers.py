@@ -8,18 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from free_ports import free_ports
 from stack_rig import ROOT
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_answer import Incoming
 
 PATIENCE_S = 60.0
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 class Emulated:
@@ -29,7 +24,7 @@ class Emulated:
 
     def __init__(self, folder: Path, scenario: str, *options: str) -> None:
         self.file = folder / f"{self.name}.yaml"
-        self.port, self.guard_port = free_port(), free_port()
+        self.port, self.guard_port = free_ports(2)
         known = f"telenano/settings/scenarios/{scenario}.yaml"
         chosen = known if (ROOT / known).exists() else scenario
         served = ("--port", str(self.port), *options, "--scenario", chosen)
@@ -104,7 +99,7 @@ class Nanonis(Emulated):
     name = "nanonis"
 
     def __init__(self, folder: Path, scenario: str, *options: str) -> None:
-        super().__init__(folder, scenario, "--log-port", str(free_port()), *options)
+        super().__init__(folder, scenario, "--log-port", *map(str, free_ports(1)), *options)
         self.client = NanonisClient("127.0.0.1", self.port + 1)
 
     @property

@@ -263,3 +263,17 @@ class Rig:
                 # the pipes were read to their end and closed by `finish`
                 self.process.wait()
         shutil.rmtree(self.sockets, ignore_errors=True)
+
+
+def mode(rig: Rig) -> str:
+    """Return the mode of the tip."""
+    return str(rig.newest("afm/state").mode)
+
+
+def arm(rig: Rig) -> None:
+    """Arm both devices of a rig as a person does, and wait until the tip follows."""
+    for device in ("afm_node", "haptic_node"):
+        rig.wait_until(
+            lambda device=device: rig.telenano("session", "arm", "--target", device).returncode == 0, f"{device} armed"
+        )
+    rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")

@@ -12,7 +12,8 @@ import machine
 import numpy as np
 import pytest
 import yaml
-from emulated_controllers import PATIENCE_S, Gwyscope, Nanonis, free_port
+from emulated_controllers import PATIENCE_S, Gwyscope, Nanonis
+from free_ports import free_ports
 from stack_rig import Rig, judged
 
 from telenano.afm.config import AfmConfig
@@ -135,7 +136,7 @@ def test_image_by_the_own_scan_of_a_nanonis_in_a_rig(
 
 
 def test_fast_path_through_a_t7_into_a_nanonis(rig: Rig, tmp_path: Path) -> None:
-    stage, port = tmp_path / "stage.yaml", free_port()
+    stage, (port,) = tmp_path / "stage.yaml", free_ports(1)
     nanonis = Nanonis(tmp_path, "fig12", "--fast-path", str(stage), "--fast-path-port", str(port))
     nanonis.client.close()
     try:

@@ -29,8 +29,7 @@ pytestmark = pytest.mark.endurance
 FIG12 = ROOT / "telenano" / "settings" / "scenarios" / "fig12.yaml"
 PATIENCE_S = 60.0
 DAC0, TRIPS = 1000, 46010
-# of the converters of a T7 with 80 nm for a volt, at the hand: the tip's base moves in steps of 0.1 nm
-STEP_CM = 0.0061
+# The force at the hand [N] for one step of the converters of a T7, which with 80 nm for a volt is 0.1 nm at the base.
 STEP_N = 0.16
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import Rig
+from stack_rig import Rig, arm, mode
 
 from telenano.console.command_client import send_control
 from telenano.runtime.loop.commands import Command
@@ -48,10 +48,6 @@ def states(rig: Rig, since_ns: int) -> list[Any]:
     return sorted((state for state in sent if state.t_ns >= since_ns), key=lambda state: state.t_ns)
 
 
-def mode(rig: Rig) -> str:
-    return str(rig.newest("afm/state").mode)
-
-
 def stays_stopped(rig: Rig, since_ns: int) -> str:
     """Watch the tip for a while, and give how far it went towards the sample; it must not leave the stop."""
     rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
@@ -64,14 +60,6 @@ def stays_stopped(rig: Rig, since_ns: int) -> str:
     base_m = [state.base_position_m[2] for state in seen[first:]]
     # towards the sample is down
     return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
-
-
-def arm(rig: Rig) -> None:
-    for device in ("afm_node", "haptic_node"):
-        rig.wait_until(
-            lambda device=device: rig.telenano("session", "arm", "--target", device).returncode == 0, f"{device} armed"
-        )
-    rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")
 
 
 def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

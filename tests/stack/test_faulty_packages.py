@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import stranger_package
 from ledger import record
 from stack_rig import ROOT, Rig
 
@@ -60,10 +61,7 @@ def install(folder: Path, kind: str, what: str) -> str:
     )
     (site / module / "__init__.py").write_text(source)
     (site / module / "fault.py").write_text(_FAULT.format(what=what))
-    facts = site / f"{module}-0.1.0.dist-info"
-    facts.mkdir()
-    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 0.1.0\n")
-    (facts / "entry_points.txt").write_text(f"[telenano.{kind}s]\n{name} = {module}:{name.upper()}\n")
+    stranger_package.describe(site, module, {f"{kind}s": {name: f"{module}:{name.upper()}"}}, "0.1.0")
     return setting
 
 

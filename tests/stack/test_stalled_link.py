@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import Rig
+from stack_rig import Rig, arm, mode
 
 STALL = ("forward.outage.schedule=0:600", "forward.outage.mode=hold", "forward.queue.limit_messages=100")
 
@@ -14,18 +14,6 @@ STALL = ("forward.outage.schedule=0:600", "forward.outage.mode=hold", "forward.q
 def forward(rig: Rig) -> dict[str, Any]:
     shown: dict[str, Any] = json.loads(rig.telenano("link", "show", "--json").stdout)["forward"]
     return shown
-
-
-def mode(rig: Rig) -> str:
-    return str(rig.newest("afm/state").mode)
-
-
-def arm(rig: Rig) -> None:
-    for device in ("afm_node", "haptic_node"):
-        rig.wait_until(
-            lambda device=device: rig.telenano("session", "arm", "--target", device).returncode == 0, f"{device} armed"
-        )
-    rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")
 
 
 # it kills a node of the rig, which no other test may find started again

@@ -113,15 +113,8 @@ def touched(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return rig
 
 
-class Person:
+class Person(Page):
     """Who takes part, at a page."""
-
-    def __init__(self, page: Any) -> None:
-        self.page = page
-        self.faults: list[str] = []
-        page.on("pageerror", lambda error: self.faults.append(str(error)))
-        page.on("console", lambda line: self.faults.append(line.text) if line.type == "error" else None)
-        page.set_default_timeout(PATIENCE_S * 1e3)
 
     def stage(self, name: str) -> None:
         until(lambda: self.page.evaluate("document.body?.dataset.stage") == name, f"the stage {name}: {self.faults}")

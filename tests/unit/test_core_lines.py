@@ -1,11 +1,11 @@
-"""What the core is, how its lines are counted, and that it names nothing that a package brings."""
+"""What the core and its tests are, how their lines are counted, and that the core names nothing of a package."""
 
 import re
 import subprocess
 import tomllib
 
 import pytest
-from core_lines import APART, ROOT, code_lines, core_files
+from core_lines import APART, ROOT, code_lines, core_files, files_of_tests, lines_of_tests, most_lines_of_tests
 
 from telenano.settings.known_packages import KNOWN_PACKAGES
 
@@ -40,6 +40,18 @@ def f():
     return A
 '''
     assert code_lines(text) == 4
+
+
+def test_the_tests_are_those_of_the_rig_and_of_its_packages() -> None:
+    names = {path.relative_to(ROOT).as_posix() for path in files_of_tests()}
+    assert {"tests/unit/core_lines.py", "packages/telenano-lsl/tests/test_lsl_bridge.py"} <= names
+    assert names.isdisjoint(path.relative_to(ROOT).as_posix() for path in core_files())
+    assert not [name for name in names if "tests" not in name.split("/")]
+
+
+@pytest.mark.check("reads every test")
+def test_the_tests_have_no_more_lines_of_code_than_the_project_allows() -> None:
+    assert lines_of_tests() <= most_lines_of_tests()
 
 
 def names_of_packages() -> tuple[set[str], set[str]]:

@@ -3,16 +3,20 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers import gwyscope_model, nanonis_model
 from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
 from telenano.devices.afm.capabilities import refusal
+from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of, refused_laws
 from telenano.wire import ConfigError
 
@@ -89,3 +93,16 @@ def test_a_gwyscope_is_refused_no_law_and_no_program() -> None:
     programs = ("", "scan", "curve", "path", "tactile", "push")
     assert {refusal("gwyscope", program) for program in programs} == {""}
     assert refused_laws("gwyscope") == {}
+
+
+@pytest.mark.parametrize("controller", [Gwyscope, Nanonis])
+def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven(controller: Callable[..., Any]) -> None:
+    line = controller(guarded=False)
+    line.model.z_m = 3e-7
+    command = f"telenano device guard {controller.__name__.lower()}"
+    with pytest.raises(DeviceError, match=rf"has no guard in front of it, .*{command}.*--attended"):
+        line.driver.open()
+    assert line.model.z_m == 3e-7
+    attended = controller(guarded=False, attended=True)
+    attended.driver.open()
+    assert attended.driver.report.status == "ok"

@@ -22,7 +22,6 @@ from controller_line import (
     answer_twice,
     interrupt,
     kill,
-    needs_a_guard,
     refuses_to_start,
     stop,
     swallow,
@@ -264,10 +263,6 @@ def test_every_item_that_the_driver_sends_has_the_type_that_the_server_asserts(l
 def test_calibration_that_would_not_keep_the_tip_safe_is_refused(changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         Gwyscope(**changes)
-
-
-def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> None:
-    needs_a_guard(Gwyscope, "gwyscope")
 
 
 @pytest.mark.parametrize(("controller", "model"), [("gwyscope", GwyscopeCalibration), ("nanonis", NanonisCalibration)])

@@ -21,12 +21,12 @@ from controller_line import (
     answer_twice,
     interrupt,
     kill,
-    needs_a_guard,
     refuses_to_start,
     stop,
     swallow,
     walk,
 )
+from recorded_maps import frequency_shift_hz
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire, request_driver
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
@@ -285,10 +285,6 @@ def test_calibration_that_would_not_do_is_refused(changes: Any, text: str) -> No
         Nanonis(**changes).driver.open()
 
 
-def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> None:
-    needs_a_guard(Nanonis, "nanonis")
-
-
 def test_a_law_with_a_loop_and_a_program_of_the_node_are_refused_in_words(bench_of: Any) -> None:
     refused = refused_laws("nanonis")
     assert not {"model_mediated", "tactile"} & set(refused)
@@ -308,12 +304,6 @@ FEEL = {
     "slope_limit_n_per_unit": 1e-9, "rate_limit_n_per_s": 1e-3,
 }  # fmt: skip
 SHIFT = {"frequency_shift": {"signal": "OC M1 Freq. Shift (Hz)"}}
-
-
-def frequency_shift_hz(z_m: Any) -> Any:
-    """Return a frequency shift with its minimum of -8 Hz at 0.4 nm [Hz]."""
-    u = np.asarray(z_m) / 0.4e-9
-    return -8.0 * u * np.exp(1.0 - u)
 
 
 def shift_map(tmp_path: Path) -> dict[str, Any]:

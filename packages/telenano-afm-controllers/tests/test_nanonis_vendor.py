@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from free_ports import free_ports
 from telenano_afm_controllers import nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_server import Pushed, serve_requests
@@ -26,7 +27,7 @@ class Served:
         afm = instrument_of(section)
         afm.open()
         self.model = nanonis_model.NanonisModel(afm, now_ns=time.monotonic_ns())
-        self.ports = [free_port() for _ in range(3)]
+        self.ports = free_ports(3)
         self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
         pushed = Pushed(self.ports[2], self.model.log.take)
         self._task = self._loop.create_task(
@@ -57,12 +58,6 @@ class Served:
     def close(self) -> None:
         self._loop.call_soon_threadsafe(self._task.cancel)
         self._thread.join(PATIENCE_S)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +96,7 @@ def test_our_client_calls_refuses_and_takes_frames_of_the_logger(served: Served)
     finally:
         client.close()
     with pytest.raises(DeviceError, match="cannot be reached"):
-        NanonisClient("127.0.0.1", free_port())
+        NanonisClient("127.0.0.1", *free_ports(1))
 
 
 def test_a_second_client_at_a_port_is_put_out(served: Served) -> None:

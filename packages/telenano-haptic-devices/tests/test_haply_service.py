@@ -9,6 +9,7 @@ import time
 import tomllib
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -97,8 +98,9 @@ def test_the_driver_finds_the_device_and_drives_it_over_the_real_wire(served: Se
     wire.close()
 
 
-def clocked(answers: Callable[[int], tuple[int, float]]) -> tuple[Any, list[tuple[float, float]], HaplyWire]:
-    """Serve places that are times; return the server, (age that is told, true age) of each reading, and the driver.
+@contextmanager
+def clocked(answers: Callable[[int], tuple[int, float]]) -> Iterator[tuple[list[tuple[float, float]], HaplyWire]]:
+    """Serve places that are times; yield (age that is told, true age) of each reading, and the open driver.
 
     Args:
         answers: For the number of a message, how many answers it gets, and how old their place is [s].
@@ -118,7 +120,13 @@ def clocked(answers: Callable[[int], tuple[int, float]]) -> tuple[Any, list[tupl
 
     server = serve(converse, "127.0.0.1", 0, compression=None)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    return server, [], HaplyWire(HaplyConfig(service=f"ws://127.0.0.1:{server.socket.getsockname()[1]}"))
+    wire = HaplyWire(HaplyConfig(service=f"ws://127.0.0.1:{server.socket.getsockname()[1]}"))
+    wire.open()
+    try:
+        yield [], wire
+    finally:
+        wire.close()
+        server.shutdown()
 
 
 def ages(ages_s: list[tuple[float, float]], count: int) -> Callable[[DeviceSample], Any]:
@@ -132,24 +140,19 @@ def ages(ages_s: list[tuple[float, float]], count: int) -> Callable[[DeviceSampl
 
 def test_messages_that_nobody_asked_for_make_no_place_older_than_it_is_told() -> None:
     """Fifty of them at once made each place of the rest of the session 48 ms older."""
-    server, found, wire = clocked(lambda number: (51 if number == 20 else 1, 0.0))
-    wire.open()
-    wire.run(ages(found, 200))
-    assert 50 <= wire.unasked <= 51
-    assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
-    wire.close()
-    server.shutdown()
+    with clocked(lambda number: (51 if number == 20 else 1, 0.0)) as (found, wire):
+        wire.run(ages(found, 200))
+        assert 50 <= wire.unasked <= 51
+        assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
 
 
 def test_service_that_answers_twice_is_lost_before_its_places_are_old() -> None:
-    server, found, wire = clocked(lambda number: (2, 0.0))
-    wire.open()
-    with pytest.raises(DeviceError, match=r"has sent \d+ messages that it was not asked for, and continues: end other"):
-        wire.run(ages(found, 5000))
-    assert len(found) < 500
-    assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
-    wire.close()
-    server.shutdown()
+    lost = r"has sent \d+ messages that it was not asked for, and continues: end other"
+    with clocked(lambda number: (2, 0.0)) as (found, wire):
+        with pytest.raises(DeviceError, match=lost):
+            wire.run(ages(found, 5000))
+        assert len(found) < 500
+        assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
 
 
 def test_version_is_told_over_http(served: Served) -> None:
@@ -277,13 +280,10 @@ def test_lines_that_are_typed_or_pasted_at_once_are_all_obeyed() -> None:
 
 
 def test_service_that_answers_no_more_is_lost() -> None:
-    server, found, wire = clocked(lambda number: (number < 20, 0.0))
-    wire.open()
-    with pytest.raises(DeviceError, match=r"the service has been silent for 0\.05 s"):
-        wire.run(ages(found, 200))
-    assert len(found) < 25
-    wire.close()
-    server.shutdown()
+    with clocked(lambda number: (number < 20, 0.0)) as (found, wire):
+        with pytest.raises(DeviceError, match=r"the service has been silent for 0\.05 s"):
+            wire.run(ages(found, 200))
+        assert len(found) < 25
 
 
 def test_hand_of_an_emulated_device_goes_on_with_its_programme_where_the_service_was_lost(served: Served) -> None:

@@ -1,14 +1,10 @@
 """A device that takes a force comes in by an entry point, of a package that nothing in the core names."""
 
-import json
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
+import stranger_package
 
 from telenano.hand.config import DRIVERS, HapticConfig
 from telenano.settings import entries
@@ -16,7 +12,6 @@ from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
 
-ROOT = Path(__file__).parents[3]
 DRIVER = """
 from telenano.settings import Settings
 from telenano_haptic_devices import impedance_driver
@@ -95,18 +90,9 @@ print(json.dumps(found))
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return what a node and the commands do with the device of a package."""
     site = tmp_path_factory.mktemp("site")
-    info = site / "my_knob-1.0.dist-info"
-    for folder in (site / "my_knob", info):
-        folder.mkdir()
-    (site / "my_knob" / "__init__.py").write_text(DRIVER)
-    (site / "my_knob" / "wire.py").write_text(WIRE)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-knob\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[telenano.devices]\nknob = my_knob:KNOB\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
-    command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, cwd=site, env=environment, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stderr
-    document: dict[str, Any] = json.loads(done.stdout)
+    files = {"__init__.py": DRIVER, "wire.py": WIRE}
+    stranger_package.install(site, "my_knob", files, {"devices": {"knob": "my_knob:KNOB"}})
+    document: dict[str, Any] = stranger_package.said(PROGRAM, site)
     return document
 
 

@@ -5,8 +5,6 @@ import math
 import pytest
 from telenano_laws.fractal_impedance import Turn, faded, fractal, fractal_force, outward_force, stored
 
-import telenano
-
 
 def test_the_way_back_gives_in_its_first_half_what_it_takes_in_its_second() -> None:
     spring, turn, forces = fractal(500.0, 5.0, 0.009, 0.010), Turn(0.0, 0.0), []
@@ -29,8 +27,3 @@ def test_force_and_energy_near_the_greatest_force() -> None:
 @pytest.mark.parametrize("ratio", [0.0, 1e-3, 0.7, 5.0, 40.0, 600.0])
 def test_the_exponential_is_right_without_a_library(ratio: float) -> None:
     assert faded(ratio) == pytest.approx(math.exp(-ratio), rel=1e-11)
-
-
-@pytest.mark.check("compiles the law")
-def test_the_law_keeps_every_rule() -> None:
-    assert {rule: faults for rule, faults in telenano.check_law("fractal_impedance").items() if faults} == {}

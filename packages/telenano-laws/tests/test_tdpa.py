@@ -4,8 +4,6 @@ import pytest
 from telenano_laws.ports import opened, paid_way, two_counters
 from telenano_laws.tdpa import drift_free_way
 
-import telenano
-
 PERIOD_S = 1e-3
 # The check cases are those of a force that does not change over a step.
 SOFT_N_PER_M = 1e-3
@@ -38,8 +36,3 @@ def test_what_the_tip_is_behind_is_made_up_for_within_the_account(force: float, 
     # the hand went on by 10 mm/s to 5 mm + a period, the tip is at 4 mm, kappa is 20 /s
     wanted = drift_free_way(5e-3, 5e-3 + 0.01 * PERIOD_S, 4e-3, 20.0 * PERIOD_S)
     assert paid_way(wanted, force, SOFT_N_PER_M, left_j) / PERIOD_S == pytest.approx(speed, rel=1e-6)
-
-
-@pytest.mark.check("compiles the law")
-def test_the_law_keeps_every_rule() -> None:
-    assert {rule: faults for rule, faults in telenano.check_law("tdpa").items() if faults} == {}

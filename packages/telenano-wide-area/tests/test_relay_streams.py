@@ -26,6 +26,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.security.access_control import AccessControl
 from telenano.wire.errors import ConfigError
 
+pytestmark = pytest.mark.anyio
 PATIENCE_S = 30.0
 HOST = "127.0.0.1"
 AFM, LINK = "afm_node@slave", "delay_node@slave"
@@ -73,9 +74,6 @@ class Bench:
         end = SiteEnd(self.book, name, access, StructuredLog(f"relay@{name}"))
         self.ends.append(end)
         self._tasks[name] = asyncio.create_task(end.run())
-
-    async def stop_site(self, name: str) -> None:
-        await self._stop(name)
 
     async def _stop(self, name: str) -> None:
         task = self._tasks.pop(name)
@@ -132,6 +130,17 @@ async def bench(folder: Path, other: Bench | None = None) -> AsyncIterator[Bench
         await found.close()
 
 
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+async def rig(tmp_path: Path) -> AsyncIterator[Bench]:
+    async with bench(tmp_path) as found:
+        yield found
+
+
 @contextlib.asynccontextmanager
 async def echo(host: str, port: int) -> AsyncIterator[list[bytes]]:
     """A node that says back whatever it is told."""
@@ -180,22 +189,18 @@ async def eventually_echoed(host: str, port: int, text: bytes) -> None:
             await asyncio.sleep(0.05)
 
 
-def test_a_node_of_the_other_site_is_reached_though_both_only_dial(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.together()
-            # the slave's nodes are reached at the address of its machine, and bind another one
-            assert rig.book.network_endpoint(AFM) == f"tcp://127.77.0.2:{rig.afm_port}"
-            assert rig.book.bind_endpoint(AFM) == f"tcp://127.0.0.1:{rig.afm_port}"
-            async with echo(HOST, rig.afm_port), echo(HOST, rig.link_port):
-                long = bytes(range(256)) * 4000
-                assert await echoed("127.77.0.2", rig.afm_port, long) == long
-                assert await echoed("127.77.0.1", rig.link_port, b"and back") == b"and back"
-                several = [echoed("127.77.0.2", rig.afm_port, b"number %d" % number) for number in range(20)]
-                assert await asyncio.gather(*several) == [b"number %d" % number for number in range(20)]
-            await until(lambda: not +rig.relay.streams)
-
-    asyncio.run(run())
+async def test_a_node_of_the_other_site_is_reached_though_both_only_dial(rig: Bench) -> None:
+    await rig.together()
+    # the slave's nodes are reached at the address of its machine, and bind another one
+    assert rig.book.network_endpoint(AFM) == f"tcp://127.77.0.2:{rig.afm_port}"
+    assert rig.book.bind_endpoint(AFM) == f"tcp://127.0.0.1:{rig.afm_port}"
+    async with echo(HOST, rig.afm_port), echo(HOST, rig.link_port):
+        long = bytes(range(256)) * 4000
+        assert await echoed("127.77.0.2", rig.afm_port, long) == long
+        assert await echoed("127.77.0.1", rig.link_port, b"and back") == b"and back"
+        several = [echoed("127.77.0.2", rig.afm_port, b"number %d" % number) for number in range(20)]
+        assert await asyncio.gather(*several) == [b"number %d" % number for number in range(20)]
+    await until(lambda: not +rig.relay.streams)
 
 
 class Flood:
@@ -272,8 +277,8 @@ def test_ten_rigs_behind_one_address_are_joined_without_a_refusal(
     asyncio.run(run())
 
 
-def test_a_refusal_is_logged_at_both_ends_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+async def test_a_refusal_is_logged_at_both_ends_once(
+    rig: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(server, "_BURST", 2.0)
     monkeypatch.setattr(server, "_PER_S", 0.01)
@@ -281,243 +286,200 @@ def test_a_refusal_is_logged_at_both_ends_once(
     async def pushed_out(*_: Any, **__: Any) -> None:
         raise RejectedError("flood")
 
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.together()
-            flood = Flood(rig.port)
-            await until(lambda: rig.relay.refused["flood"] > 2)
-            await flood.end()
-            # so many of them that a site has not said who it is before it has to give way
-            monkeypatch.setattr(rig.relay, "_identify", pushed_out)
-            before = rig.relay.refused["flood"]
-            async with echo(HOST, rig.afm_port):
-                for _ in range(3):
-                    waiting = asyncio.create_task(echoed("127.77.0.2", rig.afm_port, b"hello"))
-                    await until(lambda: rig.relay.refused["flood"] > before + 2)
-                    waiting.cancel()
-
-    asyncio.run(run())
+    await rig.together()
+    flood = Flood(rig.port)
+    await until(lambda: rig.relay.refused["flood"] > 2)
+    await flood.end()
+    # so many of them that a site has not said who it is before it has to give way
+    monkeypatch.setattr(rig.relay, "_identify", pushed_out)
+    before = rig.relay.refused["flood"]
+    async with echo(HOST, rig.afm_port):
+        for _ in range(3):
+            waiting = asyncio.create_task(echoed("127.77.0.2", rig.afm_port, b"hello"))
+            await until(lambda: rig.relay.refused["flood"] > before + 2)
+            waiting.cancel()
     told = caplog.text
     assert told.count("connections from 127.0.0.1 are refused") == 1
     assert told.count("has ended a connection without an answer") == 1
 
 
-def test_who_waits_for_a_half_that_is_refused_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_waits_for_a_half_that_is_refused_is_told_at_once(
+    rig: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(server, "_JOIN_S", 10.0 * PATIENCE_S)
-
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.together()
-            async with echo(HOST, rig.afm_port):
-                opening = await rig.dial("master", want="open", to=rig.hex("slave"), port=rig.afm_port)
-                # the other site can dial no second time: it says so in the place of silence
-                dialled, rig.ends[1]._dial = rig.ends[1]._dial, _refused  # type: ignore[method-assign]
-                async with asyncio.timeout(PATIENCE_S):
-                    assert await opening.receive() == {"refused": "absent"}
-                rig.ends[1]._dial = dialled  # type: ignore[method-assign]
-                opening.close()
-
-    asyncio.run(run())
+    await rig.together()
+    async with echo(HOST, rig.afm_port):
+        opening = await rig.dial("master", want="open", to=rig.hex("slave"), port=rig.afm_port)
+        # the other site can dial no second time: it says so in the place of silence
+        dialled, rig.ends[1]._dial = rig.ends[1]._dial, _refused  # type: ignore[method-assign]
+        async with asyncio.timeout(PATIENCE_S):
+            assert await opening.receive() == {"refused": "absent"}
+        rig.ends[1]._dial = dialled  # type: ignore[method-assign]
+        opening.close()
 
 
 async def _refused(**request: Any) -> Channel:
     raise ConnectionResetError
 
 
-def test_a_node_that_begins_a_moment_later_is_waited_for(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.together()
-            waiting = asyncio.create_task(echoed("127.77.0.2", rig.afm_port, b"hello"))
-            await asyncio.sleep(0.3)
-            assert not waiting.done()
-            async with echo(HOST, rig.afm_port):
-                assert await waiting == b"hello"
-
-    asyncio.run(run())
+async def test_a_node_that_begins_a_moment_later_is_waited_for(rig: Bench) -> None:
+    await rig.together()
+    waiting = asyncio.create_task(echoed("127.77.0.2", rig.afm_port, b"hello"))
+    await asyncio.sleep(0.3)
+    assert not waiting.done()
+    async with echo(HOST, rig.afm_port):
+        assert await waiting == b"hello"
 
 
-def test_a_relay_that_is_gone_and_comes_back_is_found_again(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.together()
-            async with echo(HOST, rig.afm_port):
-                reader, writer = await asyncio.open_connection("127.77.0.2", rig.afm_port)
-                writer.write(b"before")
-                assert await reader.readexactly(6) == b"before"
-                await rig.stop_relay()
-                async with asyncio.timeout(PATIENCE_S):
-                    with contextlib.suppress(OSError):
-                        assert await reader.read(1) == b""
-                writer.close()
+async def test_a_relay_that_is_gone_and_comes_back_is_found_again(rig: Bench) -> None:
+    await rig.together()
+    async with echo(HOST, rig.afm_port):
+        reader, writer = await asyncio.open_connection("127.77.0.2", rig.afm_port)
+        writer.write(b"before")
+        assert await reader.readexactly(6) == b"before"
+        await rig.stop_relay()
+        async with asyncio.timeout(PATIENCE_S):
+            with contextlib.suppress(OSError):
+                assert await reader.read(1) == b""
+        writer.close()
 
-                async def refused() -> bool:
-                    try:
-                        _, late = await asyncio.open_connection("127.77.0.2", rig.afm_port)
-                    except ConnectionRefusedError:
-                        return True
-                    late.close()
-                    return False
+        async def refused() -> bool:
+            try:
+                _, late = await asyncio.open_connection("127.77.0.2", rig.afm_port)
+            except ConnectionRefusedError:
+                return True
+            late.close()
+            return False
 
-                # as where the other machine does not run: nobody waits for a handshake
-                while not await refused():
-                    await asyncio.sleep(0.01)
-                await rig.start_relay()
-                await eventually_echoed("127.77.0.2", rig.afm_port, b"after")
-
-    asyncio.run(run())
+        # as where the other machine does not run: nobody waits for a handshake
+        while not await refused():
+            await asyncio.sleep(0.01)
+        await rig.start_relay()
+        await eventually_echoed("127.77.0.2", rig.afm_port, b"after")
 
 
-def test_who_is_not_listed_is_told_what_to_do_and_joins_nothing(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            relay = await rig.start_relay()
-            said = await rig.said_to("stranger", want="site", meets=[])
-            assert said["refused"] == "unlisted"
-            assert "telenano keys allow NAME KEY --role relay" in said["text"]
-            rig.rings["relay"].allow("guest", rig.keys["stranger"].decode(), ["observe"])
-            await until(lambda: relay._authorize(rig.keys["stranger"].decode())[1] == "role")
-            assert (await rig.said_to("stranger", want="site", meets=[]))["refused"] == "role"
-            assert relay.sites == {}
-
-    asyncio.run(run())
+async def test_who_is_not_listed_is_told_what_to_do_and_joins_nothing(rig: Bench) -> None:
+    relay = await rig.start_relay()
+    said = await rig.said_to("stranger", want="site", meets=[])
+    assert said["refused"] == "unlisted"
+    assert "telenano keys allow NAME KEY --role relay" in said["text"]
+    rig.rings["relay"].allow("guest", rig.keys["stranger"].decode(), ["observe"])
+    await until(lambda: relay._authorize(rig.keys["stranger"].decode())[1] == "role")
+    assert (await rig.said_to("stranger", want="site", meets=[]))["refused"] == "role"
+    assert relay.sites == {}
 
 
-def test_nobody_learns_whether_a_key_is_there_that_does_not_want_to_meet_it(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            rig.rings["relay"].allow("other_lab", rig.keys["stranger"].decode(), ["relay"])
-            await rig.together()
-            control = await rig.dial("stranger", want="site", meets=[rig.hex("slave"), "00" * 32])
-            assert (await control.receive())["ok"]
-            for to in (rig.hex("slave"), "00" * 32):
-                said = await rig.said_to("stranger", want="open", to=to, port=rig.afm_port)
-                assert said == {"refused": "absent"}
-            assert (await rig.said_to("stranger", want="look"))["present"] == []
-            assert (await rig.said_to("master", want="look"))["present"] == [rig.hex("slave")]
-            # a connection that was opened for the slave cannot be accepted by another
-            async with echo(HOST, rig.link_port):
-                assert (await rig.said_to("stranger", want="accept", number="0" * 16))["refused"] == "late"
-            control.close()
-
-    asyncio.run(run())
+async def test_nobody_learns_whether_a_key_is_there_that_does_not_want_to_meet_it(rig: Bench) -> None:
+    rig.rings["relay"].allow("other_lab", rig.keys["stranger"].decode(), ["relay"])
+    await rig.together()
+    control = await rig.dial("stranger", want="site", meets=[rig.hex("slave"), "00" * 32])
+    assert (await control.receive())["ok"]
+    for to in (rig.hex("slave"), "00" * 32):
+        said = await rig.said_to("stranger", want="open", to=to, port=rig.afm_port)
+        assert said == {"refused": "absent"}
+    assert (await rig.said_to("stranger", want="look"))["present"] == []
+    assert (await rig.said_to("master", want="look"))["present"] == [rig.hex("slave")]
+    # a connection that was opened for the slave cannot be accepted by another
+    async with echo(HOST, rig.link_port):
+        assert (await rig.said_to("stranger", want="accept", number="0" * 16))["refused"] == "late"
+    control.close()
 
 
-def test_only_ports_of_the_site_file_are_reached(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.together()
-            (other,) = free_ports(1)
-            async with echo(HOST, other) as heard:
-                said = await rig.said_to("master", want="open", to=rig.hex("slave"), port=other)
-                assert said["refused"] == "absent"
-                assert heard == []
-
-    asyncio.run(run())
+async def test_only_ports_of_the_site_file_are_reached(rig: Bench) -> None:
+    await rig.together()
+    (other,) = free_ports(1)
+    async with echo(HOST, other) as heard:
+        said = await rig.said_to("master", want="open", to=rig.hex("slave"), port=other)
+        assert said["refused"] == "absent"
+        assert heard == []
 
 
 @pytest.mark.parametrize("how", ["revoked", "expired"])
-def test_a_key_that_ends_is_cut_off(tmp_path: Path, how: str) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            today = [date(2027, 3, 1)]
-            keys = rig.rings["relay"]
-            keys.today = lambda: today[0]
-            keys.allow("lab_slave", rig.keys["slave"].decode(), ["relay"], date(2027, 3, 1))
-            await rig.together()
-            async with echo(HOST, rig.afm_port):
-                reader, writer = await asyncio.open_connection("127.77.0.2", rig.afm_port)
-                writer.write(b"before")
-                assert await reader.readexactly(6) == b"before"
-                if how == "revoked":
-                    keys.revoke("lab_slave")
-                else:
-                    today[0] = date(2027, 3, 2)
-                async with asyncio.timeout(PATIENCE_S):
-                    with contextlib.suppress(OSError):
-                        assert await reader.read(1) == b""
-                writer.close()
-            await until(lambda: rig.hex("slave") not in rig.relay.sites)
-            assert (await rig.said_to("slave", want="look"))["refused"] == how
-
-    asyncio.run(run())
+async def test_a_key_that_ends_is_cut_off(rig: Bench, how: str) -> None:
+    today = [date(2027, 3, 1)]
+    keys = rig.rings["relay"]
+    keys.today = lambda: today[0]
+    keys.allow("lab_slave", rig.keys["slave"].decode(), ["relay"], date(2027, 3, 1))
+    await rig.together()
+    async with echo(HOST, rig.afm_port):
+        reader, writer = await asyncio.open_connection("127.77.0.2", rig.afm_port)
+        writer.write(b"before")
+        assert await reader.readexactly(6) == b"before"
+        if how == "revoked":
+            keys.revoke("lab_slave")
+        else:
+            today[0] = date(2027, 3, 2)
+        async with asyncio.timeout(PATIENCE_S):
+            with contextlib.suppress(OSError):
+                assert await reader.read(1) == b""
+        writer.close()
+    await until(lambda: rig.hex("slave") not in rig.relay.sites)
+    assert (await rig.said_to("slave", want="look"))["refused"] == how
 
 
-def test_a_second_process_with_the_key_of_a_site_takes_its_place_and_the_first_is_told(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.start_relay()
-            first = await rig.dial("master", want="site", meets=[])
-            assert (await first.receive())["ok"]
-            second = await rig.dial("master", want="site", meets=[])
-            assert (await second.receive())["ok"]
-            assert await first.receive() == {"replaced": True}
-            first.close()
-            await until(lambda: len(rig.relay.sites) == 1)
-            second.close()
-            await until(lambda: not rig.relay.sites)
-
-    asyncio.run(run())
+async def test_a_second_process_with_the_key_of_a_site_takes_its_place_and_the_first_is_told(rig: Bench) -> None:
+    await rig.start_relay()
+    first = await rig.dial("master", want="site", meets=[])
+    assert (await first.receive())["ok"]
+    second = await rig.dial("master", want="site", meets=[])
+    assert (await second.receive())["ok"]
+    assert await first.receive() == {"replaced": True}
+    first.close()
+    await until(lambda: len(rig.relay.sites) == 1)
+    second.close()
+    await until(lambda: not rig.relay.sites)
 
 
 @pytest.mark.parametrize("most", ["_MOST_FROM_ADDRESS", "_MOST_STRANGERS"])
-def test_strangers_are_few_and_the_oldest_gives_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: str) -> None:
+async def test_strangers_are_few_and_the_oldest_gives_way(
+    rig: Bench, monkeypatch: pytest.MonkeyPatch, most: str
+) -> None:
     # Nobody is let go for his silence here.
     monkeypatch.setattr(server, "HELLO_S", 10 * PATIENCE_S)
     monkeypatch.setattr(server, most, 4)
-
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            relay = await rig.start_relay()
-            opened = []
-            for _ in range(10):
-                opened.append(await asyncio.open_connection(HOST, rig.port))
-                # Each is greeted, and so waits for its turn to give way.
-                assert len(await opened[-1][0].readexactly(24)) == 24
-            await until(lambda: relay.refused["handshake"] == 6)
-            assert await asyncio.gather(*(_all_of(reader) for reader, _ in opened[:6])) == [b""] * 6
-            assert not any(reader.at_eof() for reader, _ in opened[6:])
-            # A site comes in at its first try though strangers hold every place, and those who are in stay.
-            kept = await rig.dial("slave", want="site", meets=[])
-            assert (await kept.receive())["ok"]
-            for _ in range(8):
-                opened.append(await asyncio.open_connection(HOST, rig.port))
-                assert (await rig.said_to("master", want="look"))["ok"]
-            assert list(relay.sites) == [rig.hex("slave")]
-            kept.close()
-            for _, writer in opened:
-                writer.close()
-
-    asyncio.run(run())
+    relay = await rig.start_relay()
+    opened = []
+    for _ in range(10):
+        opened.append(await asyncio.open_connection(HOST, rig.port))
+        # Each is greeted, and so waits for its turn to give way.
+        assert len(await opened[-1][0].readexactly(24)) == 24
+    await until(lambda: relay.refused["handshake"] == 6)
+    assert await asyncio.gather(*(_all_of(reader) for reader, _ in opened[:6])) == [b""] * 6
+    assert not any(reader.at_eof() for reader, _ in opened[6:])
+    # A site comes in at its first try though strangers hold every place, and those who are in stay.
+    kept = await rig.dial("slave", want="site", meets=[])
+    assert (await kept.receive())["ok"]
+    for _ in range(8):
+        opened.append(await asyncio.open_connection(HOST, rig.port))
+        assert (await rig.said_to("master", want="look"))["ok"]
+    assert list(relay.sites) == [rig.hex("slave")]
+    kept.close()
+    for _, writer in opened:
+        writer.close()
 
 
-def test_who_is_silent_is_let_go_and_who_comes_too_fast_has_to_claim_a_listed_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_who_is_silent_is_let_go_and_who_comes_too_fast_has_to_claim_a_listed_key(
+    rig: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "HELLO_S", 0.5)
     monkeypatch.setattr(server, "_BURST", 4.0)
     monkeypatch.setattr(server, "_PER_S", 1e-3)
-
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            relay = await rig.start_relay()
-            opened = [await asyncio.open_connection(HOST, rig.port) for _ in range(10)]
-            greeted = [await asyncio.wait_for(_all_of(reader), PATIENCE_S) for reader, _ in opened]
-            assert list(map(len, greeted)) == [24] * 10
-            for _, writer in opened:
-                writer.close()
-            await until(lambda: relay.refused["handshake"] == 10)
-            # A stranger with a key is not answered, and a site is; who claims its key has to prove that all the same.
-            with pytest.raises(Gone):
-                await rig.said_to("stranger", want="look")
-            assert (await rig.said_to("slave", want="look"))["ok"]
-            reader, writer = await asyncio.open_connection(HOST, rig.port)
-            writer.write(raw_key(rig.keys["slave"]) + b"\x00\x20" + bytes(32))
-            assert len(await asyncio.wait_for(_all_of(reader), PATIENCE_S)) == 24
-            writer.close()
-            assert +relay.refused == {"handshake": 10, "flood": 1, "forged": 1}
-
-    asyncio.run(run())
+    relay = await rig.start_relay()
+    opened = [await asyncio.open_connection(HOST, rig.port) for _ in range(10)]
+    greeted = [await asyncio.wait_for(_all_of(reader), PATIENCE_S) for reader, _ in opened]
+    assert list(map(len, greeted)) == [24] * 10
+    for _, writer in opened:
+        writer.close()
+    await until(lambda: relay.refused["handshake"] == 10)
+    # A stranger with a key is not answered, and a site is; who claims its key has to prove that all the same.
+    with pytest.raises(Gone):
+        await rig.said_to("stranger", want="look")
+    assert (await rig.said_to("slave", want="look"))["ok"]
+    reader, writer = await asyncio.open_connection(HOST, rig.port)
+    writer.write(raw_key(rig.keys["slave"]) + b"\x00\x20" + bytes(32))
+    assert len(await asyncio.wait_for(_all_of(reader), PATIENCE_S)) == 24
+    writer.close()
+    assert +relay.refused == {"handshake": 10, "flood": 1, "forged": 1}
 
 
 async def _all_of(reader: asyncio.StreamReader) -> bytes:
@@ -534,52 +496,40 @@ async def _all_of(reader: asyncio.StreamReader) -> bytes:
         {"want": "open", "to": "x", "port": math.inf},
     ],
 )  # fmt: skip
-def test_a_request_that_is_none_ends_its_connection_alone(tmp_path: Path, request_: dict[str, Any]) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            relay = await rig.start_relay()
-            found = await rig.dial("master", **request_)
-            with pytest.raises(Gone):
-                while (await found.receive()) != {}:
-                    pass
-            found.close()
-            await until(lambda: relay.refused["malformed"] == 1)
-            assert (await rig.said_to("master", want="look"))["ok"]
-
-    asyncio.run(run())
+async def test_a_request_that_is_none_ends_its_connection_alone(rig: Bench, request_: dict[str, Any]) -> None:
+    relay = await rig.start_relay()
+    found = await rig.dial("master", **request_)
+    with pytest.raises(Gone):
+        while (await found.receive()) != {}:
+            pass
+    found.close()
+    await until(lambda: relay.refused["malformed"] == 1)
+    assert (await rig.said_to("master", want="look"))["ok"]
 
 
-def test_a_false_relay_is_not_believed(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            # it has a key of its own, and not the one that is listed
-            rig.rings["relay"].create("relay", replace=True)
-            await rig.start_relay()
-            with pytest.raises(Gone):
-                await rig.said_to("master", want="look")
-            await until(lambda: rig.relay.refused["forged"] == 1)
-
-    asyncio.run(run())
+async def test_a_false_relay_is_not_believed(rig: Bench) -> None:
+    # it has a key of its own, and not the one that is listed
+    rig.rings["relay"].create("relay", replace=True)
+    await rig.start_relay()
+    with pytest.raises(Gone):
+        await rig.said_to("master", want="look")
+    await until(lambda: rig.relay.refused["forged"] == 1)
 
 
-def test_a_frame_is_good_once_and_in_its_place(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.start_relay()
-            caught: list[bytes] = []
-            found = await rig.dial("master", want="site", meets=[])
-            write = found.writer.write
-            found.writer.write = lambda data: (caught.append(data), write(data))[1]  # type: ignore[method-assign]
-            await found.send(ping=True)
-            assert (await found.receive())["ok"]
-            assert (await found.receive())["alive"]
-            write(caught[0])
-            with pytest.raises(Gone):
-                await found.receive()
-            await until(lambda: rig.relay.refused["forged"] == 1)
-            found.close()
-
-    asyncio.run(run())
+async def test_a_frame_is_good_once_and_in_its_place(rig: Bench) -> None:
+    await rig.start_relay()
+    caught: list[bytes] = []
+    found = await rig.dial("master", want="site", meets=[])
+    write = found.writer.write
+    found.writer.write = lambda data: (caught.append(data), write(data))[1]  # type: ignore[method-assign]
+    await found.send(ping=True)
+    assert (await found.receive())["ok"]
+    assert (await found.receive())["alive"]
+    write(caught[0])
+    with pytest.raises(Gone):
+        await found.receive()
+    await until(lambda: rig.relay.refused["forged"] == 1)
+    found.close()
 
 
 def test_a_site_without_the_key_of_the_relay_names_the_command(tmp_path: Path) -> None:
@@ -589,15 +539,11 @@ def test_a_site_without_the_key_of_the_relay_names_the_command(tmp_path: Path) -
         rig.start_site("master")
 
 
-def test_a_channel_refuses_what_is_too_long(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.start_relay()
-            found = await rig.dial("master", want="site", meets=[])
-            found.writer.write(b"\xff\xff")
-            await until(lambda: rig.relay.refused["oversized"] == 1)
-            found.close()
-
-    asyncio.run(run())
+async def test_a_channel_refuses_what_is_too_long(rig: Bench) -> None:
+    await rig.start_relay()
+    found = await rig.dial("master", want="site", meets=[])
+    found.writer.write(b"\xff\xff")
+    await until(lambda: rig.relay.refused["oversized"] == 1)
+    found.close()
     assert channels.HELLO_S > site_end._NODE_S
     assert issubclass(RejectedError, Gone)

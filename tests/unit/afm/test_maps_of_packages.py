@@ -1,14 +1,11 @@
 """A recorded map of a package: one of another format is felt on its place, and an absent package is named."""
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from stranger_package import install, said
 
-ROOT = Path(__file__).parents[3]
 PACKAGE = """
 from typing import NamedTuple
 
@@ -62,33 +59,21 @@ print(json.dumps(said))
 """
 
 
-def felt(path: Path, *, installed: bool) -> dict[str, object]:
-    """Return what a process says of a map, with the packages that are installed and one of its own, or without any."""
-    site = path.parent
-    info = site / "of_walls-1.0.dist-info"
-    info.mkdir(exist_ok=True)
-    (site / "of_walls.py").write_text(PACKAGE)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: of-walls\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[telenano.maps]\nwall = of_walls:WALL\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
-    if not installed:
-        environment["TELENANO_WITHOUT_PACKAGES"] = "1"
-    command = [sys.executable, "-c", PROGRAM, str(path)]
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200)
-    assert run.returncode == 0, run.stderr
-    found: dict[str, object] = json.loads(run.stdout)
-    return found
+def felt(path: Path, **environment: str) -> Any:
+    """Return what a process says of a map, with the packages that are installed and one of its own."""
+    install(path.parent, "of_walls", {"__init__.py": PACKAGE}, {"maps": {"wall": "of_walls:WALL"}})
+    return said(PROGRAM, path.parent, str(path), **environment)
 
 
 def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
     path = tmp_path / "one.wall"
     path.write_text("2.0")
-    found = felt(path, installed=True)
+    found = felt(path)
     assert "refused" not in found
     assert found["named"] == [["maps", "wall"]]
     assert found["places"] == [1e-7, 2e-7]
     assert found["force"] == pytest.approx(2.0 * 1e-9, rel=1e-9)
-    assert str(found["about"]).startswith("recorded map one.wall: a wall; the tip stays within x ± 1e-07 m")
+    assert found["about"].startswith("recorded map one.wall: a wall; the tip stays within x ± 1e-07 m")
 
 
 @pytest.mark.parametrize(
@@ -101,4 +86,4 @@ def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
 def test_without_its_package_a_map_is_refused_by_name(name: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_text("2.0")
-    assert words in str(felt(path, installed=False)["refused"])
+    assert words in felt(path, TELENANO_WITHOUT_PACKAGES="1")["refused"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stranger_package import describe
 from telenano_microscopy.force_curve import read_measured
 from telenano_microscopy.image_files import Image
 from telenano_microscopy.image_output import write_images
@@ -40,13 +41,8 @@ class Made:
         (self.folder / name).mkdir()
         for file, text in {"__init__.py": "", **files}.items():
             (self.folder / name / file).write_text(text)
-        facts = self.folder / f"{name}-1.2.dist-info"
-        facts.mkdir()
-        (facts / "METADATA").write_text(
-            f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\nRequires-Dist: {requires}\n"
-        )
-        groups = "".join(f"[telenano.{kind}]\n{line}\n" for kind, line in entries.items())
-        (facts / "entry_points.txt").write_text(groups)
+        rows = {kind: dict(line.split(" = ") for line in lines.splitlines()) for kind, lines in entries.items()}
+        describe(self.folder, name, rows, more=f"Requires-Dist: {requires}\n")
         forget()
 
 

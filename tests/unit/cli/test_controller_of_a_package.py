@@ -1,24 +1,9 @@
 """An AFM controller of somebody else: one folder with an entry point, and no line of the core."""
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
-from test_package_commands import put_on_path
-
-ROOT = Path(__file__).parents[3]
-
-SETTINGS = """
-[project]
-name = "telenano-line-afm"
-version = "1.0"
-[project.entry-points."telenano.devices"]
-line_afm = "telenano_line_afm:LINE_AFM"
-"""
+from stranger_package import install, said
 
 # A controller of lines: `z METRES` is answered with z and the deflection's signal.
 PACKAGE = """
@@ -116,16 +101,10 @@ print(json.dumps(found))
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("line")
-    (folder / "telenano_line_afm").mkdir()
-    (folder / "telenano_line_afm" / "__init__.py").write_text(PACKAGE)
-    (folder / "pyproject.toml").write_text(SETTINGS)
-    put_on_path(folder, folder)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (folder, ROOT)))}
-    command = [sys.executable, "-W", "error", "-c", PROGRAM, str(folder)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    entries = {"devices": {"line_afm": "telenano_line_afm:LINE_AFM"}}
+    install(folder, "telenano_line_afm", {"__init__.py": PACKAGE}, entries)
+    answers: dict[str, Any] = said(PROGRAM, folder, str(folder))
+    return answers
 
 
 def test_what_it_cannot_do_is_refused_before_anything_starts(found: dict[str, Any]) -> None:

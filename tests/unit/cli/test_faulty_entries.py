@@ -6,13 +6,13 @@ call of what it leads to raises. Drivers, operators, samples and programs are ca
 """
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+import stranger_package
 
 from telenano.cli.new_package import new_package
 from telenano.settings.plugins import KINDS
@@ -139,14 +139,7 @@ def install(site: Path) -> None:
     entries["topics"] = {f"wind_{fault}": target for fault, target in TARGETS.items()}
     entries["exports"]["unfinished"] = "hollow.failing:unfinished"
     entries["commands"] = {"rows": "hollow.rows:ROWS", **{f"table_{name}": to for name, to in TARGETS.items()}}
-    groups = (
-        f"[telenano.{kind}]\n" + "".join(f"{name} = {target}\n" for name, target in found.items())
-        for kind, found in entries.items()
-    )
-    facts = site / "hollow-1.2.dist-info"
-    facts.mkdir()
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: hollow\nVersion: 1.2\n")
-    (facts / "entry_points.txt").write_text("".join(groups))
+    stranger_package.describe(site, "hollow", entries)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +151,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         (folder / f"a.{name}").write_bytes(b"a file of this package")
         (folder / f"experiment_{name}.yaml").write_text(EXPERIMENT.format(name))
     lines = [line.format(fault) for kind, lines in ASKED.items() for line in lines for fault in faults_of(kind)]
-    found = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder / "site"), *sys.path[1:]]), "COLUMNS": "500"}
+    found = stranger_package.environment(folder / "site")
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         input=json.dumps(lines), capture_output=True, text=True, cwd=folder, env=found, check=True,

@@ -1,14 +1,11 @@
 """A layer and a hand of a package outside the tree: those of docs/extending.md, as a stranger would copy them."""
 
-import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from stranger_package import describe, said
 from test_package_commands import ROOT
 
 PAGE = (ROOT / "docs" / "extending.md").read_text("utf-8")
@@ -101,21 +98,13 @@ print(json.dumps(found))
 
 def run(site: Path, *words: str) -> dict[str, Any]:
     assert ENTRY is not None
-    facts = site / "my_package-1.0.dist-info"
-    facts.mkdir(parents=True)
+    group = re.search(r'"telenano.(.*?)"\]\n(\w+) = "(.*?)"', ENTRY[1])
+    assert group is not None
+    describe(site, "my_package", {group[1]: {group[2]: group[3]}})
     for name, block in BLOCKS.items():
         assert block is not None
         (site / f"{name}.py").write_text(block[1])
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.0\n")
-    group = re.search(r'"(.*?)"\]\n(\w+) = "(.*?)"', ENTRY[1])
-    assert group is not None
-    (facts / "entry_points.txt").write_text(f"[{group[1]}]\n{group[2]} = {group[3]}\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
-    environment["XDG_CACHE_HOME"] = str(site / "cache")
-    command = [sys.executable, "-c", PROGRAM, *words]
-    done = subprocess.run(command, cwd=site, env=environment, capture_output=True, text=True, timeout=580)
-    assert done.returncode == 0, done.stderr
-    document: dict[str, Any] = json.loads(done.stdout)
+    document: dict[str, Any] = said(PROGRAM, site, *words, XDG_CACHE_HOME=str(site / "cache"))
     return document
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import damaged_files as files
 import pytest
 from rich.console import Console
+from stranger_package import install
 
 from telenano.cli import output, terminal
 from telenano.cli.tables import rows_table
@@ -64,11 +65,7 @@ def test_a_cell_of_a_table_is_text_and_the_table_is_drawn(monkeypatch: pytest.Mo
 
 def package(folder: Path, source: str) -> Path:
     """Make an installed package of one module with a law that is called `hostile`."""
-    facts = folder / "hostile-0.1.dist-info"
-    facts.mkdir(parents=True)
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 0.1\n")
-    (facts / "entry_points.txt").write_text("[telenano.laws]\nhostile = hostile_law:LAW\n")
-    (folder / "hostile_law.py").write_text(source)
+    install(folder, "hostile", {"__init__.py": source}, {"laws": {"hostile": "hostile:LAW"}})
     return folder
 
 
@@ -77,7 +74,7 @@ def test_texts_of_a_package_are_shown_as_text(tmp_path: Path) -> None:
     done = telenano("law", "list", PYTHONPATH=str(folder), XDG_CACHE_HOME=str(tmp_path))
     assert done.returncode == 0
     assert done.stderr.startswith(
-        "telenano: hostile of the package hostile 0.1 cannot be used: ValueError: \\x1b]0;mine"
+        "telenano: hostile of the package hostile 1.2 cannot be used: ValueError: \\x1b]0;mine"
     )
     assert not set(done.stderr) & set("\x1b\x07\r\x9b\u202e")
 
@@ -98,6 +95,6 @@ def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path) 
     environment = {"PYTHONPATH": str(site), "XDG_CACHE_HOME": str(tmp_path)}
     done = telenano("up", "--scenario", "fig12", "--set", "controller.law=hostile", **environment)
     assert done.returncode == 2
-    assert "controller.law: hostile of the package hostile 0.1 cannot be used: its import ends the whole" in done.stderr
+    assert "controller.law: hostile of the package hostile 1.2 cannot be used: its import ends the whole" in done.stderr
     done = telenano("scenario", "check", "fig12", **environment)
     assert (done.returncode, done.stderr) == (0, "")

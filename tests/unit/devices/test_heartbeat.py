@@ -47,17 +47,10 @@ def line() -> StageLine:
     return found
 
 
-def follow(line: StageLine, base_m: float, count: int) -> Any:
-    for _ in range(count):
-        line.pass_ms(1)
-        sample = line.driver.exchange(base_m)
-    return sample
-
-
 def approach(line: StageLine) -> None:
     """Let the driver retract and then hold the base at rest, as a node does that is armed."""
-    follow(line, PARAMS.safety.retract_position_m, 3)
-    follow(line, 0.0, 200)
+    line.follow(PARAMS.safety.retract_position_m, 3)
+    line.follow(0.0, 200)
     assert line.model.output_v == pytest.approx(2.5, abs=2e-3)
 
 
@@ -125,7 +118,7 @@ def test_process_that_was_held_up_does_not_go_back_to_the_sample(line: StageLine
     assert "had no request for 4" in line.driver.report.text
     seen_v = []
     for _ in range(1500):
-        follow(line, 0.0, 1)
+        line.follow(0.0, 1)
         seen_v.append(line.model.output_v)
     assert line.driver.report.status == "ok"
     assert max(seen_v[60:]) < 2e-3
@@ -134,16 +127,16 @@ def test_process_that_was_held_up_does_not_go_back_to_the_sample(line: StageLine
 
 
 def test_pause_of_a_host_whose_tip_is_retracted_is_no_loss(line: StageLine) -> None:
-    follow(line, PARAMS.safety.retract_position_m, 100)
+    line.follow(PARAMS.safety.retract_position_m, 100)
     retracted_v = line.model.output_v
     # as between the opening of the device and the first turn of the loop
     line.pass_ms(200)
-    follow(line, PARAMS.safety.retract_position_m, 5)
+    line.follow(PARAMS.safety.retract_position_m, 5)
     assert line.driver.report.status == "ok"
     assert line.model.value(TRIPS) == 0.0
     assert line.model.output_v == retracted_v
     # and from the first step towards the sample on the script watches
-    follow(line, PARAMS.safety.retract_position_m + 20e-9, 100)
+    line.follow(PARAMS.safety.retract_position_m + 20e-9, 100)
     assert line.model.output_v > retracted_v + 0.2
     line.pass_ms(60)
     assert line.model.output_v == 0.0
@@ -155,7 +148,7 @@ def test_beat_that_got_lost_on_the_way_is_a_loss_although_the_device_answers(lin
         # as if the script had seen none of them
         line.model.set_value(BEAT, 1.0)
         line.model.script.pass_time(line.now_ns)
-        follow(line, 0.0, 1)
+        line.follow(0.0, 1)
         line.model.set_value(BEAT, 1.0)
         if line.driver.report.status == "lost":
             break

@@ -32,10 +32,7 @@ def line() -> StageLine:
 
 def tick(line: StageLine, base_m: float = RETRACTED_M, count: int = 1) -> Any:
     """Let the driver do what a node does in so many milliseconds; return the last sample."""
-    for _ in range(count):
-        line.pass_ms(1)
-        sample = line.driver.exchange(base_m)
-    return sample
+    return line.follow(base_m, count)
 
 
 def test_identifies_sets_up_retracts_and_follows(line: StageLine) -> None:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from stranger_package import describe
 
 from telenano.numerics.digests import (
     KEPT_FOLDERS,
@@ -116,10 +117,7 @@ def test_the_folder_lies_in_the_cache_of_the_user_unless_numba_is_given_one(
 
 def install(folder: Path, package: str, kind: str = "laws") -> None:
     """Make a module in a folder that of an installed package with an entry."""
-    facts = folder / f"{package}-1.0.dist-info"
-    facts.mkdir(exist_ok=True)
-    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (facts / "entry_points.txt").write_text(f"[telenano.{kind}]\n{package} = {package}:LAW\n")
+    describe(folder, package, {kind: {package: f"{package}:LAW"}})
 
 
 def write_model(folder: Path, *, installed: bool = True) -> None:

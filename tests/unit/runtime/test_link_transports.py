@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from free_ports import free_ports
 from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_machine_book
+from stranger_package import describe
 
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.site_node import SiteNode
@@ -147,14 +148,12 @@ def ends_of(machine: Machine, key: str, log: Log) -> LinkEnds:
 @pytest.fixture
 def radio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Install the transport of a stranger, as pip does."""
-    facts = tmp_path / "site" / "telenano_my_radio-1.0.dist-info"
-    facts.mkdir(parents=True)
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: telenano-my-radio\nVersion: 1.0\n")
-    (facts / "entry_points.txt").write_text("[telenano.transports]\nmy_radio = radio_transport:MY_RADIO\n")
-    monkeypatch.syspath_prepend(str(facts.parent))
+    site = tmp_path / "site"
+    describe(site, "telenano_my_radio", {"transports": {"my_radio": "radio_transport:MY_RADIO"}})
+    monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(plugins, "_problems", {})
     plugins._installed.cache_clear()
-    yield facts
+    yield site
     plugins._installed.cache_clear()
 
 

@@ -73,6 +73,22 @@ def world(tmp_path: Path) -> Iterator[Callable[..., list[Machine]]]:
             machine.close()
 
 
+def join(slave: Machine, *readers: Machine) -> None:
+    """Have a slave publish the state of the instrument, and machines subscribe to it."""
+    slave.open().bind(AFM)
+    for reader in readers:
+        reader.open().subscribe({AFM: ["afm/state"]})
+
+
+@pytest.fixture
+def joined(world: Callable[..., list[Machine]]) -> list[Machine]:
+    """Give a master that receives the state of the instrument from a slave."""
+    master, slave = world()
+    join(slave, master)
+    until(lambda: master.texts("up") and master.received_from(AFM), master, slave)
+    return [master, slave]
+
+
 @contextlib.contextmanager
 def raw_connection(book: AddressBook, node: str = AFM) -> Iterator[socket.socket]:
     with socket.create_connection(("127.0.0.1", port_of(book, node)), timeout=PATIENCE_S) as raw:
@@ -155,8 +171,7 @@ def test_an_address_may_be_a_name_or_of_ipv6(world: Callable[..., list[Machine]]
         pytest.skip("this machine has no IPv6 on its loopback interface")
     hosts = {"master": host, "slave": host}
     master, slave = world(book=two_machine_book(tmp_path, machines=hosts))
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master)
     until(receives_more(master, AFM), master, slave)
     until(lambda: master.texts("up"), master, slave)
     slave.close()
@@ -253,9 +268,7 @@ def test_an_unlisted_machine_is_refused_reported_and_let_in_once_listed(world: C
     master.knows(slave)
     laptop.knows(slave)
     slave.knows(laptop, ["observe"])
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    laptop.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master, laptop)
     until(lambda: master.texts("refused") and laptop.received_from(AFM), master, slave, laptop)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("refused") == [
@@ -301,9 +314,7 @@ def test_another_key_of_the_server_than_the_listed_one_is_no_connection_until_th
     slave.ring.create("slave", replace=True)
     laptop.ring.revoke("slave")
     laptop.knows(slave)
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    laptop.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master, laptop)
     until(lambda: master.texts("refused") and laptop.received_from(AFM), master, slave, laptop)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("refused") == [
@@ -319,12 +330,8 @@ def test_another_key_of_the_server_than_the_listed_one_is_no_connection_until_th
     until(receives_more(master, AFM), master, slave, laptop)
 
 
-def test_a_new_key_of_the_server_ends_what_the_old_one_began(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(receives_more(master, AFM), master, slave)
-    until(lambda: master.texts("up"), master, slave)
+def test_a_new_key_of_the_server_ends_what_the_old_one_began(joined: list[Machine]) -> None:
+    master, slave = joined
     old = slave.key
     slave.ring.create("slave", replace=True)
     master.ring.revoke("slave")
@@ -348,8 +355,7 @@ def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
 ) -> None:
     master, slave = world(strangers=True)
     slave.knows(master)
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master)
     until(lambda: master.texts("unreached"), master, slave)
     assert master.texts("unreached") == [
         f"{AFM} is not connected, no valid key of slave is in {master.ring.allowed_path}: "
@@ -378,13 +384,8 @@ def zmtp_greeting(mechanism: bytes) -> bytes:
         pytest.param(zmtp_greeting(b"CURVE") + b"\x06" + struct.pack(">Q", 2**62), False, id="endless command"),
     ],
 )
-def test_garbage_on_the_port_is_refused_and_disturbs_nobody(
-    world: Callable[..., list[Machine]], sent: bytes, counted: bool
-) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(receives_more(master, AFM), master, slave)
+def test_garbage_on_the_port_is_refused_and_disturbs_nobody(joined: list[Machine], sent: bytes, counted: bool) -> None:
+    master, slave = joined
     with raw_connection(slave.book) as raw:
         raw.sendall(sent)
         until(lambda: is_closed(raw), master, slave)
@@ -399,8 +400,7 @@ def test_a_frame_that_no_subscription_needs_closes_the_connection_of_its_sender_
     world: Callable[..., list[Machine]],
 ) -> None:
     master, slave, laptop = world("master", "slave", "laptop")
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master)
     laptop.open()
     until(receives_more(master, AFM), master, slave)
     sender = laptop.context.socket(zmq.XSUB)
@@ -494,11 +494,8 @@ def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back
     assert len(slave.events) == 1
 
 
-def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(receives_more(master, AFM), master, slave)
+def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(joined: list[Machine]) -> None:
+    master, slave = joined
     slave.clock.advance_ns(transport._CHECK_NS)
     assert slave.network.process_events() == []
     slave.ring.revoke("master")
@@ -511,22 +508,16 @@ def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Call
     until(lambda: master.texts("down"), master, slave)
 
 
-def test_a_key_taken_off_the_list_is_cut_off_too(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(receives_more(master, AFM), master, slave)
+def test_a_key_taken_off_the_list_is_cut_off_too(joined: list[Machine]) -> None:
+    master, slave = joined
     slave.ring.allowed_path.write_text("keys: []\n")
     until(lambda: master.texts("refused"), master, slave)
     assert slave.events[0].text.startswith("the key of a machine removed from the list is no longer allowed: ")
     assert set(slave.network.rejected) == {"unlisted"}
 
 
-def test_a_change_that_concerns_nobody_here_disturbs_nobody(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(lambda: master.texts("up"), master, slave)
+def test_a_change_that_concerns_nobody_here_disturbs_nobody(joined: list[Machine]) -> None:
+    master, slave = joined
     for ring in (slave.ring, master.ring):
         ring.allow("laptop", zmq.curve_keypair()[0].decode(), ["observe"])
         ring.revoke("laptop")
@@ -549,11 +540,8 @@ def test_a_machine_that_revokes_the_key_of_another_stops_listening_to_it(world: 
     assert all("no valid key of slave is in" in text for text in master.texts("unreached"))
 
 
-def test_a_list_that_breaks_is_reported_once_and_changes_nothing(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(lambda: master.texts("up"), master, slave)
+def test_a_list_that_breaks_is_reported_once_and_changes_nothing(joined: list[Machine]) -> None:
+    master, slave = joined
     good = slave.ring.allowed_path.read_text()
     slave.ring.allowed_path.write_text("keys: [")
     until(lambda: slave.events, master, slave)
@@ -742,8 +730,7 @@ def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., li
 def test_what_is_reached_but_refuses_is_reminded_of_as_that(world: Callable[..., list[Machine]]) -> None:
     master, slave = world(strangers=True)
     master.knows(slave)
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master)
     until(lambda: master.texts("unreached"), master, slave)
     assert master.texts("unreached")[0].endswith(" s: the key was rejected")
 
@@ -763,11 +750,8 @@ def test_a_port_with_another_protocol_is_asked_again_until_the_right_program_is_
     until(receives_more(master, AFM), master, slave)
 
 
-def test_what_was_sent_before_a_connection_was_lost_is_still_received(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(lambda: master.texts("up") and master.received_from(AFM), master, slave)
+def test_what_was_sent_before_a_connection_was_lost_is_still_received(joined: list[Machine]) -> None:
+    master, slave = joined
     master.clock.advance_ns(transport._CHECK_NS)
     master.network.process_events()
     # more than a reader takes in a turn, and then the end
@@ -836,8 +820,7 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
     master, slave = world(book=book)
     master.book = AddressBook.model_validate({"nodes": nodes})
     try:
-        slave.open().bind(AFM)
-        master.open().subscribe({AFM: ["afm/state"]})
+        join(slave, master)
         until(lambda: master.texts("up") and master.received_from(AFM), master, slave)
         cable.pulled.set()
         until(lambda: master.texts("down"), master, slave)
@@ -1020,8 +1003,7 @@ def test_500_half_open_connections_disturb_nobody_who_is_connected_and_keep_no_l
 ) -> None:
     monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
     master, slave, laptop = world("master", "slave", "laptop")
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
+    join(slave, master)
     until(lambda: master.received_from(AFM), master, slave)
     with half_open(slave.book, 500):
         until(receives_more(master, AFM), master, slave)

@@ -1,15 +1,10 @@
 """A sample, law or driver of a package may have the name of a method of the model that its settings are in."""
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
+import stranger_package
 
-ROOT = Path(__file__).parents[3]
 PACKAGE = """
 import dataclasses
 from typing import NamedTuple
@@ -60,14 +55,11 @@ class Knob(Settings):
 HAND = DeviceDriver("haptic_node", "to_params", Knob, lambda settings, limits: (settings.port, limits))
 TIP = DeviceDriver("afm_node", "to_guard", Knob, lambda settings, limits: settings.port)
 """
-ENTRIES = """[telenano.samples]
-doubts = of_methods:SAMPLE
-[telenano.laws]
-law_config = of_methods:LAW
-[telenano.devices]
-to_params = of_methods:HAND
-to_guard = of_methods:TIP
-"""
+ENTRIES = {
+    "samples": {"doubts": "of_methods:SAMPLE"},
+    "laws": {"law_config": "of_methods:LAW"},
+    "devices": {"to_params": "of_methods:HAND", "to_guard": "of_methods:TIP"},
+}
 PROGRAM = """
 import json
 from telenano.afm.config import AfmConfig
@@ -111,15 +103,8 @@ print(json.dumps(said))
 def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return what a process with such a package says."""
     site = tmp_path_factory.mktemp("site")
-    info = site / "of_methods-1.0.dist-info"
-    info.mkdir()
-    (site / "of_methods.py").write_text(PACKAGE)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: of-methods\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(ENTRIES)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
-    run = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, timeout=200)
-    assert run.returncode == 0, run.stderr
-    found: dict[str, Any] = json.loads(run.stdout)
+    stranger_package.install(site, "of_methods", {"__init__.py": PACKAGE}, ENTRIES)
+    found: dict[str, Any] = stranger_package.said(PROGRAM, site)
     return found
 
 

@@ -1,6 +1,5 @@
 """Every error of a configuration names where it came from, the key, and what would be right."""
 
-import os
 import re
 from pathlib import Path
 from typing import Annotated, Any
@@ -37,12 +36,6 @@ class Rig(Strict):
     count: int = 1
     word: str = "on"
     maybe: Spring | None = None
-
-
-@pytest.fixture(autouse=True)
-def _no_overrides_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in os.environ if name.startswith("TELENANO__")]:
-        monkeypatch.delenv(name)
 
 
 def written(folder: Path, text: str) -> Path:

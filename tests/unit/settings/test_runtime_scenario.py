@@ -1,4 +1,3 @@
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,12 +21,6 @@ class Section(BaseModel):
 
     gap_m: Annotated[float, Field(ge=0.0, le=1.0)]
     ambient: bool = True
-
-
-@pytest.fixture(autouse=True)
-def _no_overrides_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in os.environ if name.startswith("TELENANO__")]:
-        monkeypatch.delenv(name)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from telenano_experiments.apparatus.rig_process import RigError, RigProcess
 from telenano_haptic_devices.servo_process import ProcessLink
+from telenano_laws import live_sessions
 from telenano_networks import measured_lines
 
 from telenano.cli.commands.node import node as run_node
@@ -132,10 +133,6 @@ def test_shells_images_and_units_start_python_with_a_safe_path() -> None:
     assert "PYTHONSAFEPATH=1" in (ROOT / "deploy/Dockerfile").read_text()
     for unit in (name for name in names if name.endswith(".service")):
         assert "PYTHONSAFEPATH=1" in (ROOT / unit).read_text()
-
-
-def said_by(code: str) -> list[str]:
-    return str(children.run([sys.executable, "-c", code], capture_output=True, text=True).stdout).split()[1:]
 
 
 @pytest.fixture
@@ -279,6 +276,18 @@ def by_measured_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     return "empty.log" in str(caught.value) and "Traceback" not in str(caught.value)
 
 
+def by_live_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    with pytest.raises(RigError) as caught:
+        live_sessions.run_session(folder.parent / "rig", "passivity", "no_such_line")
+    return "delay_node.profile" in str(caught.value)
+
+
+def by_emulated_inverse3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    with pytest.raises(RigError) as caught, live_sessions.emulated_inverse3("no_such_scenario"):
+        pass
+    return "no_such_scenario" in str(caught.value)
+
+
 SAFE = children.safe_path
 Start = Callable[[Path, pytest.MonkeyPatch], bool]
 # Every file that starts a process, and what starts one there, or why no path can matter.
@@ -286,6 +295,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "deploy/entrypoint.py": (by_entrypoint,),
     "deploy/handover.py": "files of /opt, whose folder comes first on the path and is in a read-only image",
     "packages/telenano-afm-files/telenano_afm_files/gwyddion.py": "Gwyddion's converter",
+    "packages/telenano-laws/telenano_laws/live_sessions.py": (by_live_session, by_emulated_inverse3),
     "packages/telenano-networks/telenano_networks/measured_lines.py": (by_measured_line,),
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,16 +10,15 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
-import msgpack
 from starlette.testclient import TestClient
+from test_viz_server import ACCESS as PAGES
+from test_viz_server import Page, Source
 
 from services.viz_node import feed, hub, server, source
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
-from services.viz_node.source import NoTransport
 from telenano.serving import Asked, Guests, Panel, PanelRig
 from telenano.serving import panels as panels_module
-from telenano.serving.access import Access
 from telenano.serving.panels import Panels, installed_panels
 from telenano.serving.serve import addresses_of
 from telenano.settings.plugins import Loaded
@@ -26,8 +26,7 @@ from telenano.wire import DurationS, Message, RefusedError, Topic, about
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import take_up
 
-ACCESS = Access("operator-token-0001", "observer-token-0001", participant_token="guest-token-000001")
-HEADERS = {"origin": "http://127.0.0.1:8650", "host": "127.0.0.1:8650"}
+ACCESS = replace(PAGES, participant_token="guest-token-000001")
 
 
 class WindSpeed(Message):
@@ -60,21 +59,6 @@ class Blind:
 
     def said(self, *, is_ok: bool) -> str:
         return "yes" if is_ok else "no"
-
-
-class Source(NoTransport):
-    def __init__(self) -> None:
-        self.waiting: list[Seen] = []
-
-    def poll(self, *, watched: bool) -> list[Seen]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-    def about(self) -> dict[str, str]:
-        return {"kind": "live", "name": "rig"}
-
-    def close(self) -> None:
-        pass
 
 
 class Outlet:
@@ -124,9 +108,7 @@ def rig(panel: Panel) -> tuple[Hub, Source, list[Any]]:
 
 @pytest.fixture
 def client(rig: tuple[Hub, Source, list[Any]]) -> Iterator[TestClient]:
-    with TestClient(
-        server.make_app(rig[0], ACCESS, None), client=("127.0.0.1", 5), base_url="http://127.0.0.1:8650"
-    ) as found:
+    with TestClient(server.make_app(rig[0], ACCESS, None), client=("127.0.0.1", 5)) as found:
         yield found
 
 
@@ -146,24 +128,9 @@ def test_only_files_of_a_page_in_the_folder_of_the_module_are_served(client: Tes
     assert client.get("/panels/wind/wind.js", headers={"host": "evil.example"}).status_code == 403
 
 
-class Page:
-    def __init__(self, stack: ExitStack, client: TestClient, token: str) -> None:
-        self.socket = stack.enter_context(client.websocket_connect("/bus", headers=HEADERS))
-        self.send(k="hello", token=token, protocol=1)
-
-    def send(self, **fields: Any) -> None:
-        self.socket.send_bytes(msgpack.packb(fields))
-
-    def take(self, kind: str) -> dict[str, Any]:
-        while True:
-            frame: dict[str, Any] = msgpack.unpackb(self.socket.receive_bytes())
-            if frame["k"] == kind:
-                return frame
-
-    def ask(self, **values: Any) -> tuple[bool, str]:
-        self.send(k="panel", id="a-1", panel="wind", values=values)
-        answer = self.take("answer")
-        return answer["ok"], answer["text"]
+def asked(page: Page, **values: Any) -> tuple[bool, str]:
+    answer = page.ask(k="panel", panel="wind", values=values)
+    return answer["ok"], answer["text"]
 
 
 def test_pages_are_told_of_panels_and_of_their_topics_and_guests_of_neither(
@@ -189,14 +156,13 @@ def test_a_desk_carries_out_what_its_page_asks_and_no_observer_asks(
     with ExitStack() as stack:
         tokens = (ACCESS.operator_token, ACCESS.participant_token, ACCESS.observer_token)
         operator, guest, observer = (Page(stack, client, token) for token in tokens)
-        assert operator.ask(gust_s=1.5) == (True, "wind: operator was told None")
-        assert operator.ask(other=1) == (False, "give gust_s")
-        assert guest.ask(gust_s=2.5) == (True, "yes")
-        assert observer.ask(gust_s=3.5)[0] is False
+        assert asked(operator, gust_s=1.5) == (True, "wind: operator was told None")
+        assert asked(operator, other=1) == (False, "give gust_s")
+        assert asked(guest, gust_s=2.5) == (True, "yes")
+        assert asked(observer, gust_s=3.5)[0] is False
         assert rig[2] == [("wind/speed", {"gust_s": 1.5}), ("wind/speed", {"gust_s": 2.5})]
-        operator.send(k="panel", id="a-2", panel="rain", values={})
-        assert operator.take("answer")["text"] == "'rain': no panel of this name can be asked"
-        assert operator.ask(**{f"n{n}": "x" * 256 for n in range(20)})[0] is False
+        assert operator.ask(k="panel", panel="rain", values={})["text"] == "'rain': no panel of this name can be asked"
+        assert asked(operator, **{f"n{n}": "x" * 256 for n in range(20)})[0] is False
 
 
 def test_guests_have_an_address_where_a_package_has_a_page_for_them(
@@ -216,9 +182,7 @@ def test_without_a_page_for_guests_their_token_shows_nothing(monkeypatch: pytest
     for module in (hub, feed, source):
         monkeypatch.setattr(module, "installed_panels", Panels)
     with (
-        TestClient(
-            server.make_app(Hub(Source()), ACCESS, None), client=("127.0.0.1", 5), base_url="http://127.0.0.1:8650"
-        ) as client,
+        TestClient(server.make_app(Hub(Source()), ACCESS, None), client=("127.0.0.1", 5)) as client,
         ExitStack() as stack,
     ):
         assert (

@@ -274,7 +274,7 @@ def test_refusing_the_dearest_costs_a_few_times_taking_the_longest() -> None:
         def refuse(topic: str = topic, payload: bytes = payload) -> None:
             assert isinstance(outcome(topic, payload, accept), WireError)
 
-        # the dearest 4 times on one machine, 8 on another
+        # the slowest 4 times on one machine, 8 on another
         ratio = ratio_of_costs(refuse, take, below=16.0)
         assert ratio < 16.0, f"{name} takes {ratio:.0f} times as long"
 

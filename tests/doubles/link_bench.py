@@ -1,0 +1,37 @@
+"""One direction of the link in the time of a test, and what it does to a stream of messages."""
+
+from pathlib import Path
+from typing import Any
+
+from telenano.link.config import parse_settings
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import fates_of
+from telenano.link.fate import Fate, Release
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+TOPIC = "teleop/forward"
+
+
+def engine(folder: Path | None = None, seed: int = 0, **forward: Any) -> DirectionEngine:
+    """Return the engine of the direction forward; `folder` has the files that its settings name."""
+    settings = parse_settings({"seed": seed, "forward": forward})
+    return DirectionEngine("forward", settings, START, folder=folder or Path())
+
+
+def finish(link: DirectionEngine) -> list[Release]:
+    """Return all that the link still has, as it releases it."""
+    released: list[Release] = []
+    while (next_ns := link.next_release_ns()) is not None:
+        released += link.due(next_ns)
+    return released
+
+
+def stream(
+    count: int, folder: Path | None = None, *, seed: int = 0, topic: str = TOPIC, period_ns: int = MS, size: int = 100,
+    **forward: Any,
+) -> list[Fate]:  # fmt: skip
+    """Return the fates of messages of a size that come one a period."""
+    settings = parse_settings({"seed": seed, "forward": forward})
+    arrivals = range(START, START + count * period_ns, period_ns)
+    return fates_of(settings, "forward", topic, arrivals, size, folder=folder or Path())
