@@ -74,7 +74,7 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     # scopes: paused, one changed and moved, another layout
     keys.reach("#pause")
     keys.press("Enter")
-    page.until("document.querySelector('#pause').textContent === 'Go on'", "scopes that stand")
+    page.until("document.querySelector('#pause').textContent === 'Continue'", "scopes that stand")
     keys.press("Enter")
     keys.choose("#layout", "Stability")
     page.until("telenano.scopes.specs[1].kind === 'spectrum'", "the spectrum of the forces")

@@ -161,7 +161,7 @@ def test_what_is_saved_is_every_sample_that_is_shown(rig: Rig, operator: Page) -
     operator.choose("#span", "1")
     operator.until("telenano.store.rings.get('hand')?.length > 1000", "a second of the hand")
     operator.click("#pause")
-    operator.until("document.querySelector('#pause').textContent === 'Go on'", "scopes that stand")
+    operator.until("document.querySelector('#pause').textContent === 'Continue'", "scopes that stand")
     with operator.page.expect_download() as saved:
         operator.click("#save-csv")
     rows = [line.split(",") for line in saved.value.path().read_text().splitlines()]

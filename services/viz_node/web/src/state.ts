@@ -19,7 +19,7 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   if (isLive && nodes.every((node) => node.state === "ended" || node.state === "stopping")) return [["bad", "THE RIG HAS ENDED"]];
   const found: Banner[] = [];
   const [hand, tip] = [store.fact("haptic/state/master", "estop") === true, store.fact("afm/state/slave", "mode") === "estop"];
-  if (hand || tip) found.push(["bad", `EMERGENCY STOP${hand && tip ? "" : hand ? " OF THE HAND" : " OF THE TIP"}: arm to go on`]);
+  if (hand || tip) found.push(["bad", `EMERGENCY STOP${hand && tip ? "" : hand ? " OF THE HAND" : " OF THE TIP"}: arm to continue`]);
   // what was stopped swings no more, whatever the last seconds show
   const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();

@@ -87,9 +87,9 @@ describe("the banner of arming", () => {
   };
 
   it("names the device that is stopped where the other one is not", () => {
-    expect(live(true, "estop")).toContain("EMERGENCY STOP: arm to go on");
-    expect(live(true, "retracted")).toContain("EMERGENCY STOP OF THE HAND: arm to go on");
-    expect(live(false, "estop")).toContain("EMERGENCY STOP OF THE TIP: arm to go on");
+    expect(live(true, "estop")).toContain("EMERGENCY STOP: arm to continue");
+    expect(live(true, "retracted")).toContain("EMERGENCY STOP OF THE HAND: arm to continue");
+    expect(live(false, "estop")).toContain("EMERGENCY STOP OF THE TIP: arm to continue");
   });
 
   it("does not say of a tip that waits, or is on its way, that it follows the hand", () => {

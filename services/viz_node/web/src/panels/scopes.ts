@@ -114,7 +114,7 @@ export class ScopesPanel implements Panel {
     if (this.cockpit.document.isThere) return;
     this.pausedAt = this.pausedAt === undefined ? this.playhead.at : undefined;
     this.pauseButton.setAttribute("aria-pressed", String(this.pausedAt !== undefined));
-    this.pauseButton.textContent = this.pausedAt === undefined ? "Pause" : "Go on";
+    this.pauseButton.textContent = this.pausedAt === undefined ? "Pause" : "Continue";
   }
 
   setSpan(span: number): void {
