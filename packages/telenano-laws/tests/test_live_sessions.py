@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 from telenano_laws import live_sessions
 
+from telenano.wire import RigError
+
 SUMMARY = {
     "verdict": "stable",
     "reason": "at rest",
@@ -58,3 +60,33 @@ def test_a_session_that_does_not_run_ends_with_its_reason(
     with pytest.raises(SystemExit, match="4"):
         live_sessions.main([str(tmp_path), "wave", "--device", "sim"])
     assert text in capsys.readouterr().err
+
+
+class Silent:
+    """A device that has started and never answers."""
+
+    def __init__(self, command: list[str], stderr: Any, **options: Any) -> None:
+        stderr.write(b"no room for it")
+        self.ended = False
+
+    def __enter__(self) -> "Silent":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        assert self.ended
+
+    def poll(self) -> None:
+        return None
+
+    def terminate(self) -> None:
+        self.ended = True
+
+
+def test_a_device_that_never_answers_ends_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_sessions, "start", Silent)
+    monkeypatch.setattr(live_sessions, "_READY_S", 0.05)
+    with (
+        pytest.raises(RigError, match="the emulated Inverse3 did not start: no room for it"),
+        live_sessions.emulated_inverse3("fig12"),
+    ):
+        pass

@@ -14,7 +14,6 @@ from telenano.wire import extras
         ("serial", "haptic"),
         ("pymodbus", "afm"),
         ("starlette", "view"),
-        ("gwyfile", "instrument"),
         ("never_heard_of", "rig"),
     ],
 )

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 from pydantic import ValidationError
+from telenano_studies.pages.motor_theory import bandwidth_hz
 
 import services.haptic_node
 from telenano.extend.hands import DriveCommand
-from telenano.hand import motor
 from telenano.hand.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
 from telenano.hand.operator import FORCE_PROFILE, IMPEDANCE
 from telenano.hand.operator_config import ImpedanceConfig
@@ -142,7 +142,7 @@ def test_readme_blocks_are_valid_sections_and_the_hand_names_every_key():
 def test_bandwidths_in_the_readme_are_the_computed_ones():
     text = README.read_text(encoding="utf-8")
     for preset in SERVO_GAINS_V_PER_M:
-        assert f"{motor.bandwidth_hz(DeviceConfig(preset=preset).to_params()):.3f} Hz" in text
+        assert f"{bandwidth_hz(DeviceConfig(preset=preset).to_params()):.3f} Hz" in text
 
 
 def test_named_arm_gives_what_is_not_given():
