@@ -212,16 +212,21 @@ def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":
 
     networks, laws = list(dict.fromkeys(row.case.network for row in rows)), list(dict.fromkeys(row.law for row in rows))
     panels = list(dict.fromkeys(row.case[:2] for row in rows))
-    width = 2.6 + 1.25 * len(laws) * len(panels)
-    figure = Figure(figsize=(width, 1.8 + 0.48 * len(networks)), layout="constrained")
+    across = min(2, len(panels))
+    down = -(-len(panels) // across)
+    size = (2.6 + 1.25 * len(laws) * across, down * (1.8 + 0.48 * len(networks)))
+    figure = Figure(figsize=size, layout="constrained")
     image: Any = None
-    columns = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, panel in zip(columns, panels, strict=True):
+    grid = figure.subplots(down, across, sharey=True, squeeze=False)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_visible(False)
+    for axes, panel in zip(grid.flat, panels, strict=False):
         image = _draw_shares(axes, [row for row in rows if row.case[:2] == panel], networks, laws)
         if len(panels) > 1:
             axes.set_title(f"{panel[0].replace('_', ' ')} instrument, {panel[1]} hand", fontsize=9)
-    columns[0].set_ylabel("network, mean round trip")
-    figure.colorbar(image, ax=columns.tolist(), label="share of runs held", fraction=0.05)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("network, mean round trip")
+    figure.colorbar(image, ax=grid.ravel().tolist(), label="share of runs held", fraction=0.05)
     return figure
 
 
