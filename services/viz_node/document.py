@@ -22,7 +22,7 @@ _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
 # Of a longer recording an outline is read first [s]: this number of looks into it, each of this number of messages.
 _LONG_S, _LOOKS, _LOOK = 120.0, 240, 200
-# It is read in pieces [s]; so many of them are read at once for a page that waits for them.
+# It is read in pieces [s]; this many of them are read at once for a page that waits for them.
 _PIECE_S, _AT_ONCE = 2.0, 16
 # A message is received a little after it was sent [s]. The losses of the link are counted from one of its reports to
 # the next, of which there are ten a second [ns].

@@ -6,7 +6,7 @@ time that it waited, in a queue before a line or on a machine that is busy.
 
 from collections import deque
 
-# The quickest frame is sought among those of this number of spans of so long [s].
+# The quickest frame is sought among those of this number of spans of this length [s].
 _SPAN_S, _SPANS = 10.0, 6
 # A page whose clock stood still, as that of a machine that slept, seems late by that for ever. It is not where a
 # question went there and back within the first time, at most the second time ago, and it seems late by the third [s].

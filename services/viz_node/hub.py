@@ -60,7 +60,7 @@ MOST_COMMANDS = 4
 VALIDITY_S = 1.0
 # At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
 _MOST_STOPS = 4
-# The end of the page waits so long for the stops under way, each of which is given up after 5 s.
+# The end of the page waits this long for the stops under way, each of which is given up after 5 s.
 _STOPS_END_S = 6.0
 # Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
 _MOST_READS = 8

@@ -175,7 +175,7 @@ def _stage_step(w: float, d: float, x: float, v: float, target_m: float, dt: flo
 
 
 def converter_step_v(bits: int, range_v: float) -> float:
-    """Return a step [V] of a converter of so many bits from -range_v to range_v."""
+    """Return a step [V] of a converter of this many bits from -range_v to range_v."""
     return 2.0 * range_v / float(1 << bits)
 
 

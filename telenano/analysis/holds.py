@@ -73,7 +73,7 @@ _STARVED = (DEADLINE, "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
 # It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
 _ASKED = ("retract_requested", "estop")
-# an incident is the cause of what ends so long after it [s], or is reported so long after what it caused
+# an incident is the cause of what ends this long after it [s], or is reported this long after what it caused
 _CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
 GUARD_ACTED = "the instrument's guard acted"
 # a session that swings and has lost its contact swings: what a person meets first, and what does not end by itself

@@ -16,7 +16,7 @@ InterruptionKind = Literal["process_ended", "tip_held", "hand_let_go"]
 # the reason that the instrument gives where it holds the tip for want of commands, and the hand's beginning of its own
 DEADLINE = "command_deadline"
 _HAND_DEADLINE = "no command within the deadline"
-# A report of a device belongs to what it did at most so long before or after [s].
+# A report of a device belongs to what it did at most this long before or after [s].
 REPORTED_WITHIN_S = 0.2
 
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
 
-# a series is averaged to so many samples or up to twice as many [1], to the first of these that leaves its motion
+# a series is averaged to this many samples or up to twice as many [1], to the first of these that leaves its motion
 _MOST_SAMPLES = (384, 1536)
 # fewer samples [1] than this tell no mode from the constant and the drift, each of which takes one unknown
 LEAST_SAMPLES = 16

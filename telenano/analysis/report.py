@@ -77,7 +77,7 @@ _LEAST_FOLLOWED = 50
 _ALARMS = ("warning", "error")
 # part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
 _LEAST_SHARE, _LEAST_N = 0.1, 0.1
-# A launcher that is busy reports the end of a process so long after it [s].
+# A launcher that is busy reports the end of a process this long after it [s].
 _EXIT_WITHIN_S = 2.0
 _NOT_ANEW = "its force profile was not started again, which `telenano session start` does"
 _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")

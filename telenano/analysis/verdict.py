@@ -395,7 +395,7 @@ def _recurs(sizes: list[float], small_n: float) -> bool:
 
 
 def _moved(values: Series, noise_n: float) -> float:
-    """Return how far a force goes [N], less what white noise of so many samples reaches once in some thousand times."""
+    """Return how far a force goes [N], less what white noise of as many samples reaches once in a thousand times."""
     return max(float(np.ptp(values)) - 2.0 * reach_of(noise_n, len(values)), 0.0)
 
 

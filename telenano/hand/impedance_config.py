@@ -19,7 +19,7 @@ from telenano.hand.operator import OperatorParams
 from telenano.hand.reacting import ReactingParams
 from telenano.settings.config import Settings, filled
 
-# From no force to the greatest one takes so long at least [s].
+# From no force to the greatest one takes this long at least [s].
 _FULL_FORCE_S = 0.01
 # A change of the force [N] that no hand, spring of some 1000 N/m at most, answers with less than 1 mm.
 _FROZEN_N = 1.0

@@ -8,7 +8,7 @@ from telenano.timing.clock import Clock
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import NodeHealth, SessionControl, SessionEvent
 
-# The recorder's first report may take so long once everything else is ready; it reports twice a second.
+# The recorder's first report may take this long once everything else is ready; it reports twice a second.
 _RECORDER_WAIT_NS = 3_000_000_000
 
 

@@ -8,7 +8,7 @@ from telenano.wire.network_messages import LinkNetwork
 FULL_BIT_PER_S = 2_000_000
 # A node's report of 3 kB, sent over TCP, takes 50 ms of such a line, and a sample behind it is past its deadline.
 LEAST_BIT_PER_S = 500_000
-# So long after all else is ready no more trains are waited for.
+# This long after all else is ready no more trains are waited for.
 _PATIENCE_NS = 3_000_000_000
 # A line that is narrow is looked at for this time, because what else crosses it at the start makes it seem so.
 _DOUBT_NS = 10_000_000_000

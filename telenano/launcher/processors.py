@@ -33,7 +33,7 @@ def permitted() -> set[int]:
 
 
 def claim(count: int, usable: Collection[int], folder: Path) -> dict[int, int]:
-    """Lock so many of some processors, the last ones first, or none where fewer are free.
+    """Lock this many of some processors, the last ones first, or none where fewer are free.
 
     The first processors tend to serve the machine's interrupts.
 

@@ -13,7 +13,7 @@ Report = Callable[[str], None]
 BEHIND_S = 1.0
 _LIMIT_S = 20.0
 _REPORT_NS = 1_000_000_000
-# Messages that the other site sends so long after the end of a session still belong to it: the answers to the last
+# Messages that the other site sends this long after the end of a session still belong to it: the answers to the last
 # samples.
 _TAIL_NS = 500_000_000
 

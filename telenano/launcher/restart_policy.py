@@ -12,7 +12,7 @@ from telenano.timing.clock import Clock
 _EXITS_KEPT = 8
 # The delay of a restart doubles from the first to the last of these; a life as long as the third resets it [s].
 FIRST_DELAY_S, MAX_DELAY_S, HEALTHY_LIFE_S = 0.1, 5.0, 10.0
-# A node that ends so often within so long [s] is given up, and the rig with it.
+# A node that ends so often within this time [s] is given up, and the rig with it.
 CRASH_LOOP_EXITS, CRASH_LOOP_WINDOW_S = 5, 30.0
 
 

@@ -17,7 +17,7 @@ from telenano.wire.messages import NodeHealth, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 from telenano.wire.received import Received
 
-# A rig that stops waits so long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
+# A rig that stops waits this long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
 _STOP_ANSWER_NS = 2_000_000_000
 # A refused command is repeated for this time.
 _REFUSAL_RETRY_NS = 5_000_000_000

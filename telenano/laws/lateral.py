@@ -42,7 +42,7 @@ _MET_STEPS, _LOST_SHARE, _DEVIATIONS = 3, 0.3, 3.0
 _NOISE_SHARE, _PLATEAU_WAY_M = 0.02, 7e-9
 # The place of the reference over the sample is taken again when the tip has stood for this time.
 _STILL_S = 1.0
-# A signal brings no more way than that of so long a time, and the stage is asked for no more than that ahead of it.
+# A signal brings no more way than that of this time, and the stage is asked for no more than that ahead of it.
 _LONGEST_WAY_S, _LEAD_S, _LEAD_M = 0.02, 0.1, 1e-9
 # The stage belongs to the hand until it has stood for this time.
 _IDLE_S = 0.2

@@ -84,7 +84,7 @@ _PLACING_ROUND_TRIPS = 4.0
 # Both halves and the hand have begun after this time [s], at the slowest rate of the rig.
 _BEGINNING_S = 0.05
 # Plain Python takes 70 microseconds of processor time for a tick, and the compiler 10 to 16 s for the loop of a law
-# (docs/api.md): so many ticks of one kind take as long as compiling, and more of them will follow.
+# (docs/api.md): this many ticks of one kind take as long as compiling, and more of them will follow.
 PLAIN_TICKS = 200_000
 COLUMNS = (
     "time_s",

@@ -21,7 +21,7 @@ _Path = tuple[str | int, ...]
 _RECORD_FIELDS = ("log_ns", "publish_ns")
 # topics of the loop, by their declared rate [Hz]
 _FAST_HZ = 100.0
-# So many samples in a row that are so much older than the newest come from a player that was set back.
+# This many samples in a row that are so much older than the newest come from a player that was set back.
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
 # this number of messages are put into arrays at once
 _AT_ONCE = 8192

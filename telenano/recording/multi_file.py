@@ -51,7 +51,7 @@ class RecordingSource(Protocol):
         """Yield messages of wanted channels within bounds [ns]."""
 
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator[Piece]:
-        """Yield pieces of about a length, each with what is so long before it [ns]."""
+        """Yield pieces of about a length, each with what is this long before it [ns]."""
 
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None

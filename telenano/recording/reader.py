@@ -184,7 +184,7 @@ class Recording:
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator["Piece"]:
         """Yield the file in pieces of about a length [ns], in its order; each chunk is in one of them.
 
-        The lead is of chunks before a piece: those of so long a time [ns], and hardly more than it has itself.
+        The lead is of chunks before a piece: those of this length of time [ns], and hardly more than it has itself.
         """
         blocks, first, size = self._layout.blocks, 0, 0
         for place, block in enumerate((*blocks, None)):

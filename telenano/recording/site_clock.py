@@ -34,7 +34,7 @@ _NS = 1_000_000_000
 _STATUS, _NETWORK, _ANSWER = "link/status", "link/network", "clock/pong"
 # Of a recording of more than a minute and a half two seconds are read every one and a half minutes, or more seldom.
 _WHOLE_NS, _WINDOW_NS, _STEP_OF_WINDOWS_NS, _MOST_WINDOWS = 90 * _NS, 2 * _NS, 90 * _NS, 64
-# The tip's samples of so long a time are examined in this number of windows.
+# The tip's samples of this length of time are examined in this number of windows.
 _CAUSALITY_NS, _MOST_EXAMINED = 2 * _NS, 8
 # messages on clocks that are kept, of some thousand in a recording, and parts that are read besides the windows
 _MOST_LOOKED, _MOST_SOUGHT = 100_000, 256

@@ -25,7 +25,7 @@ from telenano.wire.topics import NAME
 Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
 Level = Literal["error", "warning", "info"]
 _SEQUENCE_MASK = 0xFFFF_FFFF
-# So many findings of each kind and channel are reported: a file that is wrong throughout needs no line a message.
+# This many findings of each kind and channel are reported: a file that is wrong throughout needs no line a message.
 _MAX_REPORTED = 5
 
 

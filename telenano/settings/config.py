@@ -22,7 +22,7 @@ ENVIRONMENT_PREFIX = "TELENANO__"
 ALLOW_CODE_VARIABLE = "TELENANO_ALLOW_CODE"
 # Sections are nested far less deeply than this, and programs that walk through them can go this deep.
 _DEEPEST = 16
-# At most so many faults of one document are reported, so that a thousand wrong keys cost no more than that.
+# At most this many faults of one document are reported, so that a thousand wrong keys cost no more than that.
 _MOST_FAULTS = 20
 # the unit of a key by the end of its name, the longer ends first
 _UNITS = {

@@ -8,7 +8,7 @@ from enum import Enum, auto
 MOST_COUNTED = 2**63 - 1
 # a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
 _REMEMBERED_GAP = 4096
-# So many messages in a row that are in order and this old are neither repeated nor late. Either the publisher's clock
+# This many messages in a row that are in order and this old are neither repeated nor late. Either the publisher's clock
 # was set back, or a recording is played where its publisher, or an earlier replay, was received before, or a number
 # that was far ahead did not come from the publisher.
 _REWIND_RUN = 8

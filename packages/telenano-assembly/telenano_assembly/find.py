@@ -28,7 +28,7 @@ _FEWEST_PIXELS = 6
 # What rises so far and is not beside a particle, within this multiple of what its image reaches, is fixed to the
 # sample.
 _STANDS_DEVIATIONS, _STANDS_SHARE, _BESIDE = 6.0, 0.05, 1.4
-# so many heights around the part that is high belong to the flanks of a particle
+# this many heights around the part that is high belong to the flanks of a particle
 _AROUND = 0.25
 _EIGHT = np.ones((3, 3))
 _DEVIATION_OF_MEDIAN = 1.4826

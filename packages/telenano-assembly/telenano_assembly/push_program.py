@@ -58,7 +58,7 @@ _MEAN_WAY = 0.02
 # of steps.
 _CONTACT_DEVIATIONS, _CONTACT_STEPS = 3.0, 3
 _QUIET_STEPS, _LEAST_N = 10, 1e-11
-# The lines of a sweep go so many d to either side, so that their ends are clear of the particle.
+# The lines of a sweep go this many d to either side, so that their ends are clear of the particle.
 _HALF_LINE = 2.5
 # A steered particle that can come no nearer has arrived within this share of its radius.
 _NEAR = 0.2

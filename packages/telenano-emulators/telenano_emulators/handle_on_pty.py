@@ -17,7 +17,7 @@ _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096
 # A process that stalled for longer continues from now, because a board does not make up for lost time.
 _LONGEST_NS = 50 * _TICK_NS
-# The host is gone after so long, because it sends a thousand commands a second.
+# The host is gone after this long, because it sends a thousand commands a second.
 _ABANDONED_NS = 200 * _TICK_NS
 
 

@@ -27,7 +27,7 @@ STOOD_M = 5e-5
 _COASTING_S = 0.02
 # The line stands still while nothing has come for longer than this [s].
 STALL_S = 0.05
-# A stall is a silence of this length or more, and stalls are counted over so long a time [s].
+# A stall is a silence of this length or more, and stalls are counted over this time [s].
 SILENT_S, STALLS_S = 0.1, 60.0
 # Signals whose ages differ by no more than this number of periods come after the same time.
 _EVEN_PERIODS = 2.0

@@ -41,7 +41,7 @@ is_retracted = virtual_mass.is_retracted
 # This number of references are kept, one a period. The oldest represents still older ones, so longer delays are bridged
 # in part.
 HISTORY = 1024
-# the newest of them apart, in blocks of so many, because a step copies what it changes
+# the newest of them apart, in blocks of this many, because a step copies what it changes
 _BLOCK = 32
 
 

@@ -57,7 +57,7 @@ _GIVEN = 10
 TIP_X, TIP_Y, TIP_Z, TIME, CONTACT, FELT_X, FELT_Y, BENT = range(8)
 BELIEVED_X, BELIEVED_Y, ERROR, LOSSES, PEAK, STANDS, TRUE_ERROR = range(8, 15)
 _STATE = 15
-# what an agent is told: so many values of the observation, the goal that is achieved, and the one that is desired
+# what an agent is told: this many values of the observation, the goal that is achieved, and the one that is desired
 OBSERVED, TOLD = 10, 14
 _NOISES = 3
 

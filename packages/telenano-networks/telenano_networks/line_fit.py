@@ -46,7 +46,7 @@ _SIZE_BYTES = 200
 # Of the messages that the statistics of a written way are of.
 _SENT_BYTES = 300
 SPREAD = "spread of its logarithm"
-# At these lags the correlation of the delay is compared, where the log has so many of them.
+# At these lags the correlation of the delay is compared, where the log has this many of them.
 _LAGS_S = (1.0, 10.0, 60.0)
 _FEWEST_LAGS = 5.0
 _COUNTED = 0.995

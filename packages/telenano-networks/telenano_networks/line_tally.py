@@ -178,7 +178,7 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
         pairs=pairs(~lost, 1),
         stall_block=np.array([one[0] for one in found], dtype=np.int64),
         late_s=stalled_s,
-        # Of a message that comes late alone, because others overtook it, the line did not stand still so long.
+        # Of a message that comes late alone, because others overtook it, the line did not stand still this long.
         length_s=np.minimum(stalled_s, spanned * scale.period_s),
         held=np.array([one[2] for one in found], dtype=np.int64),
         seconds=np.array(seconds),

@@ -37,7 +37,7 @@ _LONGEST_LINE = 500
 _TURN = 65536
 # A number that falls by more belongs to a run of its own, or to the next turn; answers overtake one another by less.
 _FARTHEST_BACK = 1000
-# A line that answers to fewer packets than one in so many, beside some, is of no use, whatever its numbers say.
+# A line that answers to fewer packets than one in this many, beside some, is of no use, whatever its numbers say.
 _MOST_UNANSWERED, _MOST_AT_ONCE = 50, 100_000
 # What Windows waits after an answer, and for one that does not come [s].
 _WINDOWS_PERIOD_S, _WINDOWS_PATIENCE_S = 1.0, 4.0

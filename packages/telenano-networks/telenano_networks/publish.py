@@ -9,7 +9,7 @@ from telenano.runtime import AddressBook, open_participant
 from telenano.settings import flag_overrides
 from telenano.wire import TOPICS, ConfigError, Message, name_of
 
-# Readers of the endpoint take about so long to notice that it is there.
+# Readers of the endpoint take about this long to notice that it is there.
 _CONNECT_S = 0.5
 _HEADER = set(Message.__struct_fields__)
 

@@ -44,7 +44,7 @@ _BOUNDS = Bounds()
 class Counts:
     """What became of the datagrams of one direction.
 
-    delays and late: how many had a delay, and how many were sent so long after their release, by whole steps.
+    delays and late: how many had a delay, and how many were sent this long after their release, by whole steps.
     """
 
     def __init__(self) -> None:

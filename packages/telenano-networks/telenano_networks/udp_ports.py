@@ -16,7 +16,7 @@ from telenano.wire import ConfigError, InputHealth, Received, SequenceTracker
 
 # The largest datagram of UDP is smaller.
 _MOST_BYTES = 65_536
-# So many datagrams of a socket are taken in a turn, so that a flood at one delays the others by no more.
+# This many datagrams of a socket are taken in a turn, so that a flood at one delays the others by no more.
 _MOST_A_TURN = 64
 _BUFFER_BYTES = 4 << 20
 # A client that is silent for longer gives its place to a new one, where there is none left.

@@ -23,7 +23,7 @@ STIFFEST_N_PER_M = 1e5
 
 @dataclass(frozen=True)
 class Jitter:
-    """Half-width of the jitter each way: so many ms, or that share of the one-way delay."""
+    """Half-width of the jitter each way: this many ms, or that share of the one-way delay."""
 
     value: float = 0.0
     relative: bool = False

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from telenano.recording import CopyResult, RecordedMessage, Recording, Selection, typed_columns, uniform
 from telenano.wire import RecordingError
 
-# The rows of a channel are written when there are so many, or this number of bytes of them.
+# The rows of a channel are written when there are this many, or this number of bytes of them.
 _MOST_ROWS = 2048
 _MOST_BYTES = 4 << 20
 # Rows of all channels together wait to be written up to this size [bytes].

@@ -70,7 +70,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
 @dataclass(slots=True)
 class Step:
-    """One step of so long [s]: what the guard allows, what is wanted, what was measured, what a program was told.
+    """One step of this length [s]: what the guard allows, what is wanted, what was measured, what a program was told.
 
     said: keys of afm/state that the parts add.
     """

@@ -12,9 +12,9 @@ from telenano.extend.instruments import DeviceError
 _MS = 1_000_000
 LOST_NS = 50 * _MS
 RETRY_NS = 500 * _MS
-# A step of the handshake may take so long, because a setting that goes to flash is slow.
+# A step of the handshake may take this long, because a setting that goes to flash is slow.
 STEP_NS = 1000 * _MS
-# A name server may take so long; with the usual settings the system gives up after ten seconds.
+# A name server may take this long; with the usual settings the system gives up after ten seconds.
 NAME_NS = 15_000 * _MS
 _READ_BYTES = 4096
 

@@ -136,7 +136,7 @@ class JitterSource:
     def _advance(self, now_ns: int) -> float:
         behind = now_ns // self._step_ns - self._step
         if behind > LONGEST_WALK:
-            # Nothing is left of a score after so long.
+            # Nothing is left of a score after this long.
             self._uniform.score, behind = None, 1
         for _ in range(behind):
             self._u = self._uniform()

@@ -73,7 +73,7 @@ class Outages:
         cycle_ns = self._up_ns + self._down_ns
         if at_ns - self.state.random[-1][1] > _LONGEST_WALK * cycle_ns:
             # An exponential time has no memory: it is up or down by its share, for as long as from the start. A
-            # log-normal time has a memory, and after so long a pause nothing depends on it.
+            # log-normal time has a memory, and after a pause of this length nothing depends on it.
             start_ns = at_ns
             if self._draw() * cycle_ns >= self._down_ns:
                 start_ns += self._exponential(self._up_ns)

@@ -29,11 +29,11 @@ _PING_MS = 1000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
-# A node looks at its deadline again after so many messages, so that a flood cannot hold a loop.
+# A node looks at its deadline again after this many messages, so that a flood cannot hold a loop.
 _BATCH = 256
 # A message has two frames. Of one with more, at most this number is read in a turn, and the first turn's are refused.
 _MOST_FRAMES = 1000
-# A reader expects more messages after so many.
+# A reader expects more messages after this many.
 _FEW = 3
 # Plain numbers are used, because the enumerations of the binding make the call half as expensive again.
 _EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)

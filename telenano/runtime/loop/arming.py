@@ -16,7 +16,7 @@ ARM_HAND = Command("arm", name_of(HAND), (HAND,))
 ARM_TIP = Command("arm", name_of(TIP), (TIP,), placed=True)
 ARM = (ARM_HAND, ARM_TIP)
 START = Command("start", "*", (HAND,))
-# A program that stands in for the hand has so long to answer [ns], and need not: a recording does not.
+# A program that stands in for the hand has this long to answer [ns], and need not: a recording does not.
 _STAND_IN_NS = 500_000_000
 
 

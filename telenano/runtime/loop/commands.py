@@ -36,7 +36,7 @@ _RETRY_PERIOD_NS = 300_000_000
 _RELEASE_PERIOD_NS = 1_000_000_000
 # Every node that is alive has reported twice by then.
 _DISCOVERY_NS = 1_200_000_000
-# After so long a silence since the last answer to a pattern, every node that knows the command has answered.
+# After a silence of this length since the last answer to a pattern, every node that knows the command has answered.
 _QUIET_NS = 500_000_000
 _REMEMBERED_ANSWERS = 256
 

@@ -8,7 +8,7 @@ from telenano.timing.clock import NEVER_NS, Clock
 Task = Callable[[], object]
 # A task that has waited for this time is run anyway.
 PATIENCE_NS = 20_000_000
-# After so long without an event nothing is known of the next one, and every task is due at once.
+# After this time without an event nothing is known of the next one, and every task is due at once.
 _IDLE_NS = 5_000_000
 # A mean follows its measurements by this share.
 _MEAN_SHARE = 8

@@ -13,7 +13,7 @@ from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
-# The take begins with the first sample of the device, or after so long without one.
+# The take begins with the first sample of the device, or after this time without one.
 _FIRST_NS = 2_000_000_000
 # K over that of the settings, one after the other, for the step *hold*
 LEVELS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
@@ -42,7 +42,7 @@ STEPS = (
     Step("cable", 6.0, "pull the cable of the device out, wait for two seconds, and put it in again", "with load"),
 )
 MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off", "with load")
-# What a device says is wrong with it is kept, each sentence once, up to so many.
+# What a device says is wrong with it is kept, each sentence once, up to this many.
 _MOST_SAID = 16
 
 ROW = row_of(

@@ -24,9 +24,9 @@ STEPS = (
     Step("silence", 1.0, "nothing is sent, with the tip half way above the sample", "with load"),
     Step("back", 3.0, "the instrument is driven again, and the tip stays retracted", "with load"),
 )
-# The force at which the approach ends is so many times the one that counts as contact, and this share of the limit.
+# The force at which the approach ends is this many times the one that counts as contact, and this share of the limit.
 _PRESS, _PRESS_SHARE, _STEP_SHARE = 10.0, 0.1, 0.8
-# The steps in contact are further in by so many times the deflection of it, because an attraction that is read
+# The steps in contact are further in by this many times the deflection of it, because an attraction that is read
 # with the wrong sign ends the approach as well; and this share of the limit is the most that an approach may be pulled.
 _FURTHER, _PULL_SHARE = 2.0, 0.5
 # An answer may come so much later than is declared before the approach presses twice as much [s].

@@ -57,8 +57,7 @@ LINES: dict[str, tuple[str, ...]] = {
 }
 QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
 SEEDS, QUICK_SEEDS = 4, 2
-# the swing that is followed: so many newtons about the force of the hold, this often, so many periods before and in the
-# measurement
+# the swing that is followed: newtons about the force of the hold, frequency, and periods before and in the measurement
 SWING_N, SWING_HZ, SWINGS_BEFORE, SWINGS = 0.3, 0.5, 2, 2
 _POINTS_PER_PERIOD = 200
 

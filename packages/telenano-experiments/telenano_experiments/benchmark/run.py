@@ -22,7 +22,7 @@ from telenano.wire import RigError
 from telenano_experiments.benchmark.etvo import Offsets, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
-# Every figure of the result has so many digits: those after them are beyond what a model means.
+# Every figure of the result has this many digits: those after them are beyond what a model means.
 DIGITS = 9
 # Signals that are warped onto one another are sampled at this step, and may lag by so much.
 ETVO_STEP_S, ETVO_LONGEST_S = 0.005, 1.0

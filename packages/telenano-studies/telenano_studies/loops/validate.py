@@ -61,7 +61,7 @@ TOLERANCE_SHARE = 0.05
 SEEDS = 8
 # runs of a cell in which the machine held a process up
 TRIES = 3
-# The rig needs so long to come up and down around the session.
+# The rig needs this long to come up and down around the session.
 _OVERHEAD_S = 120.0
 
 

@@ -19,7 +19,7 @@ from telenano_studies.option_values import COMPARED_LAWS
 
 STIFFNESS_N_PER_M = 20.0
 DELAYS_MS = tuple(5.0 * i for i in range(41))
-# The courses are so long, from the session's first sample on, and sampled at these steps.
+# The courses are this long, from the session's first sample on, and sampled at these steps.
 _LENGTH_S, _FORCE_STEP_S, _ENERGY_STEP_S = 3.0, 0.01, 0.02
 # what a unit of a number in the file is, and the greatest that the picture shows
 _FORCE_N, _MOST_N = 1e-3, 6.0

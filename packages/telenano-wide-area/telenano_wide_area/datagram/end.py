@@ -44,7 +44,7 @@ from telenano_wide_area.relay.path import RelayPath
 from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings
 
-# The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
+# The node looks at its deadline again after this many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64
 _MAINTAIN_NS = 50_000_000
 _REPORT_NS = 500_000_000
@@ -54,8 +54,8 @@ _PUT_OFF_NS = 20_000_000
 # A process that took no turn for the first time stood still. What waited for it says nothing of the line until it has
 # taken all of that, for the second time at most: one that is slower is a queue itself.
 _STOOD_STILL_NS, _BEHIND_NS = 2 * _MAINTAIN_NS, 2_000_000_000
-# After so long without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent, to
-# find out when they arrive again.
+# After this time without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent,
+# to find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
 # Datagrams are blocked if none arrives and the other end says over TCP that it has sent this number of since the
 # newest.

@@ -17,9 +17,9 @@ from telenano.timing import STEP_NS, Bound, Exchange, fitted
 
 # A queue stands if it does for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
-# Of so many of them that had this number of delays, the calmest quarter says how much the delay varies by itself.
+# Of this many of them that had this number of delays, the calmest quarter says how much the delay varies by itself.
 _VARIATIONS, _FEWEST_SEEN = 16, 3
-# Least delays are kept for spans of equal length, of which there are so many; a span grows from the first to the last
+# Least delays are kept for spans of equal length, of which there are this many; a span grows from the first to the last
 # length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
 _SPANS, _FIRST_SPAN_NS, _LAST_SPAN_NS = 64, 250_000_000, 16_000_000_000
 _FEWEST_SPANS = 4

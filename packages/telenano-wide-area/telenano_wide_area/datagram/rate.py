@@ -36,7 +36,7 @@ _SHARE, _LEAST_SHARE, _SHARE_PER_NS = 0.85, 0.5, 5e-9
 _GROWTH, _CAREFUL_GROWTH, _MORE_PER_S, _NEAR, _PAST = 1.5, 1.03, 0.02, 0.8, 1.15
 # The effect of a change shows after a round trip and the time over which a queue is judged.
 _JUDGED_NS = 150_000_000
-# A trial is judged when its effect had so long to show; what is measured lags by up to the second [ns].
+# A trial is judged when its effect had this long to show; what is measured lags by up to the second [ns].
 _TRIED_NS, _LAG_NS = 250_000_000, 100_000_000
 # A queue of this end falls by at least the first share of what was sent less, and by no more than the second and [ns].
 _TOO_LITTLE, _TOO_MUCH, _TOO_MUCH_NS = 0.5, 1.5, 12_000_000
@@ -57,7 +57,7 @@ _RESTORED, _EXCUSED_GROWTH, _UNREACHED = 1.25, 1.05, 1.5
 _SOON_NS, _WELL_BELOW = 5_000_000_000, 0.9
 _MUCH_LOST = 0.10
 _LOSS_PERIOD_NS = 500_000_000
-# Over so long a time the delivered rate is judged.
+# Over this time the delivered rate is judged.
 _SPAN_NS = 300_000_000
 
 Mode = Literal["free", "full", "shared"]

@@ -15,17 +15,18 @@ from telenano.timing import NEVER_NS
 from telenano.wire import LOOP_DEADLINE_S, WireError, read_header
 from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 
-# After so long a silence the other way is used, and datagrams have to come for this time before they are relied upon.
+# After a silence of this length the other way is used, and datagrams have to come for this time before they are relied
+# upon.
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
 # TCP is subscribed to after a silence of half the deadline of a sample and this number of mean times between datagrams,
 # and at the latest after a share of the deadline, before which no reader acts on the silence.
 DEADLINE_NS, _GAPS, _LATEST_SHARE = round(LOOP_DEADLINE_S * 1e9), 2.0, 0.9
-# All samples over TCP need so many bits of a line that has room for others as well.
+# All samples over TCP need this many bits of a line that has room for others as well.
 _BITS_EACH = 8_000.0
 # A mean follows some twenty datagrams.
 _NEWEST_SHARE = 0.05
-# The first datagrams may take so long from the first word of the other machine, or from the last change of keys.
+# The first datagrams may take this long from the first word of the other machine, or from the last change of keys.
 FIRST_NS = 3_000_000_000
 _UNOFFERED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000

@@ -27,7 +27,7 @@ from telenano_wide_area.relay.protocol import (
 )
 from telenano_wide_area.sealed import RejectedError
 
-# Who has not shown its key after so long is let go.
+# Who has not shown its key after this long is let go.
 HELLO_S = 5.0
 # A connection on which nothing is acknowledged for this time is given up; the nodes give theirs up sooner.
 _UNACKNOWLEDGED_MS = 10_000

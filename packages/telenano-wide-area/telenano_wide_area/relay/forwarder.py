@@ -32,13 +32,13 @@ from telenano_wide_area.sealed import RejectedError
 Address = tuple[Any, ...]
 Pair = tuple[bytes, bytes]
 
-# An end asks every two seconds; after so long without that its place is gone.
+# An end asks every two seconds; after this time without that its place is gone.
 PLACE_S = 15.0
 # A cookie is good for one to two of these.
 _COOKIE_S = 120.0
 # Answers to whoever has no cookie yet, a second in all: each is a tenth as long as the request.
 _COOKIES_PER_S = 200.0
-# A machine has so many places at most, one for each other machine that it works with.
+# A machine has this many places at most, one for each other machine that it works with.
 _MOST_PLACES = 16
 _BATCH = 64
 _BUFFER_BYTES = 1 << 21

@@ -32,7 +32,7 @@ _MOST_ADDRESSES = 4096
 # Connections that a site may have joined at once, and that may wait for the other site.
 _MOST_STREAMS, _MOST_WAITING = 128, 64
 _MOST_SITES = 64
-# The other site has so long to dial; a site that says nothing for this time is gone.
+# The other site has this long to dial; a site that says nothing for this time is gone.
 _JOIN_S, _SITE_SILENCE_S = 4.0, 15.0
 _TIDY_S = 0.5
 _REFUSALS = {

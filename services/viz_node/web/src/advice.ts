@@ -60,7 +60,7 @@ export function lineText(ways: readonly (readonly unknown[])[]): string {
   return `${blocked}Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
 }
 
-/** Pictures are taken for those of the loop's own delay within so much of it, or so many milliseconds: their steps are of 5 ms. */
+/** Pictures are taken for those of the loop's own delay within so much of it, or this many milliseconds: their steps are of 5 ms. */
 const SAME_SHARE = 0.05;
 const SAME_MS = 4;
 

@@ -8,9 +8,9 @@ export interface Oscillation {
 const TURNS = 3;
 /** A turn takes at most this many times as long as the one before: a hand that works is not so even. */
 const EVENNESS = 1.5;
-/** Of the ways of a turn none is so many times another: a press is no part of the swing that follows it. */
+/** Of the ways of a turn none is this many times another: a press is no part of the swing that follows it. */
 const LIKENESS = 4;
-/** What has not turned evenly for so many turns swings no more. */
+/** What has not turned evenly for this many turns swings no more. */
 const STILL_TURNS = 2;
 
 /**

@@ -2,9 +2,9 @@
 const WINDOW_MS = 1000;
 /** For so much of that time they may be apart: what is on its way, and a drop that no hand feels [ms]. */
 const APART_MS = 200;
-/** Nothing new of the hand for so long: what is shown is past [ms]. */
+/** Nothing new of the hand for this long: what is shown is past [ms]. */
 const SILENT_MS = 400;
-/** Shown for at least so long, so that it can be read [ms]. */
+/** Shown for at least this long, so that it can be read [ms]. */
 const SHOWN_MS = 2000;
 /** A difference that is none: a smaller force [N], or a smaller share of it. */
 const LEAST_N = 0.2;

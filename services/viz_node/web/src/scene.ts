@@ -198,7 +198,7 @@ export class View {
     this.invalidate();
   }
 
-  /** Draw heights, and the distance of the tip from them, so many times as high as measured. */
+  /** Draw heights, and the distance of the tip from them, this many times as high as measured. */
   setStretch(factor: number): void {
     this.stretch = factor;
     this.buildBars();

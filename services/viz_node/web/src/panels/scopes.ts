@@ -14,7 +14,7 @@ const SLOW_SHARE = 2;
 const SPANS = [0.1, 0.5, 1, 2, 5, 10, 30, 60, 300, 3600];
 const LONGEST_LIVE = 60;
 const CURSOR_STEP = 1 / 200;
-/** All samples are asked for when a cursor has stood still for so long [ms], of at most so long a stretch [s]. */
+/** All samples are asked for when a cursor has stood still for this long [ms], of a stretch of at most this length [s]. */
 const REST_MS = 120;
 const LONGEST_STRETCH = 60;
 /** How far around a cursor they are asked for [s]. */

@@ -28,7 +28,7 @@ export function spectrumOf(values: ArrayLike<number>, rate: number): Spectrum {
 const LEAST_CYCLES = 2;
 const SAMPLES = 2048;
 const PADDING = 4;
-/** A line stands out that is so many times as high as most. */
+/** A line stands out that is this many times as high as most. */
 const STANDS_OUT = 5;
 
 /**
