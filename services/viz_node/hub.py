@@ -477,7 +477,7 @@ class Hub:
             with contextlib.suppress(TelenanoError):
                 self._outlet()
             said = self.desk.ask_for(session, request)
-            # whoever had it lets go before the answer
+            # the former holder lets go before the answer
             self.tick()
             return {"lease": ("ack", said)}
         if isinstance(request, CommandRequest):

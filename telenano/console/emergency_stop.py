@@ -1,4 +1,4 @@
-"""An emergency stop for the devices of this machine: at once, whoever else is sending commands.
+"""An emergency stop for the devices of this machine: at once, no matter who else sends commands.
 
 It connects to the inlet that each device, the link and the recorders bind (ADR 0014), so it needs neither an endpoint
 nor a lock. It imports no model: those of all messages would take longer than everything else together. Before it sends

@@ -5,7 +5,7 @@ reason. An emergency stop asks nothing of it and changes nothing in it.
 
 Who acts while nobody holds control has it for as long as the act takes; *Take* keeps it until it is handed over, let go
 of, taken, or lost by silence. What nobody holds any more goes to the first who asks and may take it, once a tip whose
-holder vanished is withdrawn. Whoever asks for something has a number of the lease in view, which changes with each
+holder vanished is withdrawn. A party that asks for something has a number of the lease in view, which changes with each
 holder, so that what was said under an earlier lease is refused.
 """
 

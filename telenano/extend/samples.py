@@ -69,7 +69,7 @@ class SampleModel:
     `start(params, base_m) -> state`, for a base at base_m [m] towards the sample;
     `measure(params, state, inputs, dt) -> (state, AfmSample)`, pure and compiled, with inputs.base_m, the place of the
     tip over the sample inputs.x_m and inputs.y_m [m], and the time since the last step dt [s], which is 0 at the start.
-    stiffness_n_per_m: of the contact where it is pressed, nominal, for whoever has to know how far to press; where
+    stiffness_n_per_m: of the contact where it is pressed, nominal, for a reader who has to know how far to press; where
     config has a field of that name, studies set it.
     """
 

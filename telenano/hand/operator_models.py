@@ -28,7 +28,7 @@ def _checked(name: str, value: Any) -> OperatorModel:
 
 
 def unusable_config(name: str, problem: str) -> type[BaseModel]:
-    """Return settings of a kind that nothing satisfies: whoever chooses it is told the problem."""
+    """Return settings of a kind that nothing satisfies: choosing it is refused with the problem."""
 
     class Unusable(BaseModel):
         kind: Literal[name]  # type: ignore[valid-type]

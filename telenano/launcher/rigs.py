@@ -25,7 +25,7 @@ from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.nodes import site_of
 
 if TYPE_CHECKING:
-    # Whoever only asks which rigs run needs no models of nodes.
+    # A command that only asks which rigs run needs no models of nodes.
     from telenano.launcher.plan import Plan
 
 fcntl = optional_module("fcntl")

@@ -65,7 +65,7 @@ class Selection:
         return self.names(channel.channel_topic)
 
     def names(self, channel_topic: str) -> bool:
-        """Return whether a channel of this name is selected, whoever publishes on it."""
+        """Return whether a channel of this name is selected, no matter which node publishes on it."""
         if any(test(channel_topic) for test in self.exclude):
             return False
         return not self.topics or any(test(channel_topic) for test in self.topics)

@@ -187,7 +187,7 @@ def write_mcap(
 
 
 def _viewer_channel(channel: RecordedChannel, payload: Payload, several: bool) -> RawChannel:
-    # viewers draw a channel as one line, whoever sent its messages
+    # viewers draw a channel as one line, no matter which node sent its messages
     name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
     facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
     return RawChannel(name, payload.encoding, tuple(sorted(facts.items())), payload.schema)

@@ -21,7 +21,7 @@ class GapRecord(Record):
 
 
 class RejectedRecord(Record):
-    """Frames that are not a message of this version of the wire, kept for whoever looks for the reason."""
+    """Frames that are not a message of this version of the wire, kept for a person who looks for the reason."""
 
     reason: Annotated[Text, about("One word for the reason: frames, topic, oversized, malformed, newer_version, ...")]
     text: Annotated[Text, about("The same in a sentence")]

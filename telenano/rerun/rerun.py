@@ -267,7 +267,7 @@ class _NoLog(StructuredLog):
 
 @dataclass(frozen=True)
 class _RerunWiring(Wiring):
-    """Wiring without sockets: whoever asks for a bus gets the one of the re-run."""
+    """Wiring without sockets: a node that asks for a bus gets the one of the re-run."""
 
     rerun_bus: RerunBus
 

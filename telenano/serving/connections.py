@@ -33,7 +33,7 @@ class _Connection:
     is_dropped: bool = False
 
     def drop(self) -> None:
-        """End both directions; whoever reads or writes it closes it then."""
+        """End both directions; the task that reads or writes it closes it then."""
         self.is_dropped = True
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
@@ -43,7 +43,7 @@ class Connections:
     """Those that are open, from the oldest to the newest.
 
     A connection is a stranger until it has shown a token. Where there are as many as may be, the oldest stranger gives
-    way to a new one, so whoever holds connections open keeps nobody out.
+    way to a new one, so a client that holds connections open keeps no other out.
     """
 
     def __init__(self, most: int = MOST_CONNECTIONS) -> None:

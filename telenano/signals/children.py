@@ -1,8 +1,8 @@
 """The start of every other process: where a program starts is no program.
 
 Python puts the folder in which it is started first on its path, before the project and its libraries: a file
-`recording.py` or `numpy.py` of whoever works there would be imported in their place, and what lies in a stranger's
-folder would run. Every Python is therefore started with `-P`, and what it starts in turn has PYTHONSAFEPATH.
+`recording.py` or `numpy.py` of the person who works there would be imported in their place, and what lies in a
+stranger's folder would run. Every Python is therefore started with `-P`, and what it starts in turn has PYTHONSAFEPATH.
 """
 
 import contextlib

@@ -107,7 +107,7 @@ def install() -> None:
 
 
 def handle() -> None:
-    """Raise Interrupted at SIGINT and SIGTERM from now on, unless whoever started this process has them ignored."""
+    """Raise Interrupted at SIGINT and SIGTERM from now on, unless the parent process has them ignored."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _receive)

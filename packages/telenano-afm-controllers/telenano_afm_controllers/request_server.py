@@ -13,7 +13,7 @@ _MOST_UNREAD_BYTES = 2**20
 
 
 class Pushed(NamedTuple):
-    """A stream that a device pushes to whoever connects to a port: take() returns its bytes since the last call."""
+    """A stream that a device pushes to every client of a port: take() returns its bytes since the last call."""
 
     port: int
     take: Callable[[], bytes]

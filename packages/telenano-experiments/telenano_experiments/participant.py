@@ -1,8 +1,8 @@
 """What a participant of an experiment is told: what is on the lists here, and nothing else that is on the bus.
 
-A participant must not know the condition of a trial, and whoever opens the tools of a browser reads all that it was
-sent. So the server keeps a list of what may pass, and not of what may not: a topic, key or column that is new is not
-passed on. The picture, which is the tip and the image, can be late by a time of its own. It is held here, because a
+A participant must not know the condition of a trial, and a person who opens the tools of a browser reads all that it
+was sent. So the server keeps a list of what may pass, and not of what may not: a topic, key or column that is new is
+not passed on. The picture, which is the tip and the image, can be late by a time of its own. It is held here, because a
 browser that is told of a delay knows a part of the condition.
 """
 

@@ -78,7 +78,7 @@ class _Viewer:
 class FoxgloveServer:
     """A server of the protocol foxglove.sdk.v1: one channel for each topic and source, as JSON with a schema.
 
-    The server of the foxglove-sdk admits whoever connects, from a page of any site. This one has the rules
+    The server of the foxglove-sdk admits every client, from a page of any site. This one has the rules
     of the page of the view (`TokenSocket`): address, host name, origin and a token.
     """
 

@@ -12,7 +12,7 @@ _PATIENCE_S = 0.3
 def check_devices(service: str = "", folders: Sequence[Path] | None = None) -> list[Finding]:
     """Check what the drivers of devices that take a force need: Haply's service, and the libraries of two vendors.
 
-    Whoever has none of these devices lacks nothing, so that each is a finding without a level above ok.
+    A user who has none of these devices lacks nothing, so that each is a finding without a level above ok.
 
     Args:
         service: The address of the Inverse Service; empty for the one of the settings.

@@ -239,7 +239,7 @@ class Policy:
             self._since_s, self._asked_s, self._looked_s = time_s, -math.inf, -math.inf
         self._newest_s = time_s
         if status.law != self._law or status.switching:
-            # Whoever has changed the law, the time to the next change begins with it; before it was seen, with that.
+            # Whatever has changed the law, the time to the next change begins with it; before it was seen, with that.
             self._since_s, self._law = time_s, status.law
             self._window.forget()
             return None

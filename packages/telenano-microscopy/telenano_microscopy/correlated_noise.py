@@ -33,7 +33,7 @@ _SUPPORT = 2.0
 class Noise(NamedTuple):
     """Coefficients and their covariance; standard deviations of the white noise and the wander, and its T in points.
 
-    zero: for whoever regresses a zero line as well, that line, shape (n,).
+    zero: for a caller that regresses a zero line as well, that line, shape (n,).
     """
 
     coefficients: Array

@@ -1,7 +1,7 @@
 """Files that drive the link: delay over time, delivery opportunities, jitter samples.
 
 Text, one record a line; `#` begins a comment, empty lines are skipped. Every error names file and line, and shows
-nothing of what is there: whoever may set the link could otherwise read any file that the node can.
+nothing of what is there: a client that may set the link could otherwise read any file that the node can.
 """
 
 from bisect import bisect_right

@@ -49,7 +49,7 @@ class DeviceNode(Node):
     """A node with a device, which is simulated until `take_up` receives a report of a real one.
 
     It rejects messages of publishers whose `node/health` is marked `replay`, unless that was allowed. A player
-    publishes that mark before its first message. An emergency stop is obeyed whoever sends it.
+    publishes that mark before its first message. An emergency stop is obeyed no matter who sends it.
     """
 
     def __init__(self, context: NodeContext, *, allow_replay: bool) -> None:

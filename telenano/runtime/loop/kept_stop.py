@@ -2,8 +2,8 @@
 
 The file is the message itself, so that a device which finds it takes it as any other: it is in the journal of the
 device and in the recording. The sender of a stop writes it before it sends, and the device when it latches. So a device
-that was stopped for longer than anybody repeats a message, or that was killed, comes back latched, whoever started it.
-It imports no model: an emergency stop has no time for them.
+that was stopped for longer than anybody repeats a message, or that was killed, comes back latched, no matter what
+started it. It imports no model: an emergency stop has no time for them.
 """
 
 import contextlib

@@ -53,7 +53,7 @@ class AccessControl:
             return "", "unlisted"
         if entry.revoked or self._has_expired(entry):
             return entry.name, "revoked" if entry.revoked else "expired"
-        # Whoever carries what is sealed is no reader of it.
+        # A carrier of what is sealed is no reader of it.
         return entry.name, "relay" if entry.roles == ("relay",) else ""
 
     def server_key(self, machine: str) -> bytes | None:

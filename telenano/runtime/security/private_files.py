@@ -73,7 +73,8 @@ def _check(path: Path, found: os.stat_result, forbidden: int, what: str, right: 
 def check_private_folder(folder: Path, remedy: str) -> None:
     """Raise ConfigError naming the remedy when a folder belongs to another user or is open to others; it may be absent.
 
-    A link counts as the folder of whoever made it: where everybody can write, as in /tmp, another user can make one.
+    A link counts as the folder of the user who made it: where everybody can write, as in /tmp, another user can make
+    one.
     """
     user = os.geteuid()
     try:
@@ -94,7 +95,7 @@ def check_private_folder(folder: Path, remedy: str) -> None:
 def check_runtime_directory(*, make: bool = False) -> None:
     """Raise ConfigError when the folder of ipc sockets belongs to another user or is open to others.
 
-    Whoever else can write to it can take the place of a node, or of all of them.
+    Another user who can write to it can take the place of a node, or of all of them.
 
     Args:
         make: Whether the folder is created first if it is absent.

@@ -23,7 +23,7 @@ _REPORTED = "law/status"
 _WHOLE_REPORT_NS = 9_000_000
 # A train: this number of datagrams of this number of bytes of padding, back to back.
 TRAIN_DATAGRAMS, _PADDING_BYTES = 40, 400
-# No more than one train in this time, whoever asks for it [ns].
+# No more than one train in this time, whatever asks for it [ns].
 _TRAIN_PAUSE_NS = 700_000_000
 # A queue is reported that lasts the first time, and again after the second [ns].
 _STANDS_NS, _REMIND_NS = 2_000_000_000, 60_000_000_000

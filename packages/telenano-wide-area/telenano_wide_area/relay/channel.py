@@ -1,9 +1,9 @@
 """A connection between a site and its relay: who dials proves its key, then both seal what they say.
 
-The relay begins with a challenge. Whoever dials sends its public key, and after that each side sends frames: a length
-of two bytes and what was sealed, bound to the challenge, the direction and the place of the frame. A frame can neither
-be said again nor be left out. Where the relay joins two connections, the bytes of CURVE follow the last frame as they
-are.
+The relay begins with a challenge. The side that dials sends its public key, and after that each side sends frames: a
+length of two bytes and what was sealed, bound to the challenge, the direction and the place of the frame. A frame can
+neither be said again nor be left out. Where the relay joins two connections, the bytes of CURVE follow the last frame
+as they are.
 """
 
 import asyncio
@@ -116,7 +116,7 @@ async def dial(host: str, port: int, own: KeyPair, relay_public: bytes, request:
 async def meet(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, own: KeyPair, refuse: Callable[[bytes], None]
 ) -> tuple[bytes, Channel]:
-    """Challenge whoever has connected to this relay; return the public key that is claimed, and the channel.
+    """Challenge the client that has connected; return the public key that is claimed, and the channel.
 
     The first frame that is received proves the key. `refuse` raises RejectedError for a key that is not worth a proof.
     """

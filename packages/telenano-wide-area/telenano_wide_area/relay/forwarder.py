@@ -36,7 +36,7 @@ Pair = tuple[bytes, bytes]
 PLACE_S = 15.0
 # A cookie is good for one to two of these.
 _COOKIE_S = 120.0
-# Answers to whoever has no cookie yet, a second in all: each is a tenth as long as the request.
+# Answers to clients without a cookie, a second in all: each is a tenth as long as the request.
 _COOKIES_PER_S = 200.0
 # A machine has this many places at most, one for each other machine that it works with.
 _MOST_PLACES = 16
@@ -174,7 +174,7 @@ class Forwarder:
         place = Place((request.public, peer), address, request.tag, now_s, direct)
         other = None
         if peer:
-            # One that is elsewhere now, and whoever was at this address before, is forgotten.
+            # One that is elsewhere now, and the one that was at this address before, is forgotten.
             for old in (self.places.get(place.pair), self._by_address.get(address)):
                 if old is not None:
                     self._remove(old)

@@ -2,8 +2,9 @@
 
 The end asks the relay for a place, and is then joined with the end of the other machine that asked for it in turn. The
 relay tells each the address at which it sees the other. Both try that address at once, which opens the way through most
-routers (hole punching): whoever gets an answer of the other end to its own ping sends there after that, and goes back
-to the relay as soon as the answers stay away. The samples go through the relay until then, and nothing waits for a try.
+routers (hole punching): the end that gets an answer of the other end to its own ping sends there after that, and goes
+back to the relay as soon as the answers stay away. The samples go through the relay until then, and nothing waits for a
+try.
 """
 
 import os

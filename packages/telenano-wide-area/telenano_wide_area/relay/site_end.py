@@ -1,8 +1,8 @@
 """The end of a site that reaches the other one through a relay: dials out, and is where the nodes here connect to.
 
 For each node of another machine it listens on an address of this machine, which the address book gives the nodes here
-in the place of the real one. Whoever connects is joined, through the relay, with the node itself. What it sees is what
-the relay sees: connections of CURVE.
+in the place of the real one. A client that connects is joined, through the relay, with the node itself. What it sees is
+what the relay sees: connections of CURVE.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ _PING_S, _SILENCE_S = 4.0, 12.0
 _AGAIN_S, _AGAIN_MOST_S = 0.5, 5.0
 _REPLACED_S = 20.0
 _REMIND_S = 60.0
-# A node that does not listen yet is tried for this time; whoever waits for it gives up a little later.
+# A node that does not listen yet is tried for this time; the one that waits for it gives up a little later.
 _NODE_S, _NODE_AGAIN_S = 3.0, 0.1
 # A node here that waits for one there gives up after 5 s and connects again: its connection is closed before that.
 _JOIN_S = 4.5
@@ -212,7 +212,7 @@ class SiteEnd:
                     async with asyncio.timeout(_JOIN_S):
                         joined = "ok" in await channel.receive()
                 except Gone as error:
-                    # Whoever waits there tries again at once, and not after its time.
+                    # The client that waits there tries again at once, and not after its time.
                     self._tell_of_end(error)
                     await control.send(refused=number)
                     return

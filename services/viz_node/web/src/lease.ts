@@ -62,7 +62,7 @@ export class LeaseBar {
       make("button", { type: "button", "data-action": action, "aria-keyshortcuts": i ? "" : "h", title: i ? "" : "Key h", onclick: () => void this.want(words, action, to) }, words),
     );
     this.buttons.replaceChildren(...made);
-    // whoever works by the keyboard stays where they were
+    // a person who works by the keyboard stays where they were
     if (hadFocus) made[0]?.focus();
   }
 

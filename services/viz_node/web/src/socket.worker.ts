@@ -12,7 +12,7 @@ export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | {
 export type FromSocket = { k: "open" } | { k: "frame"; frame: ArrayBuffer } | { k: "closed" };
 
 const SEND_MS = 15;
-/** Whoever has the hand and was not heard for a second has lost it. */
+/** A page that holds control and was not heard for a second has lost it. */
 const HERE_MS = 250;
 
 // seen from here the page is what a worker is seen from the page

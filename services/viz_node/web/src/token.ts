@@ -23,7 +23,7 @@ export function takeToken(place: Place, past: Past, storage: () => Kept): string
   try {
     storage().setItem(KEY, token);
   } catch {
-    // a browser that keeps nothing: whoever loads the page again opens its address again
+    // a browser that keeps nothing: a person who loads the page again opens its address again
   }
   return token;
 }
