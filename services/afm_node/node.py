@@ -204,7 +204,7 @@ class AfmNode(DeviceNode):
         raise RefusedError(f"not armed: the AFM is in mode {mode}: {reason}")
 
     def _withdraw(self) -> str:
-        """Retract the tip as at the end of a session: nobody has stopped it, and it stays retracted until armed."""
+        """Retract the tip as at the end of a session: it was not stopped, and stays retracted until armed."""
         if self._programs.name:
             return self._programs.abort()
         mode = self._step(self.clock.monotonic_ns(), 0.0, _WITHDRAWAL).mode

@@ -125,7 +125,7 @@ class Route:
         fields["seq"] = message.seq + self._offset
         if self._is_command:
             fields["t_ns"] = clock.now_ns()
-            # it refers to an emergency stop of the recorded run, which nobody can release a second time
+            # it refers to an emergency stop of the recorded run, which cannot be released a second time
             fields.pop("node_latch", None)
         packed: bytes = msgpack.packb(fields)
         return packed

@@ -50,7 +50,7 @@ class ReplayPlan:
     def plays(self, channel: RecordedChannel) -> bool:
         """Return whether a channel is played.
 
-        Health is not, because the player publishes its own, nor a journal, because nobody takes those turns now.
+        Health is not, because the player publishes its own, nor a journal, because no node takes those turns now.
         """
         node = node_of(channel)
         if (

@@ -358,7 +358,7 @@ class Hub:
         return next((letter for letter in letters if letter not in taken), "")
 
     def leave(self, session: Session) -> None:
-        """Forget a page; what it asked for and nobody has carried out yet is given up."""
+        """Forget a page; what it asked for and was not carried out yet is given up."""
         self.sessions.discard(session)
         for wish in self._wishes:
             if wish.session is session:

@@ -43,7 +43,7 @@ class RecordingPlayback:
 
     @property
     def position_s(self) -> float:
-        """Place in the recording [s]; time stands still while nobody looks."""
+        """Place in the recording [s]; time stands still while no page looks."""
         if not (self._playing and self._watched):
             return self._from_s
         elapsed_s = (self._monotonic_s() - self._from_monotonic_s) * self._rate

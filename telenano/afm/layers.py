@@ -6,7 +6,7 @@ A layer is a part around the tip over the surface (`part`). It has settings, the
     DUST = Layer("dust", DustConfig, lambda settings: Height(1e-8, 1e-7, "the dust"), dust_around)
 
 What is so in it and no instrument knows, such as where its grains really are, is its *truth*: `Part.truths` of its part
-gives it by the name of the layer, and `says` makes a message of it for recordings, which nobody who plans reads.
+gives it by the name of the layer, and `says` makes a message of it for recordings, which no planner reads.
 """
 
 from collections.abc import Callable, Mapping

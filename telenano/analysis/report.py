@@ -506,7 +506,7 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     guard = guard_of(series.tip_time_s, tip, session.programme)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
     verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.programme.interruptions))
-    # of a hold whose fate is not known nobody can say that it was not stable
+    # a hold whose fate is not known cannot be said to be unstable
     stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
     found = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
     return series, holds, found

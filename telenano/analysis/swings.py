@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
 
-# at the hand: below this nobody feels that a force swings [N]
+# at the hand: below this a swing of the force is not felt [N]
 FELT_N = 0.3
 TURNS = 3
 _EVENNESS, _LIKENESS = 1.5, 4.0

@@ -25,7 +25,7 @@ Kind = Literal["stable", "limit_cycle", "diverged", "contact_lost", "guarded", "
 # The thresholds of the verdicts, with those of `telenano.analysis.holds`; docs/studies.md has them in one table.
 # share of the hand's greatest force [1]: what moves less from peak to peak is rest, and a force below it presses not
 SMALL_SHARE = 0.05
-# change of a motion over a stretch [1, logarithm]: half of the 0.3 below which nobody could tell growth from decay
+# change of a motion over a stretch [1, logarithm]: half of the 0.3 below which growth cannot be told from decay
 LEAST_CHANGE = 0.15
 # the same of a motion without a swing [1]: a quarter of a slow swing, and a drift that bends, change by less
 ONE_SIDED_CHANGE = 1.5

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-# A log that is read later needs no more than this, and nobody waits for a shorter command [s].
+# A log that is read later needs no more than this, and a shorter command needs none [s].
 LINE_EVERY_S = 10.0
 _clock = time.monotonic
 

@@ -147,7 +147,7 @@ def send_controls(
     """Send commands to a running rig, each after the one before has succeeded.
 
     A command that has waited since it was given does not move a device that an emergency stop has stopped meanwhile.
-    What moves something needs the hand, which this process has for the time of the command where nobody has it.
+    What moves something needs control, which this process has for the time of the command where it is free.
 
     Args:
         commands: The commands, with the nodes that have to answer, none for a pattern.

@@ -3,8 +3,8 @@
 Pure steps in virtual time: a lease, who asks for what, and the time in; the next lease out, or RefusedError with the
 reason. An emergency stop asks nothing of it and changes nothing in it.
 
-Who acts while nobody holds control has it for as long as the act takes; *Take* keeps it until it is handed over, let go
-of, taken, or lost by silence. What nobody holds any more goes to the first who asks and may take it, once a tip whose
+Who acts while control is free has it for as long as the act takes; *Take* keeps it until it is handed over, let go
+of, taken, or lost by silence. What becomes free goes to the first who asks and may take it, once a tip whose
 holder vanished is withdrawn. A party that asks for something has a number of the lease in view, which changes with each
 holder, so that what was said under an earlier lease is refused.
 """
@@ -75,7 +75,7 @@ class Asking(NamedTuple):
 class Lease(NamedTuple):
     """Who holds control. All times are of the monotonic clock of the machine [ns].
 
-    `number`: counts up with each holder, and with each time that nobody has it; `kept`: it lasts longer than the act;
+    `number`: counts up with each holder, and with each time that it becomes free; `kept`: it lasts longer than the act;
     `presses`: the hand of the holder pushes; `withdraw`: who pressed has vanished, and the tip is to be withdrawn.
     """
 
@@ -95,7 +95,7 @@ class Lease(NamedTuple):
 def current(lease: Lease, now_ns: int) -> Lease:
     """Return the lease as it is now: without a holder who has vanished, and those who asked and have left.
 
-    What nobody holds is granted to the first who asks, was heard within VANISHED_NS, and may take it.
+    Free control is granted to the first who asks, was heard within VANISHED_NS, and may take it.
     A time ahead is of before the machine began.
     """
     asking = tuple(each for each in lease.asking if 0 <= now_ns - each.seen_ns <= ASKED_NS)
@@ -139,7 +139,7 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
 
 
 def take(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Let a party keep control: what nobody else holds, or a teacher's without being granted.
+    """Let a party keep control: what is free, or a teacher's without being granted.
 
     Raises:
         RefusedError: The role may not.
@@ -156,7 +156,7 @@ def take(lease: Lease, party: Party, now_ns: int) -> Lease:
 
 
 def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Ask for control; who may take what nobody has gets it at once. A person asks once, by the page used last.
+    """Ask for control; who may take it gets free control at once. A person asks once, by the page used last.
 
     Raises:
         RefusedError: The role may not, or too many ask.
@@ -251,7 +251,7 @@ def packed(lease: Lease) -> bytes:
 
 
 def unpacked(data: bytes) -> Lease:
-    """Return the lease that was kept; a file that was not written to its end is that of nobody."""
+    """Return the lease that was kept; a file that was not written to its end is free control."""
     try:
         return msgspec.json.decode(data, type=Lease)
     except (msgspec.MsgspecError, UnicodeDecodeError):

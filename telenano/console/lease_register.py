@@ -21,7 +21,7 @@ Step = Callable[[Lease, int], Lease]
 
 
 class LeaseRegister:
-    """Reads and changes the lease, one process at a time; what a process that is killed leaves of it is nobody's."""
+    """Reads and changes the lease, one process at a time; what a process that is killed leaves of it is free."""
 
     def __init__(self, folder: Path | None = None) -> None:
         """Keep the lease in a folder, without one in that of the rig."""
@@ -99,7 +99,7 @@ class Hold:
             threading.Thread(target=self._beat, name="lease", daemon=True).start()
 
     def is_held(self) -> bool:
-        """Return whether nobody has taken the hand meanwhile."""
+        """Return whether control was not taken meanwhile."""
         if self._holds:
             self.lost |= not self._register.look().is_held_by(self.party)
         return not self.lost

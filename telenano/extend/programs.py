@@ -170,7 +170,7 @@ class FinishedLine(NamedTuple):
 
 
 class Begun(NamedTuple, Generic[P, T]):
-    """A program that begins: its plan and first state, a sentence for the asking party, and a warning for the events."""
+    """A program that begins: its plan and first state, a sentence for the caller, and a warning for the events."""
 
     plan: P
     state: T

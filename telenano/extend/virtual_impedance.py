@@ -92,7 +92,7 @@ def master_receive(
     """Integrate the virtual impedance over dt [s], a whole number of periods (Eq. 16-17).
 
     The hand is let go, and the virtual mass stays with it, while either device does not follow or the other half has
-    been silent for longer than the limit: a force nobody measures must not move anybody. Over a retracted tip hand and
+    been silent for longer than the limit: a force that is not measured must move nothing. Over a retracted tip hand and
     tip are on the line through zero again.
     """
     scaled_force = params.force_scale * signal.force_n

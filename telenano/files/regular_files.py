@@ -53,7 +53,7 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
 
 
 def is_own(found: os.stat_result) -> bool:
-    """Return whether a file belongs to this user and nobody else can write it, so that what is in it may be run."""
+    """Return whether a file belongs to this user and no other user can write it, so that what is in it may be run."""
     return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
 
 

@@ -154,7 +154,7 @@ def lateral_hand_step(
     session_s: float,
     dt: float,
 ) -> LateralHandState:
-    """Advance the stylus by dt [s], > 0; a force of exactly 0 from a page, or none, is nobody's.
+    """Advance the stylus by dt [s], > 0; a force of exactly 0 from a page, or none, is of no page.
 
     Args:
         params: The constants.

@@ -134,7 +134,7 @@ class Watchdog:
         """Return what was found since the last call: each silence once, and once more if it turns out to be a hang."""
         now = self._clock.monotonic_ns()
         elapsed_s = (now - self._checked_ns) * 1e-9
-        # Where the launcher, or the whole machine, stood still, nobody could be heard.
+        # Where the launcher, or the whole machine, stood still, no node could be heard.
         awake_s = min(elapsed_s, LOOK_S)
         self._checked_ns = now
         found = []

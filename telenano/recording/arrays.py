@@ -136,7 +136,7 @@ def _reader(paths: Mapping[str, _Path]) -> Callable[[Sequence[RecordedMessage]],
 
 
 def _is_column(values: Sequence[Any], before: set[type]) -> bool:
-    """Return whether values that nobody has checked are all of one kind, with those before, and finite numbers."""
+    """Return whether unchecked values are all of one kind, with those before, and finite numbers."""
     kinds = before.union(map(type, values)) - {type(None)}
     if not kinds <= _NUMBERS:
         return len(kinds) == 1 and kinds < _SCALARS
@@ -238,7 +238,7 @@ def last_session(
 
     A device whose process died while the force profile ran begins it again when it is commanded to; that is the same
     session, unless a launcher has started one since. What the new process sent until then, or until a launcher ended
-    the session where nobody commanded it, is of the session too.
+    the session where no command came, is of the session too.
 
     Args:
         session_s: session_s of `haptic/state` [s], negative while no force profile runs, shape (n,).

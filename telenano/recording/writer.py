@@ -173,7 +173,7 @@ class RecordingWriter:
             return True
 
     def abandon(self) -> None:
-        """Close a file that nobody can open any more."""
+        """Close a file that cannot be opened any more."""
         with contextlib.suppress(OSError):
             self._stream.close()
 

@@ -25,7 +25,7 @@ _ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/\s]*")
 class Role(StrEnum):
     """What a page may do: all look and may stop, and who is more than an observer may have the hand.
 
-    A pupil has it when it is handed over; an operator takes it when nobody has it, a teacher from anybody. A
+    A pupil has it when it is handed over; an operator takes it when it is free, a teacher from anybody. A
     participant of an experiment presses, answers and stops, and is told nothing of the rig.
     """
 

@@ -76,7 +76,7 @@ class Connections:
             found.since_s = time.monotonic()
 
     def admit(self, client: Any) -> None:
-        """Record that a connection has shown a token: it gives way to nobody."""
+        """Record that a connection has shown a token: it gives way to no other."""
         if found := self._open.get(client):
             found.is_page = True
 

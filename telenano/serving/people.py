@@ -73,7 +73,7 @@ class People:
         return token
 
     def revoke(self, name: str) -> None:
-        """Revoke the address of somebody; ConfigError where nobody of that name has one."""
+        """Revoke the address of somebody; ConfigError where no person of that name has one."""
 
         def without_person(people: list[Person]) -> list[Person]:
             known = sorted({each.name for each in people if each.is_admitted(self._now_s())})
@@ -99,7 +99,7 @@ class People:
         return (self._folder or runtime_directory()) / _FILE
 
     def _all(self) -> list[Person]:
-        """Return the people of the file, which is read when it has changed; one that cannot be read admits nobody."""
+        """Return the people of the file, which is read when it has changed; one that cannot be read admits none."""
         try:
             found = self._path.stat()
             mark = found.st_mtime_ns, found.st_ino
@@ -111,7 +111,7 @@ class People:
         return list(self._people.values())
 
     def _change(self, step: Callable[[list[Person]], list[Person]]) -> None:
-        """Change the file, whose newest entries the step gets; one that is damaged admits nobody, and is replaced."""
+        """Change the file, whose newest entries the step gets; one that is damaged admits none, and is replaced."""
 
         def changed_bytes(before: bytes | None) -> bytes:
             try:

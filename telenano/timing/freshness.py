@@ -123,7 +123,7 @@ class Freshness:
         return gap_ns * 1e-9
 
     def record(self, message: LinkDelay) -> None:
-        """Record what the link reports of one direction; nobody else knows it."""
+        """Record what the link reports of one direction, which only the link knows."""
         if name_of(message.src) != LINK:
             return
         forward, backward = self._forward, self._backward

@@ -38,7 +38,7 @@ class EndedError(Exception):
 
 
 class Guide(NamedTuple):
-    """How a person is led through a motion; the defaults tell nobody and ask nobody.
+    """How a person is led through a motion; the defaults show nothing and ask nothing.
 
     met: is told who the device is before anything moves. say: is told of each step as it begins. ask: returns whether a
     step is wanted; the function that it gets lets a millisecond pass with the device at rest. poll: is called each

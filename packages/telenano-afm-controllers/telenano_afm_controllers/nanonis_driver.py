@@ -55,7 +55,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         super().__init__(calibration, limits, nanonis_wire.cut, "Nanonis", **options)
         self._indexes: list[int] = []
         self._channels: dict[str, float] = {}
-        # the image that is wanted, the one that was taken, the lines of it that nobody has asked for yet, and whether a
+        # the image that is wanted, the one that was taken, the lines of it that were not asked for yet, and whether a
         # scan of this rig runs in the controller
         self._image: OwnImage | None = None
         self._taken: OwnImage | None = None

@@ -393,7 +393,7 @@ class Logger:
         self._frames = [self._frame(_LOG_STARTS, [float(channel) for channel in self.channels])]
 
     def step(self, values: dict[int, float]) -> None:
-        """Keep a frame, if one is due; the oldest go where nobody reads them."""
+        """Keep a frame, if one is due; the oldest go where none is read."""
         if self.state != _LOG_RUNS:
             return
         self._skipped += 1

@@ -113,7 +113,7 @@ class RetractGuard:
         self._client: socket.socket | None = None
         self._server: socket.socket | None = None
         self._from_client, self._from_server = Incoming(guarded.cut), Incoming(guarded.cut)
-        # This tells whose answer the controller owes: the rig's, the guard's own, or nobody's.
+        # This tells whose answer the controller owes: the rig's, the guard's own, or none.
         self._owed = ""
         self._retry_ns = 0
         self._told = ""

@@ -74,7 +74,7 @@ def looked(axis: Axis, offset_m: float, error_m: float) -> Axis:
 def moved(axis: Axis, by_m: float, elapsed_s: float, error_m: float) -> Axis:
     """Return an axis that is seen to have gone by_m [m] in the last elapsed_s [s], with a standard error [m].
 
-    A particle that is seen twice tells this; where it lay before the drift began nobody knows.
+    A particle that is seen twice tells this; where it lay before the drift began is not known.
     """
     whole = elapsed_s**2 * axis.speed_variance + error_m**2
     if whole <= 0.0:

@@ -188,7 +188,7 @@ def _parking(
     clearance_m: float,
     half_m: float,
 ) -> Task:
-    """Return a push of one of those that wait for each other to the nearest place that is in nobody's way."""
+    """Return a push of one of those that wait for each other to the nearest place that is in no other's way."""
     raster = np.arange(-half_m, half_m + 0.5 * clearance_m, 0.5 * clearance_m).tolist()
     for particle in (i for i in waiting if i not in parked):
         taken = [place for j, place in enumerate(at) if j != particle] + to + stands

@@ -8,9 +8,9 @@ that the instrument measured. With the energy that has come in at both, E_net, a
     margin = E_net + granted >= 0    at all times, whatever hand, sample and line do.
 
 That is the change of what is stored, plus what was dissipated, and neither is negative for a law that began at rest.
-A margin below zero is energy that nobody has put in and that the law does not state. It is counted through every
-transition: while no law is in force, or a device obeys nobody, the ports are moved without work, and what a law grants
-itself when it begins again adds to what it granted before. Each half states what it grants to both ports, so the
+A margin below zero is energy that was not put in and that the law does not state. It is counted through every
+transition: while no law is in force, or a device obeys no command, the ports are moved without work, and what a law
+grants itself when it begins again adds to what it granted before. Each half states what it grants to both ports, so the
 greater of the two statements counts.
 """
 

@@ -98,7 +98,7 @@ class _Rig:
                 self.topics |= {topic for topic in TOPICS if topic.encode().startswith(told[1:])}
 
     def is_heard(self) -> bool:
-        """Whether commands are subscribed to, and nobody has subscribed just now: others may come before the client."""
+        """Whether commands are subscribed to, and no subscription came just now: others may come before the client."""
         return "session/control" in self.topics and time.monotonic() - self._subscribed_s > _SETTLED_S
 
     def send_states(self) -> None:
@@ -300,7 +300,7 @@ def _connection(account: Account, client: str, duration_s: float) -> None:
 
 
 def _stranger(account: Account, monitor: "zmq.Socket[bytes]") -> None:
-    """Judge what became of a connection with a key that nobody knows."""
+    """Judge what became of a connection with an unknown key."""
     deadline_s = time.monotonic() + _HANDSHAKE_S
     while monitor.poll(max(0, round(1e3 * (deadline_s - time.monotonic())))):
         event = recv_monitor_message(monitor)["event"]

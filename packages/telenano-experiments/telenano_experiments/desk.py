@@ -64,7 +64,7 @@ class Desk:
         return ()
 
     def instrument(self, name: str, trial: Trial) -> Mapping[str, Any] | None:
-        """Return the answers to an instrument by item; None where nobody answers. A simulated participant rates."""
+        """Return the answers to an instrument by item; None without an answer. A simulated participant rates."""
         hand, draw = Simulated(self.plan.experiment.operator.profile, trial.seed), random.Random(f"{name} {trial.seed}")
         return {
             question.name: draw.choice(question.options)

@@ -95,7 +95,7 @@ class FoxgloveServer:
         # these belong to the thread of the server
         self._channels: list[dict[str, Any]] = []
         self._viewers: set[_Viewer] = set()
-        # a copy that the thread of the messages reads: most of them nobody has asked for
+        # a copy that the thread of the messages reads: most of them were not asked for
         self._wanted: frozenset[int] = frozenset()
         self._socket = TokenSocket(
             config, self._serve, _PROTOCOLS, what="the bridge", token=token, origins=origins, most=_MOST_VIEWERS

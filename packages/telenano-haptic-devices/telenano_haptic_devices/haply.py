@@ -327,7 +327,7 @@ class HaplyWire:
         grips = [*answer.wireless_verse_grip, *answer.verse_grip]
         grip = grips[0] if grips else None
         if grip is None or grip.state is None or not grip.status.awake:
-            # A button that nobody hears is not held.
+            # A button that is not heard is not held.
             return self._orientation, 0
         state, o = grip.state, grip.state.orientation
         self._grip_ns = now_ns

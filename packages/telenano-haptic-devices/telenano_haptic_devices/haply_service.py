@@ -82,7 +82,7 @@ class HaplyService:
         return self._states(full="force_render_full_state" in session)
 
     def advance(self, now_s: float) -> None:
-        """Go on to a time [s]; a force that nobody repeats ends."""
+        """Go on to a time [s]; a force that is not repeated ends."""
         before_s, self._now_s = self._now_s, now_s
         if before_s is None:
             return

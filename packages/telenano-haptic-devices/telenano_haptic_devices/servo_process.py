@@ -249,7 +249,7 @@ class ProcessLink:
         code = self._process.poll()
         if code is None:
             return self._shared.sample()
-        # The force went with the process: the service and the device take it away when nobody commands them.
+        # The force went with the process: the service and the device take it away when no command comes.
         error = f"the process of the servo has ended with code {code}; it is started again"
         if time.monotonic_ns() >= self._retry_ns:
             self._retry_ns = time.monotonic_ns() + round(RETRY_S * 1e9)

@@ -2,7 +2,7 @@
 
 NXafm knows rasters and force against distance over one point. A session of remote touch is the latter, with the hand
 beside it in groups NXdata of its own: names and units are those of the field, z is positive away from the sample in
-both. What NXafm demands and nobody has recorded, such as who sat there, reads `not recorded`. Scenario, site and
+both. What NXafm demands and was not recorded, such as who sat there, reads `not recorded`. Scenario, site and
 versions are kept in `/entry/telenano`.
 """
 

@@ -1,4 +1,4 @@
-"""The address of a device that is given by name, looked up where nobody waits for it.
+"""The address of a device that is given by name, looked up where nothing waits for it.
 
 A name server that does not answer holds its caller for ten seconds and more, which is no matter at the opening of a
 device and one of life and death of a tip in the loop. So one thread of its own asks, and the loop looks whether there

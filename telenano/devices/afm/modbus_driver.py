@@ -221,7 +221,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         reads = [Operation(part.address, part.count) for part in (self._input, self._readback)]
         if self._map.exchange == "feedback":
             if self._heart is not None:
-                # While the guard keeps the base retracted, nobody drives it, and a pause of this process costs nothing
+                # While the guard keeps the base retracted, nothing drives it, and a pause of this process costs nothing
                 # there, as before the loop.
                 is_driven = self._sent_v > self.calibration.voltage_v(self._limits.retract_position_m)
                 self._beat = self._beat % _MOST_BEATS + 1 if is_driven else 0

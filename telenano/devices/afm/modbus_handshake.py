@@ -110,7 +110,7 @@ class Handshake:
             (heart.trips, 0.0),
         )
         found = yield from self._read(heart.trips)
-        # memory that nobody has written yet may have anything
+        # memory that was not written yet may have anything
         self.trips = int(found) if 0.0 <= found < 1e6 else 0
         for register, value in wanted:
             yield from self._write(register, value)

@@ -93,7 +93,7 @@ class Watchdog(Settings):
 class Heartbeat(Settings):
     """A script that runs on the device and retracts when the beat stands still, faster than its own watchdog can.
 
-    Host and script speak through registers: the host writes beat (0: nobody drives), limit_ms, safe_v and the address
+    Host and script speak through registers: the host writes beat (0: nothing drives), limit_ms, safe_v and the address
     of the output; the script writes its version to `running` again and again, and counts in `trips` how often it
     retracted.
     """

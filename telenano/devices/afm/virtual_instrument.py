@@ -23,7 +23,7 @@ PERIOD_S = 1e-3
 
 
 class _WholeTime(AfmPart):
-    """Goes on at once by all that is known of the motion: nobody waits for the processor."""
+    """Goes on at once by all that is known of the motion: nothing waits for the processor."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation

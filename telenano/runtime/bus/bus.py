@@ -320,7 +320,7 @@ class ZmqBus:
     """A publisher and its subscribers as one bus, with a wait that a signal or a message ends.
 
     One that `is_brief` reports of the inputs that are sent on change only those that were disturbed: its node's health
-    crosses to another machine, and nobody judges these inputs by their age.
+    crosses to another machine, and these inputs are not judged by their age.
     """
 
     is_brief = False

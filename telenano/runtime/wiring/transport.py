@@ -96,7 +96,7 @@ class EstopInlet(Subscriber):
         return tuple(health for health in super().input_health() if health.src)
 
     def close(self) -> None:
-        """Close the socket and remove it from its folder, so that nobody takes the node for one that runs."""
+        """Close the socket and remove it from its folder, so that the node is not taken for one that runs."""
         super().close()
         with contextlib.suppress(OSError):
             self._path.unlink()

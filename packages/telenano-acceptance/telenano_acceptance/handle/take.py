@@ -1,6 +1,6 @@
 """The motion that a handle on a serial port is judged by, and the recording of it: a row a millisecond.
 
-It is read first; then it moves to and fro with nobody at it; then it holds its place against a hand, is left alone
+It is read first; then it moves to and fro without a hand at it; then it holds its place against a hand, is left alone
 until its watchdog switches it off, and its cable is pulled out.
 """
 

@@ -38,7 +38,7 @@ def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:
     driver = driver_of(config, PERIOD_S)
     driver.open()
     try:
-        # Nobody has to wait for a simulated instrument.
+        # A simulated instrument needs no wait.
         clock = Clock(lambda: 0) if driver.report is None else MACHINE
         return record_take(driver, facts_of(config, driver), clock, guide)
     finally:

@@ -48,9 +48,9 @@ class Facts(NamedTuple):
 
     driver: value of `afm_node.driver`; identity: in words; latency_s: as declared [s]; sample_hz: as declared [Hz];
     stiffness_n_per_m: of the cantilever; contact_force_n: that counts as contact; limits: of the guard; press_n: where
-    the approach ends; heartbeat_s: silence after which somebody else retracts, 0 for nobody; silent_s: how long nothing
-    was sent; retractions: by the count of the guard or script, before and after that, None where it has none; stopped:
-    why the motion ended early; safe_m: base in the safe state.
+    the approach ends; heartbeat_s: silence after which something else retracts, 0 for nothing; silent_s: how long
+    nothing was sent; retractions: by the count of the guard or script, before and after that, None where it has none;
+    stopped: why the motion ended early; safe_m: base in the safe state.
     """
 
     driver: str

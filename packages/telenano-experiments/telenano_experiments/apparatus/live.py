@@ -133,7 +133,7 @@ class Live(Apparatus):
         verified = self._verified(wanted)
         place = f"t{trial.index:04d}-{course.attempt}" + (f"-{course.interval}" if course.intervals > 1 else "")
         mark: dict[str, Scalar] = {"trial": trial.index, "attempt": course.attempt, "interval": course.interval}
-        # What comes before the trial is in no file of its own: it is of use to nobody.
+        # What comes before the trial is in no file of its own: it is of no use.
         self._split(rig).unlink()
         self._command("mark", RECORDER, {**mark, "state": "begin", "task": trial.task, "phase": trial.phase})
         self.desk.begin(trial, course.attempt, first=course.interval == 0)

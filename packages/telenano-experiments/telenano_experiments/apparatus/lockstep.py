@@ -19,7 +19,7 @@ def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> A
 
 
 class Lockstep(Apparatus):
-    """An apparatus without processes or clock, whose desk tells and asks nobody; nothing can disturb a trial."""
+    """An apparatus without processes or clock, whose desk shows and asks nothing; nothing can disturb a trial."""
 
     def take(self, course: Course) -> Take:
         document = {**course.document, "duration_s": course.duration_s}

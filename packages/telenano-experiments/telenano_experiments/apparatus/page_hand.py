@@ -57,7 +57,7 @@ class PageHand:
 
         def run() -> None:
             try:
-                # It listens while it pushes only, because what nobody reads would fill the queues of the nodes.
+                # It listens while it pushes only, because what is not read would fill the queues of the nodes.
                 with open_participant(OBSERVER, self._book, publisher=False) as participant:
                     self._push(over, _HandInputs(participant), steers(controller.period_s), controller, stylus)
             except Exception as error:  # noqa: BLE001

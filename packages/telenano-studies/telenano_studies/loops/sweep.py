@@ -37,7 +37,7 @@ def silent(done: int, total: int) -> None:
 
 
 def unheard(text: str) -> None:
-    """Tell nobody."""
+    """Show no text."""
 
 
 def _none(cell: Any) -> str:

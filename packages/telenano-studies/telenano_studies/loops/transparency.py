@@ -45,7 +45,7 @@ _RAMP_S = 0.5
 _POINTS_PER_PERIOD = 200
 _SETTLE_PERIODS, _MEASURED_PERIODS = 3, 3
 _LEAST_SETTLE_S, _LEAST_MEASURED_S = 2.0, 2.0
-# a spring that nobody feels: its force over the motion of a run stays below a piconewton
+# a spring that is not felt: its force over the motion of a run stays below a piconewton
 _NOTHING_N_PER_M = 1e-6
 
 

@@ -2,8 +2,8 @@
 
 Who receives decides: while datagrams arrive, only the sparse samples of the topics are subscribed over TCP; when none
 has come for a moment all are, where TCP can carry them, and datagrams are tried further on. At first none is: the keys
-come over TCP, and on a network that loses packets a thousand samples a second, which nobody needs once there are keys,
-would hold them up for as long as they are sent.
+come over TCP, and on a network that loses packets a thousand samples a second, which are not needed once there are
+keys, would hold them up for as long as they are sent.
 """
 
 import contextlib

@@ -1,8 +1,8 @@
 """A relay between sites that can only dial out: joins their connections in pairs, and carries their datagrams.
 
 It has no state but who is connected from where. It opens nothing of what it carries, for which it has no keys, and it
-connects to nobody: each connection that it joins was dialled by a site whose key it lists, to a site that named that
-key in turn.
+opens no connection itself: each connection that it joins was dialled by a site whose key it lists, to a site that named
+that key in turn.
 """
 
 import asyncio

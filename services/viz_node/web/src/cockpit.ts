@@ -26,7 +26,7 @@ export interface Panel {
   begin?(): void;
   /** Called with each frame [ms]. */
   frame?(now: number): void;
-  /** Called five times a second: nobody reads numbers faster. */
+  /** Called five times a second: numbers are not read faster. */
   write?(): void;
   /** Called when the theme has changed. */
   recolour?(): void;

@@ -317,7 +317,7 @@ export class View {
   }
 
   private draw(): void {
-    // Nobody sees it, and without a graphics processor it is drawn in software.
+    // It is not seen, and without a graphics processor it is drawn in software.
     if (this.solid.hidden && !this.headset.isPresenting) return;
     const now = performance.now();
     const isDue = this.pace.isDue(now);
@@ -375,7 +375,7 @@ export class View {
     point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce, side);
   }
 
-  /** Write the numbers beside the picture: a few times a second, faster nobody can read them. */
+  /** Write the numbers beside the picture: a few times a second, faster they cannot be read. */
   write(): void {
     const separation = this.store.last("tip", "separation");
     const side = this.size;

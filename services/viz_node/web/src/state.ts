@@ -6,7 +6,7 @@ export type Kind = "good" | "warn" | "bad";
 export type Banner = [kind: Kind, text: string];
 
 const WATCHED_S = 15;
-/** At the hand: below this nobody feels that a force swings [N]. */
+/** At the hand: below this a swing of the force is not felt [N]. */
 const FELT_N = 0.3;
 const SAMPLES = 1500;
 
