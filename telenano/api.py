@@ -1,4 +1,4 @@
-"""Recordings and running rigs for programs of one's own: tables with session time and units.
+"""Recordings and running rigs for programs of your own: tables with session time and units.
 
     import telenano
     session = telenano.open("out/fig12/session.mcap")

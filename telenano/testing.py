@@ -166,7 +166,7 @@ def refused_laws(driver: str) -> dict[str, str]:
 def trial(
     program: Program[Any, Any, Any], settings: ProgramSettings, stiffness_n_per_m: float = 40.0, most_s: float = 60.0
 ) -> Iterator[Inputs]:
-    """Yield what a program is told at each step until it is done, on an instrument as shipped over a linear spring.
+    """Yield what a program is given at each step until it is done, on an instrument as shipped over a linear spring.
 
     The base goes where the program wants it to be, and the stage no faster than it can; nothing guards the tip.
 

@@ -119,7 +119,7 @@ class PushedHand(TickPart):
 
 
 class SpatialDevice(TickPart):
-    """Tells a device of impedance type or of three axes what concerns it alone, and takes up what it says besides."""
+    """Tells a device of impedance type or of three axes what concerns it alone, and processes its reports."""
 
     def __init__(self, able: Capabilities) -> None:
         self._has_orientation, self._has_buttons = able.has_orientation, bool(able.buttons)

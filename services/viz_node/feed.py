@@ -95,7 +95,7 @@ class Feed:
         }
 
     def state(self, name: str) -> Mapping[str, Any]:
-        """Return what pages were told last of a topic; empty before the first message."""
+        """Return what was sent to pages last of a topic; empty before the first message."""
         return self._state.get(name, {})
 
     def _record(self, seen: Seen) -> None:

@@ -280,7 +280,7 @@ def _level(flows: npt.NDArray[np.float64], change: float, speed: float, way_m: f
     level, last = 0, flows.shape[0] - 1
     while level < last:
         dt = flows[level, 4]
-        # a NaN goes on to the shortest part
+        # a NaN is passed on to the shortest part
         if change * dt * dt <= bound and speed * dt <= way_m and part % (1 << (last - level)) == 0:
             break
         level += 1

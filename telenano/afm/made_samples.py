@@ -1,4 +1,4 @@
-"""Which sample lies under the tip: a shape that is computed, a file, or a function of one's own."""
+"""Which sample lies under the tip: a shape that is computed, a file, or a function of your own."""
 
 import importlib
 from collections.abc import Callable, Mapping
@@ -119,7 +119,7 @@ class _OwnSample(Settings):
             raise ConfigError(f"sample {self.name}: {error}") from error
 
     def _computed(self, size_m: float) -> Any:
-        """Return the heights of a function of one's own, called once with all x (a row) and all y (a column)."""
+        """Return the heights of a function of your own, called once with all x (a row) and all y (a column)."""
         if text := refused_code("sample.name", self.name):
             raise ConfigError(text)
         module, _, name = self.name.partition(":")

@@ -154,7 +154,7 @@ class SimulatedInstrument:
         return None if self._cantilever is None else self.state.disturbances
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Take other disturbances from now on; those that go on keep their state."""
+        """Take other disturbances from now on; those that continue keep their state."""
         state = self.state
         if not state.disturbances.any_enabled:
             # Creep and hysteresis begin at rest, where the base is when they are switched on.

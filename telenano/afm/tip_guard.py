@@ -45,7 +45,7 @@ class TipGuard:
         return REASON_NAMES[self._state.reason]
 
     def follow(self, reference_m: float, dt: float, *, force_n: float, is_lost: bool = False) -> float:
-        """Return the position of the base that is allowed on its way to a reference [m]; a tip at rest is armed.
+        """Return the position of the base that is allowed as it moves to a reference [m]; a tip at rest is armed.
 
         Args:
             reference_m: Where the base is to go, towards the sample > 0 [m].
@@ -58,7 +58,7 @@ class TipGuard:
         )
 
     def retract(self, dt: float, *, force_n: float, is_lost: bool = False) -> float:
-        """Return the position of the base on its way to the safe state [m]; the arguments are those of `follow`."""
+        """Return the position of the base as it moves to the safe state [m]; the arguments are those of `follow`."""
         return self._step(
             SafetyInputs(self.limits.retract_position_m, 0.0, ACTION_RETRACT, False, False, force_n, is_lost), dt
         )

@@ -6,7 +6,7 @@ schedule, the link, the machine or the guard did, and never by what the loop did
 - the approach ends when the tip first touches since the hand began to press; a tip that leaves the surface after that
   is motion of the loop;
 - the loop is open from the *cause* of an interruption on: a tip is held, or a hand let go, one deadline after the last
-  command came, which was on its way for the transit of the loop;
+  command came, which was in transit in the loop;
 - the tip is away while a program of the instrument, an operator or the guard has it.
 
 Contact with the loop closed is what `telenano.analysis.verdict` judges. All else has a word of its own, a fact beside
@@ -189,11 +189,11 @@ class Programme(NamedTuple):
 
     planned: holds of the operator's force profile, start [s], end [s], force [N]; answered_s:
     when the hand took up answers
-    [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
+    [s], None if that is not known; guards: what the instrument reported of its guard; incidents: nodes that ended and
     sites that fell silent; limits, those of the instrument's guard, if they are known; programs: from when to when [s]
     the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop;
     interruptions: when the loop was open; late: when a process was late; deadline_s: after which
-    time without a command a device opens the loop [s]; transit_s: how long a command is on its way at the most [s];
+    time without a command a device opens the loop [s]; transit_s: how long a command is in transit at the most [s];
     rest_force: what the law rests at for a force of the hand [N], None if it does not say.
     """
 
@@ -400,7 +400,7 @@ def episodes_of(session: "_Session", start_s: float, end_s: float) -> list[Episo
     away_s, away_why = _withdrawn(session, start_s, end_s)
     for first_s, last_s, why in [*_openings(session, start_s, away_s), (away_s, away_s, "")]:
         if first_s > now_s:
-            # what counts as the first arrival begins with the press, and anew once the loop has been open
+            # what counts as the first arrival begins with the press, and again once the loop has been open
             since_s = _press_s(session, now_s) if now_s == start_s else now_s
             part = session.at(since_s, first_s)
             touching = np.flatnonzero(session.tip.in_contact[part])

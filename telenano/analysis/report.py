@@ -478,7 +478,7 @@ def summarise(
 
 
 def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
-    """Return whether the tip had been placed by then: what it meets on its way there is no contact of the hand.
+    """Return whether the tip had been placed by then: what it meets before it is there is no contact of the hand.
 
     Args:
         placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.

@@ -88,7 +88,7 @@ def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show
     """Run the sessions one after the other, each by a `telenano up` of its own; return their folders.
 
     Raises:
-        RigError: A session failed; the message names it and what it said.
+        RigError: A session failed; the message names it and what it reported.
     """
     folders = []
     for number, point in enumerate(points, start=1):

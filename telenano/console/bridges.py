@@ -1,4 +1,4 @@
-"""A bridge of one's own: what it is given is every message of a running rig, with the times and names of its record."""
+"""A bridge of your own: what it is given is every message of a running rig, with the times and names of its record."""
 
 import contextlib
 from collections.abc import Collection, Iterator

@@ -244,7 +244,7 @@ class Attention:
         self._late_s: dict[str, float] = {}
 
     def turn(self, now_s: float) -> None:
-        """Note that the console goes on to wait."""
+        """Note that the console continues to wait."""
         self._note_late("this command", now_s - self._turn_s - 1e-3 * _POLL_MS)
         self._turn_s = now_s
 

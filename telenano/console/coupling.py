@@ -183,7 +183,7 @@ class _States:
         return False
 
     def require(self, is_so: Callable[[], bool], patience_s: float, what: str) -> None:
-        """Wait until something is so; RigError says for what was waited in vain."""
+        """Wait until something is so; RigError says what did not come."""
         if not self.until(is_so, patience_s):
             raise RigError(f"not coupled: waited {patience_s:g} s for {what}")
 

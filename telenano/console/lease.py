@@ -48,7 +48,7 @@ class Party(NamedTuple):
 
     @property
     def label(self) -> str:
-        """How others are told of it."""
+        """How it is shown to others."""
         if self.window and not self.name:
             return f"window {self.window}"
         who = {"operator": "the operator's page", "participant": "the participant"}.get(self.role, f"a {self.role}")

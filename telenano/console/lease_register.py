@@ -88,7 +88,7 @@ class LeaseRegister:
 
 
 class Hold:
-    """A process that has the hand, and says every quarter of a second that it is there."""
+    """A process that has control, and says every quarter of a second that it is there."""
 
     def __init__(self, party: Party, register: LeaseRegister, step: Step) -> None:
         self.party, self._register = party, register

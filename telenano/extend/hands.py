@@ -63,7 +63,7 @@ class Capabilities(NamedTuple):
 
 
 class SpatialCommand(NamedTuple):
-    """What a device of impedance type or of three axes is told besides; x and y are of the master frame.
+    """What a device of impedance type or of three axes is given besides; x and y are of the master frame.
 
     lateral_force_n: what the hand is to feel. lateral_m: the place to which a lateral stiffness, if the coupling has
     one, draws the hand. arm: a person has armed since the command before.

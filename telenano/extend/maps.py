@@ -1,4 +1,4 @@
-"""Recorded maps of one's own format under the tip: where a map is, the step over it, and the units of its values.
+"""Recorded maps of your own format under the tip: where a map is, the step over it, and the units of its values.
 
 NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)     # entry `npz` of `telenano.maps`
 """

@@ -95,7 +95,7 @@ class Instrument(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """What a program is told at each step.
+    """What a program is given at each step.
 
     Measured at the step before: base x_s [m] and place of the stage; force along z, and along x and y, on the tip [N];
     vibration of the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is; own,

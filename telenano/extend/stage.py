@@ -25,7 +25,7 @@ class Place(NamedTuple):
 
 @compiled
 def moved(params: LateralParams, place: Place, wanted: Place, dt: float) -> tuple[Place, int]:
-    """Return where the stage is after dt [s] on its way to `wanted`, in a straight line, and what limited it.
+    """Return where the stage is after dt [s], moving to `wanted`, in a straight line, and what limited it.
 
     Raises:
         ValueError: dt is not positive and finite, or the target is no number.

@@ -42,7 +42,7 @@ class Bounds(NamedTuple):
     verdict: Literal["passive", "stable", "unproven"]
 
     def sentence(self) -> str:
-        """Return what a person is told."""
+        """Return what a person reads."""
         return (
             f"coupling K = {self.stiffness_n_per_m:.4g} N/m, B = {self.damping_n_s_per_m:.4g} N s/m: {self.verdict};"
             f" passive up to {self.passive_n_per_m:.4g} N/m, stable up to {self.stable_n_per_m:.4g} N/m"

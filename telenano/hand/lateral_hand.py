@@ -5,7 +5,7 @@
 The person pulls with a spring k between where the stylus is and where it is meant to be, by an intended path here or by
 `operator/force`, which a page sends. The stylus is passive: it gives back no more than it was given.
 
-The spring of a page is late by T, because the page is told 30 times a second where the stylus is. With the centring
+The spring of a page is late by T, because the page is sent 30 times a second where the stylus is. With the centring
 spring k_c of the controller they swing where m s^2 + b s + k_c + k e^(-sT) = 0 has a root to the right, which begins at
 
     T = (pi - arg(k_c - m w^2 + i b w)) / w,  where w > 0 and |k_c - m w^2 + i b w| = k

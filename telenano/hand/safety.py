@@ -123,7 +123,7 @@ def _limited_position(params: SafetyParams, start: float, wanted: float, dt: flo
     reach = params.max_speed_m_per_s * dt
     if abs(target - start) > reach:
         target = start + math.copysign(reach, target - start)
-        # The travel limit is the lasting cause: it stays named while the reference is still on its way there.
+        # The travel limit is the lasting cause: it stays named while the reference is still moving there.
         reason = REASON_SPEED_LIMIT if reason == REASON_NONE else reason
     return target, reason
 

@@ -173,7 +173,7 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
 class _Bench:
     """Both halves of a law over a link without delay, and a spring under the tip, or a wall that only pushes.
 
-    lates: by how many ticks the slave half is told later what the instrument measures, in turn.
+    lates: by how many ticks the slave half learns later what the instrument measures, in turn.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ that the nodes run, and the order is that of the bus. At the tick n of the hand,
    reader takes the newest, as on the bus, where they wait for it together (conflation). A forward signal goes through
    the slave half, the instrument and the slave half again, and its answer enters the link. A backward signal goes to
    the master half. An instrument that receives nothing for a period and a half steps by itself, its guard judges the
-   silence, and the slave half takes up what it measured: with a local loop it commands a step of its own.
+   silence, and the slave half processes what it measured: with a local loop it commands a step of its own.
 
 What passes on a site takes no time here, so the instrument carries out at once what it is asked for.
 The guards judge the age of the hand's sample behind a command, less the delay of the link in whole steps, as nodes do.
@@ -208,7 +208,7 @@ def simulate(
             placed.
         hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
             without a path the run ends when it is done.
-        path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
+        path: The lateral path of the controller, by which a path or `hand` moves the tip; the run continues to its end.
         at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
             where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.
 
@@ -250,7 +250,7 @@ def _run_as_it_pays(rig: Rig, given: tuple[Any, ...]) -> tuple[int, int]:
         try:
             found: tuple[int, int] = compiled_call(_run, given)
             return found
-        # what has run until now as plain Python goes on so
+        # what has run until now as plain Python continues so
         except ConfigError as error:
             logging.getLogger("studies").warning("%s; it runs as plain Python", error)
             _plain_ticks[kind] = -_NEVER_NS

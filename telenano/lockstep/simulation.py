@@ -244,7 +244,7 @@ def programme_of(course: Trajectory, safety: SafetyParams | None, known: Program
 
 
 def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> Programme:
-    """Return what a law and a link tell of a session: what the law rests at, how long a command is on its way [s]."""
+    """Return what a law and a link tell of a session: what the law rests at, how long a command is in transit [s]."""
     rest_force = KNOWN_LAWS[controller.law].rest_force
     own = None if rest_force is None else functools.partial(rest_force, controller.params())
     return Programme(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)

@@ -166,7 +166,7 @@ def _form_of(function: F, kind: str = STEP) -> F:
 
 
 def _register_choices() -> None:
-    """Tell the compiler of the choices that were made since it was told last."""
+    """Tell the compiler of the choices that were made since it was last informed."""
     from numba.extending import overload
 
     while _unregistered:

@@ -169,7 +169,7 @@ def _packages(recording: Recording, key: str) -> list[str]:
 
 
 class _EndError(Exception):
-    """The recording lacks what would be needed to go on; the text names it."""
+    """The recording lacks what would be needed to continue; the text names it."""
 
 
 def _begin(recorded: RecordedNode, batches: Sequence[NodeJournal], states: Sequence[bytes]) -> int:

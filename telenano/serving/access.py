@@ -26,7 +26,7 @@ class Role(StrEnum):
     """What a page may do: all look and may stop, and who is more than an observer may have the hand.
 
     A pupil has it when it is handed over; an operator takes it when it is free, a teacher from anybody. A
-    participant of an experiment presses, answers and stops, and is told nothing of the rig.
+    participant of an experiment presses, answers and stops, and sees nothing of the rig.
     """
 
     OBSERVER = "observer"

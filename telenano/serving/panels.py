@@ -48,7 +48,7 @@ class PanelRig(Protocol):
         """Return the time on the clock of the rig [ns]."""
 
     def state(self, topic: str) -> Mapping[str, Any]:
-        """Return what pages were told last of a topic of the panel; empty before the first message."""
+        """Return what was sent to pages last of a topic of the panel; empty before the first message."""
 
 
 class Desk(Protocol):
@@ -59,10 +59,10 @@ class Desk(Protocol):
 
 
 class Picture(Protocol):
-    """Makes of what all pages are told what guests are told."""
+    """Makes of what all pages are sent what guests are sent."""
 
     def take(self, changes: Mapping[str, Any], now_s: float) -> list[dict[str, Any]]:
-        """Return the changes that guests are told of at a time [s], each for a frame of its own."""
+        """Return the changes that guests are sent at a time [s], each for a frame of its own."""
 
     def snapshot(self, snapshot: Mapping[str, Any], *, hand: bool) -> dict[str, Any]:
         """Return what the page of a guest begins with, of what that of an operator begins with."""
@@ -72,7 +72,7 @@ class Picture(Protocol):
 
 
 class Guests(NamedTuple):
-    """Pages of people who are told less than the others: they press, answer and stop, and command nothing.
+    """Pages of people who are sent less than the others: they press, answer and stop, and command nothing.
 
     Args:
         page: The HTML file of their page, in the folder of the panel.
@@ -91,10 +91,10 @@ class Panel(NamedTuple):
         title: Its heading.
         region: The region of the page.
         module: The ES module, a file.
-        topics: Of which topics pages are told the newest message, and which of its keys.
+        topics: Of which topics pages are sent the newest message, and which of its keys.
         shows: The state without which the panel is not there, such as one of these topics; empty for always.
         desk: Makes the half in the server, where the panel has one.
-        guests: The page of those who are told less; one installed panel may have it.
+        guests: The page of those who are sent less; one installed panel may have it.
     """
 
     id: str
@@ -118,7 +118,7 @@ class Panel(NamedTuple):
         return {path.relative_to(folder).as_posix(): path for path in found}
 
     def about(self) -> dict[str, Any]:
-        """Return what a page is told of it."""
+        """Return what a page is sent of it."""
         url = f"./{self.base}{self.module.name}"
         return {"id": self.id, "title": self.title, "region": self.region, "shows": self.shows, "url": url}
 
@@ -131,7 +131,7 @@ class Panels(NamedTuple):
 
     @property
     def topics(self) -> dict[str, tuple[str, ...]]:
-        """The topics of all panels, each with the keys that pages are told of."""
+        """The topics of all panels, each with the keys that pages are sent."""
         found: dict[str, tuple[str, ...]] = {}
         for row in self.rows:
             for topic, keys in row.topics.items():

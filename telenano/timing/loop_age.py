@@ -60,7 +60,7 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
     Args:
         passed_ns: Of each sample its stamp, when each topic that descends from it was sent, and when the answer reached
             the device, on the master's clock; shape (samples, topics + 2).
-        topics: Those topics, in the order of `STAGES`; where some are not known, their parts are told together.
+        topics: Those topics, in the order of `STAGES`; where some are not known, their parts are reported together.
         delays: What the link says, by direction.
         device_s: How old each sample was when it was stamped, shape (samples,).
     """

@@ -38,7 +38,7 @@ SetOption = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the device, such as haptic_node.coupling.margin."),
 ]
 
-# A function of this kind reads a device once, undriven, and returns what it said.
+# A function of this kind reads a device once, undriven, and returns what it reported.
 Tick = Callable[[], dict[str, Any]]
 
 

@@ -90,7 +90,7 @@ F = TypeVar("F", bound=Facts)
 
 
 class Take(NamedTuple, Generic[F]):
-    """A recording: a row each millisecond, the steps in order, and what was declared and said beforehand."""
+    """A recording: a row each millisecond, the steps in order, and what was declared and reported beforehand."""
 
     rows: Rows
     steps: tuple[Step, ...]

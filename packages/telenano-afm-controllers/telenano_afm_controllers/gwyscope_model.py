@@ -2,7 +2,7 @@
 
 Written from what its server does (4.1.19, see `gwyscope_wire`): z of `set_feedback` acts at once, everything else at
 the tick, which moves, regulates and samples. It refuses no value, ends on an item of a wrong type, keeps feedback and z
-when a connection is lost, and puts z to 0 when it is told to end. What it has not: ramps, paths of a scan, streams,
+when a connection is lost, and puts z to 0 on its command to end. What it has not: ramps, paths of a scan, streams,
 generators; these are answered with "unknown". What is assumed: a motion under way takes z along to the z that it was
 given, and a feedback is an integral of the error. Time is passed in, so that a test runs it in virtual time.
 """
@@ -120,7 +120,7 @@ class GwyscopeModel:
         return {"todo": todo} | echo
 
     def end(self) -> None:
-        """Do what the server does when it is told to end: z goes to 0."""
+        """Do what the server does on its command to end: z goes to 0."""
         self._move_z(0.0)
 
     def _value(self, name: str) -> Any:

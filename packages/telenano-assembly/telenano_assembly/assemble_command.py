@@ -155,7 +155,7 @@ def assemble(
 
 
 def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
-    """Return what only a simulation knows, and no step of the assembly was told; nothing of a rig."""
+    """Return what only a simulation knows, and no step of the assembly knew; nothing of a rig."""
     from telenano_assembly.run import VirtualBench
 
     if not isinstance(bench, VirtualBench):

@@ -1,4 +1,4 @@
-"""`telenano calibrate`: sensitivity and stiffness from the measurements of one's own instrument."""
+"""`telenano calibrate`: sensitivity and stiffness from the measurements of your own instrument."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -109,7 +109,7 @@ def press(mover: Mover, calibration: InstrumentCalibration, step_v: float, press
         CalibrationError: There is no sample within the travel, or the points are on no line.
     """
     stage = calibration.stage
-    # a driver that was opened stays retracted until it is told to
+    # a driver that was opened stays retracted until it is commanded to
     mover.settle(stage.retract_v)
     try:
         return _pressed(mover, calibration, step_v, press_m)

@@ -92,7 +92,7 @@ def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
     found_v: list[float] = []
     gauges_m: list[float] = []
     try:
-        # a driver that was opened stays retracted until it is told to
+        # a driver that was opened stays retracted until it is commanded to
         mover.settle(document["stage"]["retract_v"])
         _ask(mover, document["stage"]["retract_v"], "lift the tip off the sample and set up the gauge, then Enter", "")
         for output_v in outputs:

@@ -18,7 +18,7 @@ class AnswersOfClient:
     """Examines the answers of a node, one question after the other.
 
     Args:
-        account: What is told of the rules.
+        account: What is reported of the rules.
         commands: Publishes a command.
         disturb: Publishes what breaks the rules, and what is of a later version.
     """

@@ -38,7 +38,7 @@ class CommandsOfClient:
     """Examines the commands of a client.
 
     Args:
-        account: What is told of the rules.
+        account: What is reported of the rules.
         answers: Publishes an answer; None where the client reads nothing of the kit.
     """
 

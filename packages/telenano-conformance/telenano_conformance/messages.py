@@ -58,7 +58,7 @@ class MessageExaminer:
     """Examines each message as it comes, and the course of each topic.
 
     Args:
-        account: What is told of the rules.
+        account: What is reported of the rules.
         is_hand: Whether the client reads no hand but that of the kit, which is never armed.
     """
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 Outcome = Literal["passed", "failed", "not seen"]
-# This number of faults of one rule are told; the others are counted.
+# This number of faults of one rule are reported; the others are counted.
 _MOST_TOLD = 3
 # A client that breaks a rule in more ways than this fills no memory.
 _MOST_KEPT = 1000

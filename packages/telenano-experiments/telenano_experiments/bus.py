@@ -18,7 +18,7 @@ from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Ques
 from telenano_experiments.nodes import EXPERIMENT
 from telenano_experiments.types import Trial
 
-# A cue is told again after this time, to pages that came meanwhile.
+# A cue is sent again after this time, to pages that came meanwhile.
 _REPEAT_S = 0.5
 _POLL_MS = 50
 _NO_COURSE = Course(np.empty(0), np.empty(0), "none")

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from telenano.wire import TOPICS
 
 Times = npt.NDArray[np.float64]
-# A node reports twice a second; one that said nothing for this time was not there.
+# A node reports twice a second; one that sent nothing for this time was not there.
 _SILENT_S = 3.0
 # A device holds when nothing came for its deadline, and reports it within a period or two.
 _SHARE = 0.5

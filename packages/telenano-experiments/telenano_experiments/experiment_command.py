@@ -350,7 +350,7 @@ def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> lis
 
 @contextlib.contextmanager
 def _apparatus(plan: "Plan", folder: Path, show: Any, marks: "Marks | None") -> Iterator[tuple["Apparatus", "Desk"]]:
-    """Yield what the trials run on, and who is told and asked; a rig ends with the block."""
+    """Yield what the trials run on, and who is shown and asked; a rig ends with the block."""
     from telenano_experiments.apparatus.lockstep import Lockstep
     from telenano_experiments.desk import BusDesk, Desk, PersonDesk
 

@@ -159,7 +159,7 @@ class Asked(Settings):
 
 
 class Item(Settings):
-    """A question of an instrument of one's own: a scale, or a choice where there are options."""
+    """A question of an instrument of your own: a scale, or a choice where there are options."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="Name of the item in the table")
     text: str = Field(max_length=128, description="The question")

@@ -1,4 +1,4 @@
-"""A task of one's own for experiments: parameters, instruction, target, settings, declared measures, a pure judge.
+"""A task of your own for experiments: parameters, instruction, target, settings, declared measures, a pure judge.
 
 A task judges tables that have the names of the bus (`TrialData`): it cannot tell a recording from lockstep. The force
 of a task is the force on the tip [N]; the hand feels it by the scale of the law.

@@ -76,7 +76,7 @@ class ExperimentAnswer(Message):
 
 
 class ExperimentTrial(Message):
-    """The trial with its condition, for the recording and the experimenter; no participant's page is told of it."""
+    """The trial with its condition, for the recording and the experimenter; no participant's page is sent it."""
 
     participant: Annotated[str, about("Pseudonym, never a name", pattern=r"^[A-Za-z0-9_-]{1,32}$", examples=["P01"])]
     session: Annotated[Count, about("Number of the visit")]
@@ -96,7 +96,7 @@ class ExperimentTrial(Message):
     picture_delay_s: Annotated[DurationS, about("Delay of the picture on a participant's page [s]")]
 
 
-# A participant's page is told of the first alone; the second is what it answers.
+# A participant's page is sent the first alone; the second is what it answers.
 CUE = Topic("experiment/cue", ExperimentCue, ("experiment",), "lossless", None, None, None)
 ANSWER = Topic("experiment/answer", ExperimentAnswer, ("view",), "lossless", None, None, None)
 TRIAL = Topic("experiment/trial", ExperimentTrial, ("experiment",), "lossless", None, None, None)

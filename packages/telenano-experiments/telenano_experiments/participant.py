@@ -1,9 +1,9 @@
-"""What a participant of an experiment is told: what is on the lists here, and nothing else that is on the bus.
+"""What a participant of an experiment is sent: what is on the lists here, and nothing else that is on the bus.
 
 A participant must not know the condition of a trial, and a person who opens the tools of a browser reads all that it
 was sent. So the server keeps a list of what may pass, and not of what may not: a topic, key or column that is new is
 not passed on. The picture, which is the tip and the image, can be late by a time of its own. It is held here, because a
-browser that is told of a delay knows a part of the condition.
+browser that receives a delay knows a part of the condition.
 """
 
 from collections import deque
@@ -17,7 +17,7 @@ from telenano_experiments.messages import TRIAL as TRIAL_TOPIC
 
 CUE = CUE_TOPIC.name
 TRIAL = TRIAL_TOPIC.name
-# The keys of the messages that pages are told of. A cue has nothing of the condition; the trial is for experimenters.
+# The keys of the messages that pages are sent. A cue has nothing of the condition; the trial is for experimenters.
 CUE_KEYS = (
     "id", "stage", "title", "text", "remaining_s", "done", "total", "practice", "labels",
     "quantity", "band", "times_s", "target", "questions", "answered",
@@ -50,7 +50,7 @@ Changes = Mapping[str, Any]
 
 
 class ParticipantPicture:
-    """Makes of what all pages are told what participants are told, the picture late by `delay_s` [s]."""
+    """Makes of what all pages are sent what participants are sent, the picture late by `delay_s` [s]."""
 
     def __init__(self, streams: Sequence[Mapping[str, Any]]) -> None:
         """Begin with the streams that pages have: name, topic and columns of each."""
@@ -61,7 +61,7 @@ class ParticipantPicture:
         self._contact: dict[str, Any] = {}
 
     def take(self, changes: Changes, now_s: float) -> list[dict[str, Any]]:
-        """Return the changes that participants are told of now, each for a frame.
+        """Return the changes that participants are sent now, each for a frame.
 
         Args:
             changes: What changed for the pages of operators; empty where nothing did.

@@ -127,7 +127,7 @@ class ImpedanceDevice:
 
 
 def reading_of_sample(sample: ServoSample) -> DeviceReading:
-    """Return what a servo said along the paper's axis: the force that it sent is the estimate of the hand's."""
+    """Return what a servo reported along the paper's axis: the force that it sent is the estimate of the hand's."""
     p, v, f = sample.position_m, sample.velocity_m_per_s, sample.force_n
     return DeviceReading(
         position_m=0.0 - p[2],

@@ -34,7 +34,7 @@ class ImpedanceWire(Protocol):
         """
 
     def session(self, runs: bool) -> None:
-        """Tell an emulated device whether the session runs, for its simulated hand; a real one is told nothing."""
+        """Tell an emulated device whether the session runs, for its simulated hand; a real one is sent nothing."""
 
     def close(self) -> None:
         """Take the force away and let the device go; harmless when already closed, and never raises."""

@@ -49,7 +49,7 @@ class ServoCommand(NamedTuple):
 
 
 class DeviceSample(NamedTuple):
-    """What the device said to the servo: its place, when it was taken, and what else it has.
+    """What the device reported to the servo: its place, when it was taken, and what else it has.
 
     taken_ns: when the servo had it from the device, on the monotonic clock; a sample that is repeated keeps it.
     deadman_ns: when the state of the dead-man button was heard. error: a sentence if the device is lost, else empty.

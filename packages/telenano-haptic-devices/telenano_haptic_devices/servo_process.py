@@ -98,7 +98,7 @@ class ServoLoop:
     Args:
         shared: The memory.
         wire: The device, open.
-        found: What it said of itself; another one that comes back in its place is refused.
+        found: What it reported of itself; another one that comes back in its place is refused.
         now_ns: The monotonic clock [ns]; a test replaces it.
         sleep: Waits while the device is lost.
         goes_on: Whether the node is still there.
@@ -204,7 +204,7 @@ class ProcessLink:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device said of itself; DeviceError before it was open."""
+        """Return what the device reported of itself; DeviceError before it was open."""
         if self._found is None:
             raise DeviceError(f"haptic_node.{self._kind}: what the device can do is known once it is open")
         return self._found

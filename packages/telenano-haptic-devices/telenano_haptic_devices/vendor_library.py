@@ -112,7 +112,7 @@ class LibraryWire:
             raise
 
     def session(self, runs: bool) -> None:
-        """Tell a library for tests whether the session runs; a vendor's is told nothing."""
+        """Tell a library for tests whether the session runs; a vendor's is sent nothing."""
         if self._lib is not None and is_double(self._lib):
             getattr(self._lib, _DOUBLE)(ctypes.c_int(runs))
 

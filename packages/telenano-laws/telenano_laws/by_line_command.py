@@ -80,7 +80,7 @@ def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
     try:
         text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
     except TelenanoError as error:
-        # Somebody else has the hand, or no answer came: that is no fault of the law, which is asked for again.
+        # Somebody else has control, or no answer came: that is no fault of the law, which is asked for again.
         typer.echo(f"not asked: {told}: {error}")
         return False
     if text:

@@ -142,7 +142,7 @@ def paid_base(
 ) -> float:
     """Return where the base goes [m]: a way further than it was sent, as far as the energy pays for all that is ahead.
 
-    What a late instrument has not carried out yet is ahead as well. A tip in the air meets nothing on its way back.
+    What a late instrument has not carried out yet is ahead as well. A tip in the air meets nothing as it goes back.
 
     Args:
         params: The scales.

@@ -3,7 +3,7 @@
 A row is an episode. Its physics is `push_step` a millisecond, its control a step of 20 ms. An agent gets what an
 instrument has: the place of the tip, its deflection and lateral force with noise, and where the particle is believed to
 be. That is where an image saw it, with an error, until the tip feels it: then it lies in the direction of the force
-that the tip exerts, d away. Where the particle really is decides nothing that an agent is told.
+that the tip exerts, d away. Where the particle really is decides nothing that an agent observes.
 """
 
 import math
@@ -57,7 +57,7 @@ _GIVEN = 10
 TIP_X, TIP_Y, TIP_Z, TIME, CONTACT, FELT_X, FELT_Y, BENT = range(8)
 BELIEVED_X, BELIEVED_Y, ERROR, LOSSES, PEAK, STANDS, TRUE_ERROR = range(8, 15)
 _STATE = 15
-# what an agent is told: this many values of the observation, the goal that is achieved, and the one that is desired
+# what an agent observes: this many values of the observation, the goal that is achieved, and the one that is desired
 OBSERVED, TOLD = 10, 14
 _NOISES = 3
 
@@ -171,9 +171,9 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 @always_compiled
 def tell(given: Array, state: Array, moving: Array, told: npt.NDArray[np.float32], truth: bool) -> None:
-    """Write what an agent is told into told, shape (n, 14), in units of d and of the usual friction.
+    """Write what an agent observes into told, shape (n, 14), in units of d and of the usual friction.
 
-    With `truth` it is told the true place of the particle in the place of the believed one. The true distance from the
+    With `truth` it observes the true place of the particle in the place of the believed one. The true distance from the
     goal goes into `state`, for who judges.
     """
     for i in range(given.shape[0]):
@@ -197,7 +197,7 @@ class Episodes:
     Args:
         count: The number of rows.
         longest_s: The longest episode, in simulated time [s].
-        truth: Whether an agent is told where the particle really is.
+        truth: Whether an agent observes where the particle really is.
     """
 
     def __init__(self, count: int, longest_s: float, *, truth: bool = False) -> None:
@@ -221,6 +221,6 @@ class Episodes:
         self.taken += 1
 
     def told(self) -> npt.NDArray[np.float32]:
-        """Return what an agent is told, a row for each episode, shape (n, 14)."""
+        """Return what an agent observes, a row for each episode, shape (n, 14)."""
         tell(self.given, self.state, self.moving, self._told, self._truth)
         return self._told.copy()

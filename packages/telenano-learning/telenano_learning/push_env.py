@@ -61,7 +61,7 @@ class _Pushing:
 
 
 def _named(told: npt.NDArray[np.float32]) -> Observation:
-    """Return what an agent is told by the names of its parts, of one episode or of all."""
+    """Return what an agent observes by the names of its parts, of one episode or of all."""
     goals = e.OBSERVED + 2
     parts = told[..., : e.OBSERVED], told[..., e.OBSERVED : goals], told[..., goals:]
     return {"observation": parts[0], "achieved_goal": parts[1], "desired_goal": parts[2]}

@@ -1,4 +1,4 @@
-"""Images of one's own as files, written whole into a folder, and a format of one's own for the images of others."""
+"""Images of your own as files, written whole into a folder, and a format of your own for the images of others."""
 
 from pathlib import Path
 

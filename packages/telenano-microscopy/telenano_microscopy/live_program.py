@@ -72,7 +72,7 @@ def run_program(
 
         with holding("program"):
             try:
-                # an instrument that has begun is told to end
+                # an instrument that has begun is commanded to end
                 with held():
                     _send(site_file, parameters)
                 return listener.listen(on_report, send)

@@ -81,7 +81,7 @@ class PieceSender:
             file.seek(self._next)
             data = file.read(min(PIECE_BYTES, self._end - self._next))
         except OSError:
-            # The other site asks again, and is told the reason.
+            # The other site asks again, and gets the reason.
             self.close()
             return
         self._publish(

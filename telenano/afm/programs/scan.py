@@ -237,7 +237,7 @@ def _point(plan: ScanPlan, line: int, share: float) -> Place:
 
 
 def _towards(plan: ScanPlan, line: int, place: Place, dt: float) -> Place:
-    """Return where the tip is to be in dt [s] on its way to the begin of a line.
+    """Return where the tip is to be in dt [s], moving to the beginning of a line.
 
     It goes as fast as along a line, because the feedback could not follow a quicker step up the flank of what stands
     there: in contact the tip would press on it, and push a particle.

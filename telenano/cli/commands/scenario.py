@@ -1,4 +1,4 @@
-"""`telenano scenario`: the experiments that are known, and files of one's own."""
+"""`telenano scenario`: the experiments that are known, and files of your own."""
 
 import json
 from pathlib import Path

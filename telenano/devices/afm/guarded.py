@@ -26,7 +26,7 @@ from telenano.runtime.loop.node import Node
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, Array
 
-# A hand that trembles at the edge of a map is told of it once.
+# A hand that trembles at the edge of a map is warned of it once.
 _QUIET_NS = 2_000_000_000
 # the truth of a layer is looked at every 50 ms, and published then while it changes
 _LOOK_PERIOD_NS = 50_000_000
@@ -70,7 +70,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
 @dataclass(slots=True)
 class Step:
-    """One step of this length [s]: what the guard allows, what is wanted, what was measured, what a program was told.
+    """One step of this length [s]: what the guard allows, what is wanted, what was measured, what a program was given.
 
     said: keys of afm/state that the parts add.
     """

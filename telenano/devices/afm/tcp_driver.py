@@ -61,7 +61,7 @@ class TcpDriver(ABC, Generic[C]):
     vibration = None
     simulation = None
     relief = None
-    # This is the name by which a person is told of the device.
+    # This is the name of the device in messages.
     kind: ClassVar[str] = "instrument"
 
     def __init__(

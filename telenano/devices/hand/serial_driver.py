@@ -127,7 +127,7 @@ class SerialHandle:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device said of itself; DeviceError before it was open."""
+        """Return what the device reported of itself; DeviceError before it was open."""
         if self.hello is None or self._calibration is None or self._limits is None:
             raise DeviceError(f"{self.path}: what the handle can do is known once it is open")
         flags, calibration = self.hello.flags, self._calibration

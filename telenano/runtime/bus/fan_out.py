@@ -1,7 +1,7 @@
 """One reader of each node in the place of many: observers connect here, and a node sends each message once.
 
-It imports no model, because a rig starts it with each session. A subscription of an observer goes on to the node, so
-what is not read is not sent here either.
+It imports no model, because a rig starts it with each session. A subscription of an observer is passed on to the node,
+so what is not read is not sent here either.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""What a node with a device does whatever the device is: it keeps out recordings, and takes up the device's reports.
+"""What a node with a device does whatever the device is: it keeps out recordings, and processes the device's reports.
 
 What a device or its settings may have or lack is a part of the node's step. The parts are put together once, when the
 node is built, so that no step asks what there is (ADR 0067).

@@ -103,7 +103,7 @@ class NodeLoop:
     #  _take              each message: admits -> on_message -> CommandHandler -> journal
     #  process_events     connections to other machines that came, went or were refused
     #  _act_on_deadline   where the deadline has come: on_deadline -> journal
-    #  note_event         the deferred tasks are told whether the tick is with other processes now
+    #  note_event         the deferred tasks learn whether the tick is with other processes now
     #  _defer_report      twice a second: node/health and the batch of the journal become deferred tasks
     #  _run_deferred      the tasks that fit in until the next message
     #  _end_batch         where the journal is full

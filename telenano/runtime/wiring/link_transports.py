@@ -1,4 +1,4 @@
-"""A way of one's own between two machines, beside or in place of TCP; docs/extending.md has an example.
+"""A way of your own between two machines, beside or in place of TCP; docs/extending.md has an example.
 
 The entry of the package is a `LinkTransport` of `telenano.runtime`, and what it names has these shapes. The runtime of
 a node and the launcher call it.

@@ -118,7 +118,7 @@ def nobody_runs(book: AddressBook) -> bool:
 
 
 def require_rig(book: AddressBook, site_file: Path) -> None:
-    """Raise RigError at once where no rig can be running, in the place of waiting for messages in vain."""
+    """Raise RigError at once where no rig can be running, instead of waiting for messages that cannot come."""
     if nobody_runs(book):
         raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
 

@@ -43,8 +43,8 @@ class Facts(NamedTuple):
     """What the checks need besides the rows.
 
     device: what it declares; watchdog_s: silence after which it is off [s]; max_drive_n: the most that its drive may
-    give; amplitude_m: of the step *follow*; said: what the driver said was wrong, each once; stopped: why the motion
-    ended early.
+    give; amplitude_m: of the step *follow*; said: what the driver reported was wrong, each once; stopped: why the
+    motion ended early.
     """
 
     device: Capabilities

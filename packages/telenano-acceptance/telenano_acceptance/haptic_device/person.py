@@ -66,7 +66,7 @@ def reach_of(device: Capabilities) -> Vector:
 
 
 def _on_way(share: float, reach_m: Vector) -> Vector:
-    """Return where the hand is on its way along one axis after the other."""
+    """Return where the hand is as it moves along one axis after the other."""
     at = share * len(_SLOW)
     leg = min(len(_SLOW) - 1, int(at))
     (axis, end), (before, begin) = _SLOW[leg], _SLOW[leg - 1] if leg else (0, 0.0)

@@ -105,7 +105,7 @@ class SimulatedLink:
         return round(self.time_s * 1e9)
 
     def newest(self, session_time_s: float, dt_s: float) -> ServoSample | None:
-        """Let dt_s pass; return what the servo said last."""
+        """Let dt_s pass; return what the servo reported last."""
         end_s = self.time_s + dt_s
         while self._due_s <= end_s + 1e-12:
             self._move_to(self._due_s)

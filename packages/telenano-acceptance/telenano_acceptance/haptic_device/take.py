@@ -1,6 +1,6 @@
 """The motion of a minute that a device that takes a force is judged by, and the recording of it.
 
-A row is what the servo of the device said, and what was asked of it.
+A row is what the servo of the device reported, and what was asked of it.
 """
 
 from typing import NamedTuple
@@ -60,10 +60,10 @@ ROW = row_of(
 
 
 class Facts(NamedTuple):
-    """What was declared and said beforehand: the device, and the coupling with which it is to be used.
+    """What was declared and reported beforehand: the device, and the coupling with which it is to be used.
 
     mass_kg: of the mass that was hung at the handle, 0.0 for none. independent_stop: how the power of the drives can be
-    cut without the computer, empty if it cannot. said: what the device said was wrong, each once. stopped: why the
+    cut without the computer, empty if it cannot. said: what the device reported was wrong, each once. stopped: why the
     motion ended early.
     """
 
@@ -105,7 +105,7 @@ def record_take(
 
     Args:
         link: The device and its servo.
-        facts: What was declared and said beforehand.
+        facts: What was declared and reported beforehand.
         steps: Those of `steps_of`.
         clock: That of the servo.
         guide: Leads the person.
@@ -159,7 +159,7 @@ class _Asker:
         self.said: dict[str, None] = {}
 
     def newest(self) -> ServoSample:
-        """Let a period pass, and return what the servo said last."""
+        """Let a period pass, and return what the servo reported last."""
         self._found = self._link.newest(0.0, PERIOD_S) or self._found
         if self._found.error and len(self.said) < _MOST_SAID:
             self.said[self._found.error] = None

@@ -1,4 +1,4 @@
-"""`telenano device trial`: half an hour with a device of one's own, one file, and the page of it."""
+"""`telenano device trial`: half an hour with a device of your own, one file, and the page of it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,7 +41,7 @@ def trial(
         Path | None, typer.Option("--read", metavar="FILE", help="Make the page of the file of a trial, as Markdown.")
     ] = None,
 ) -> None:
-    """Try a device of one's own with a question before each step, and write one file; or make its page.
+    """Try a device of your own with a question before each step, and write one file; or make its page.
 
     It is read first, then driven without load, then with load. `end` or Ctrl-C ends it at any time: the device is let
     go of, and the file has what was found until then. The exit code is 1 if a check fails or was not made.

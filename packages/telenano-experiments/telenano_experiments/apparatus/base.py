@@ -56,7 +56,7 @@ class Apparatus(ABC):
         self.plan, self.desk = plan, desk
 
     def prepare(self, trial: Trial) -> None:
-        """Bring up what a trial runs on, so that its participant can be told something before it."""
+        """Bring up what a trial runs on, so that its participant can be addressed before it."""
         return
 
     @abstractmethod

@@ -237,7 +237,7 @@ class Live(Apparatus):
         started = {**document, "haptic_node": {**hand, "operator": operator}}
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
-        # Participants press, and nobody else commands, while the experiment has the hand.
+        # Participants press, and no one else commands, while the experiment has control.
         self._lease = self._hold.enter_context(holding("experiment"))
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
         self._kept, self._newest = kept, {}
@@ -320,7 +320,7 @@ class Live(Apparatus):
         def is_there(state: AfmState) -> bool:
             return math.dist(state.base_position_m[:2], (x_m, y_m)) <= _SAME_PLACE_M
 
-        # A hand that still comes to rest across has the stage and keeps the tip where it is: the tip is told again.
+        # A hand that still comes to rest across has the stage and keeps the tip in place: the tip is commanded again.
         self._await_tip(is_there, "that the tip is at its place over the sample", put)
         if "particles" in document.get("afm_node", {}).get("sample", {}):
             self._command("set", TIP, {"sample.restore": True})

@@ -1,4 +1,4 @@
-"""Figures of the paper made anew, and its equations with the numbers of Table 2, on one page."""
+"""Figures of the paper made again, and its equations with the numbers of Table 2, on one page."""
 
 import json
 import re

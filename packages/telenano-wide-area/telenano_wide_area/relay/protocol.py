@@ -123,7 +123,7 @@ def make_request(
 ) -> Request:
     """Return a request to be joined with the end at the machine with the key `peer`; no key asks for no place.
 
-    Without `direct` the other end is not told the address of this one.
+    Without `direct` the other end does not learn the address of this one.
     """
     body = pack({"peer": peer.hex(), "direct": direct}).ljust(_BODY_BYTES)
     return Request(tag, cookie, public, keys.seal(body, tag + cookie))

@@ -220,7 +220,7 @@ class Relay:
                 await site.channel.receive()
 
     async def _be_site(self, site: Site, request: dict[str, Any]) -> None:
-        """Keep the connection of a site, over which it is told who wants to reach it."""
+        """Keep the connection of a site, over which it learns who wants to reach it."""
         site.meets = frozenset(map(str, request["meets"][:_MOST_SITES]))
         before = self.sites.get(site.key)
         if before is None and len(self.sites) >= _MOST_SITES:

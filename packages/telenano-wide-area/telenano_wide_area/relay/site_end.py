@@ -91,7 +91,7 @@ class SiteEnd:
                 async with asyncio.timeout(_SILENCE_S):
                     said = await channel.receive()
                 if self._meets() != meets:
-                    # The list of keys has changed: the relay is told by a new connection.
+                    # The list of keys has changed: the relay learns it by a new connection.
                     return 0.0
                 if "refused" in said:
                     self._tell("error", f"the relay {self._relay} refuses this machine: {said.get('text')}")

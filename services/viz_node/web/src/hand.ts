@@ -8,7 +8,7 @@ import type { Store } from "./store";
 /** Height of the pad in the travel of the arm [m]. */
 const TRAVEL_M = 0.025;
 const TOP_M = -0.005;
-/** How often the page says that it still means what it said: the spring lets go without it. */
+/** How often the page says that it still means what it sent: the spring lets go without it. */
 const SAY_MS = 50;
 /** The force of the tip at which a gamepad rumbles with all it has, and from which it does [N]. */
 const RUMBLE_N = 3;

@@ -6,7 +6,7 @@ const LONGEST_STEP_S = 0.1;
 /** Share of what it is off that is put right in a frame of a sixtieth of a second. */
 const GAIN = 0.1;
 
-/** The time up to which curves are drawn: it goes on evenly with the display while samples come in packets. */
+/** The time up to which curves are drawn: it advances evenly with the display while samples come in packets. */
 export class Playhead {
   at = -Infinity;
   private before: number | undefined;

@@ -1,6 +1,6 @@
 /** What the page meant is compared with what the hand does over this time and the way there and back [ms]. */
 const WINDOW_MS = 1000;
-/** For so much of that time they may be apart: what is on its way, and a drop that no hand feels [ms]. */
+/** For so much of that time they may be apart: what is in transit, and a drop that no hand feels [ms]. */
 const APART_MS = 200;
 /** Nothing new of the hand for this long: what is shown is past [ms]. */
 const SILENT_MS = 400;

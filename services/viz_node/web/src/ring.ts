@@ -33,7 +33,7 @@ export class Ring {
     if (data.length !== n * (this.columns + 1)) throw new Error(`${data.length} numbers are not ${n} samples`);
     for (let i = Math.max(0, n - this.capacity); i < n; i++) {
       const time = t0 + (data[i] as number);
-      // a time before the newest one belongs to a publisher that began anew: what was there cannot be ordered with it
+      // a time before the newest one belongs to a publisher that began again: what was there cannot be ordered with it
       if (time < this.newest) this.clear();
       const place = (this.first + this.count) % this.capacity;
       this.times[place] = time;
@@ -75,7 +75,7 @@ export class Ring {
   }
 }
 
-/** A point of a curve: a number, a gap (null), or nothing there although the curve goes on (undefined). */
+/** A point of a curve: a number, a gap (null), or nothing there although the curve continues (undefined). */
 export type Point = number | null | undefined;
 
 /** Places on the time axis for `buckets` buckets of two points each. */

@@ -32,7 +32,7 @@ page.onmessage = ({ data }: MessageEvent<ToSocket>) => {
   }
 };
 setInterval(push, SEND_MS);
-// not before the server has told who this page is: its first frame is its token
+// not before the server has sent who this page is: its first frame is its token
 setInterval(() => me && here(), HERE_MS);
 
 function open(url: string): void {

@@ -14,7 +14,7 @@ export function springForce(meant_m: number, arm_m: number): number {
   return Math.max(-LIMIT_N, Math.min(LIMIT_N, force));
 }
 
-/** The spring between what the page means and the newest arm that the server told, however long the page draws. */
+/** The spring between what the page means and the newest arm that the server sent, however long the page draws. */
 export class Spring {
   private meant: number | null = null;
   private heldUntil = -Infinity;

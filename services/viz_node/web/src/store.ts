@@ -78,7 +78,7 @@ export class Store {
   private seen = new Set<string>();
   private noted = 0;
 
-  /** Begin anew with what the server knows. Curves stay, as after a lost connection, unless `forget`. */
+  /** Begin again with what the server knows. Curves stay, as after a lost connection, unless `forget`. */
   begin(snapshot: Snapshot): void {
     this.role = snapshot.role;
     this.me = snapshot.me ?? "";

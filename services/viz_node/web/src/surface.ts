@@ -4,7 +4,7 @@ import { levelled, type Levelling } from "./levelling";
 import { numbers, type Line } from "./protocol";
 
 const NM = 1e9;
-/** Colours are made anew when the range of heights has grown by this share. */
+/** Colours are made again when the range of heights has grown by this share. */
 const RECOLOUR = 0.02;
 const MOST_POINTS = 1024;
 const LINEAR = new Color();
