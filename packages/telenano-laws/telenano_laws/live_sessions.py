@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from telenano.files import whole_file
-from telenano.signals import run, start
+from telenano.launcher import run_session
+from telenano.signals import start
 from telenano.wire import RigError
 
 LINES = ("cicv5g_n78_urban", "starlink_driving")
@@ -63,7 +64,7 @@ def _answers(port: int) -> bool:
     return False
 
 
-def run_session(folder: Path, law: str, line: str, settings: Sequence[str] = ()) -> dict[str, Any]:
+def summary_of(folder: Path, law: str, line: str, settings: Sequence[str] = ()) -> dict[str, Any]:
     """Run one session and return its summary.
 
     Raises:
@@ -72,7 +73,7 @@ def run_session(folder: Path, law: str, line: str, settings: Sequence[str] = ())
     keys = (f"controller.law={law}", f"delay_node.profile={line}", f"delay_node.seed={SEED}", *settings)
     command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json", "--overwrite", "--out"]
     sets = [word for key in keys for word in ("--set", key)]
-    done = run([*command, str(folder), *sets], capture_output=True, text=True, check=False)
+    done = run_session([*command, str(folder), *sets])
     try:
         summary: dict[str, Any] = json.loads(done.stdout)
     except ValueError as error:
@@ -108,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 folder = chosen.folder / f"{law}-{line}-{device}"
                 try:
                     with emulated_inverse3("fig12") if device == "haply" else contextlib.nullcontext(()) as taken:
-                        summary = run_session(folder, law, line, (rate, *taken))
+                        summary = summary_of(folder, law, line, (rate, *taken))
                 except RigError as error:
                     parser.exit(4, f"{error}\n")
                 rows.append(row(law, line, device, summary))

@@ -39,7 +39,7 @@ def test_a_row_has_the_holds_in_which_the_hand_pressed_and_the_blow() -> None:
 
 def test_each_law_runs_over_each_line_with_its_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     up = Started(json.dumps(SUMMARY))
-    monkeypatch.setattr(live_sessions, "run", up)
+    monkeypatch.setattr(live_sessions, "run_session", up)
     live_sessions.main([str(tmp_path), "wave", "--device", "sim", "--rate", "250"])
     assert [command[command.index("--out") + 1] for command in up.commands] == [
         str(tmp_path / f"wave-{line}-sim") for line in live_sessions.LINES
@@ -56,7 +56,7 @@ def test_each_law_runs_over_each_line_with_its_seed(tmp_path: Path, monkeypatch:
 def test_a_session_that_does_not_run_ends_with_its_reason(
     stdout: str, stderr: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    monkeypatch.setattr(live_sessions, "run", Started(stdout, stderr))
+    monkeypatch.setattr(live_sessions, "run_session", Started(stdout, stderr))
     with pytest.raises(SystemExit, match="4"):
         live_sessions.main([str(tmp_path), "wave", "--device", "sim"])
     assert text in capsys.readouterr().err
