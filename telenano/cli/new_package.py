@@ -38,9 +38,9 @@ def _taken(kind: Kind) -> Collection[str]:
 
         return TAKEN_LAWS
     if kind == "task":
-        from telenano.settings.known_packages import KNOWN_PACKAGES
+        from telenano.settings.known_packages import known_of
 
-        return [words.removeprefix("task ") for words in KNOWN_PACKAGES if words.startswith("task ")]
+        return known_of("task")
     if kind == "command":
         from telenano.cli.lazy_commands import LAZY_COMMANDS
 

@@ -87,6 +87,12 @@ KNOWN_PACKAGES = {
 KNOWN_TRANSPORT = "datagram"
 
 
+def known_of(kind: str) -> dict[str, str]:
+    """Return the packages of a kind of things, such as `driver` or `law`, by the names of the things."""
+    rows = ((words.partition(" "), package) for words, package in KNOWN_PACKAGES.items())
+    return {name: package for (first, _, name), package in rows if first == kind}
+
+
 def where_it_is(words: str) -> str:
     """Return which package of this project has a thing and how it is installed; empty where none has.
 

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 from core_lines import APART, ROOT, code_lines, core_files, files_of_tests, lines_of_tests, most_lines_of_tests
 
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import known_of
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -62,7 +62,7 @@ def names_of_packages() -> tuple[set[str], set[str]]:
         packages |= {project["name"], project["name"].replace("-", "_")}
         entries = project.get("entry-points", {})
         drivers |= {name for kind in ("devices", "tasks") for name in entries.get(f"telenano.{kind}", {})}
-    return drivers | {row.rpartition(" ")[2] for row in KNOWN_PACKAGES if row.startswith("command bridge ")}, packages
+    return drivers | {row.removeprefix("bridge ") for row in known_of("command") if row.startswith("bridge ")}, packages
 
 
 def test_the_core_names_what_packages_bring_in_one_table_of_suggestions() -> None:

@@ -8,7 +8,7 @@ import typer
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 from telenano.settings.device_drivers import DeviceDriver
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import known_of
 from telenano.settings.plugins import installed
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package, how_to_install
@@ -89,9 +89,8 @@ def package_rows() -> list[dict[str, Any]]:
             }
         )
     there = {row["driver"] for row in rows}
-    for words, package in KNOWN_PACKAGES.items():
-        kind, _, name = words.partition(" ")
-        if kind == "driver" and name not in there:
+    for name, package in known_of("driver").items():
+        if name not in there:
             absent = {"package": package, "found": "not installed", "advice": how_to_add_package(package)}
             rows.append({"driver": name, "device": "", "node": "", **absent})
     return rows

@@ -23,7 +23,7 @@ from telenano.devices.afm.instrument import calibration_of_file
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.settings import plugins
 from telenano.settings.config import validate
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES, known_of
 from telenano.wire import extras
 from telenano.wire.errors import ConfigError
 
@@ -152,8 +152,7 @@ def test_drivers_that_are_not_installed_are_listed_with_the_command_that_adds_th
     monkeypatch.setattr("telenano.cli.commands.device.installed", lambda kind: {})
     monkeypatch.setattr("telenano.cli.commands.doctor.checks_of_packages", list)
     rows = {row["driver"]: row for row in package_rows()}
-    drivers = {words.split()[1]: package for words, package in KNOWN_PACKAGES.items() if words.startswith("driver ")}
-    assert {name: row["package"] for name, row in rows.items()} == drivers
+    assert {name: row["package"] for name, row in rows.items()} == known_of("driver")
     assert rows["haply"]["advice"] == extras.how_to_add_package("telenano-haptic-devices")
 
 

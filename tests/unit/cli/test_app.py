@@ -15,7 +15,7 @@ from telenano.cli.root import app
 from telenano.runtime.wiring.main import node_kind, parse_arguments, run_node
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins
 from telenano.settings.included import site_file_named
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import known_of
 from telenano.wire.errors import RigError
 
 RUNNER = CliRunner()
@@ -36,7 +36,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
 
 COMMANDS = command_page.commands()
 # the commands of the project's packages that stand in no group
-OF_PACKAGES = [words[1] for key in KNOWN_PACKAGES if (words := key.split())[0] == "command" and len(words) == 2]
+OF_PACKAGES = [words for words in known_of("command") if " " not in words]
 
 
 def test_the_page_of_commands_is_that_of_their_options() -> None:

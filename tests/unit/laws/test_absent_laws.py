@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import known_of
 
-LAWS = sorted(row.removeprefix("law ") for row in KNOWN_PACKAGES if row.startswith("law "))
+LAWS = sorted(known_of("law"))
 
 REFUSED = """
 import json, sys
