@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.intervals import DEVIATIONS, student
+from telenano.analysis.intervals import DEVIATIONS, half_width, student
 from telenano.launcher.shown import Known
 
 Series = npt.NDArray[np.float64]
@@ -156,7 +156,7 @@ class ContactEstimate:
         parts = np.array(
             [_slope(*part) for part in zip(*(np.array_split(one, _DRIFT_PARTS) for one in (times, still)), strict=True)]
         )
-        scatter = student(_DRIFT_PARTS - 1) * float(parts.std(ddof=1)) / math.sqrt(_DRIFT_PARTS)
+        scatter = half_width(float(parts.std(ddof=1)), _DRIFT_PARTS)
         crept = 0.5 * _CREEP_SHARE * _slope(times, self._creep(times))
         softer = max(stiffness.value / stiffness.low - 1.0, 1.0 - stiffness.value / stiffness.high)
         pressed = softer * abs(_slope(times, force)) / stiffness.value
@@ -199,5 +199,5 @@ def _stiffness(times: Series, base: Series, force: Series) -> Known | None:
 
 
 def _without_trend(times: Series, values: Series) -> Series:
-    off = times - times.mean()
-    return np.asarray(values - values.mean() - off * (off @ values / (off @ off)), dtype=np.float64)
+    trend = (times - times.mean()) * _slope(times, values)
+    return np.asarray(values - values.mean() - trend, dtype=np.float64)

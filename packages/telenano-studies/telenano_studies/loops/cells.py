@@ -442,7 +442,8 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
     holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))
     judgement = _UNTOUCHED
-    for found in holds:
+    if holds:
+        (found,) = holds
         facts = tuple(fact.kind for fact in found.facts)
         judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, found.reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
