@@ -72,7 +72,7 @@ def benchmark(
         with sweep_in(out, workers, scheduler, shown=not as_json, kind=RUNS) as sweep:
             outcomes = sweep.run(plan.runs())
         rows, situations = rows_of(outcomes), situations_of(outcomes)
-        summary = summary_of(plan, outcomes, rows)
+        summary = summary_of(plan, outcomes, rows, situations)
         with results_in(out) as folder:
             (folder / "runs.csv").write_text(runs_text(outcomes), encoding="utf-8", newline="")
             with styled(options):

@@ -1,6 +1,5 @@
 """The page of the benchmark: which law for which network, a figure, the measures, and what was run."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -86,18 +85,12 @@ def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) ->
     has the shares of the runs held. To the right follows worse, downwards is softer, and the colour is the least energy
     at the ports.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 
     first_sample = next(iter(situations)).sample
     shown = {situation: rows for situation, rows in situations.items() if situation.sample == first_sample}
     lines = list(dict.fromkeys(situation.line for situation in shown))
-    across = min(2, len(lines))
-    down = -(-len(lines) // across)
-    figure = Figure(figsize=(6.2 * across, 0.4 + 4.0 * down), layout="constrained")
-    panels = figure.subplots(down, across, squeeze=False)
-    for axes in panels.flat[len(lines) :]:
-        axes.set_visible(False)
+    figure, panels = _panels(len(lines), 6.2, 4.2)
     dots: Any = None
     for axes, line in zip(panels.flat, lines, strict=False):
         axes.axhline(1.0, color="0.8", linewidth=0.8, zorder=0)
@@ -115,18 +108,31 @@ def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) ->
     return figure
 
 
+def _panels(count: int, width: float, height: float, **options: Any) -> "tuple[Figure, Any]":
+    """Return a figure and its panels, two in a row, each of a width and a height [inch]."""
+    from matplotlib.figure import Figure
+
+    across = min(2, count)
+    down = -(-count // across)
+    figure = Figure(figsize=(width * across, height * down), layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False, **options)
+    for axes in panels.flat[count:]:
+        axes.set_visible(False)
+    return figure, panels
+
+
 def _draw_frontier(axes: Any, rows: Mapping[str, Sequence[Row[Situation]]]) -> Any:
     """Draw the laws of one kind of line, by instrument, and return what has their scale of colours."""
     by_law: dict[str, list[tuple[int, Row[Situation]]]] = {}
     for index, some in enumerate(rows.values()):
         for row in some:
             by_law.setdefault(row.law, []).append((index, row))
-    dots, names = None, []
+    dots, names, nowhere = None, [], []
     for law, results in by_law.items():
         points = [(index, cost) for index, row in results if (cost := _cost(row)) is not None]
         name = f"{law} {' → '.join(f'{100.0 * row.share:.0f} %' for _, row in results)}"
         if not points:
-            names.append((math.nan, math.nan, name))
+            nowhere.append(name)
             continue
         axes.plot(
             [cost.tracking for _, cost in points],
@@ -143,20 +149,27 @@ def _draw_frontier(axes: Any, rows: Mapping[str, Sequence[Row[Situation]]]) -> A
             )
         last = points[-1][1]
         names.append((last.tracking, last.stiffness, name))
-    _write_names(axes, names)
+    _write_names(axes, names, nowhere)
     return dots
 
 
-def _write_names(axes: Any, names: Sequence[tuple[float, float, str]]) -> None:
-    """Write the names in a column beside the panel, in the order of their points, so that none lies on another."""
-    level = _STIFFEST
-    for tracking, stiffness, name in sorted(names, key=lambda one: -math.inf if math.isnan(one[1]) else -one[1]):
-        level = min(level - 0.085, stiffness + 0.02) if not math.isnan(stiffness) else level - 0.085
-        place = (tracking, stiffness) if not math.isnan(stiffness) else (_TRACKING[1], level)
-        arrow = {"arrowstyle": "-", "color": "0.75", "linewidth": 0.6} if not math.isnan(stiffness) else None
-        axes.annotate(
-            name, place, xytext=(1.02 * _TRACKING[1], level), fontsize=7, arrowprops=arrow, annotation_clip=False
-        )
+def _write_names(axes: Any, names: Sequence[tuple[float, float, str]], nowhere: Sequence[str]) -> None:
+    """Write names in a column beside the panel: those of points in their order, then the others.
+
+    Args:
+        axes: The panel.
+        names: Tracking error, stiffness ratio and name of each point.
+        nowhere: The names without a point.
+    """
+    beside, level = 1.02 * _TRACKING[1], _STIFFEST
+    arrow = {"arrowstyle": "-", "color": "0.75", "linewidth": 0.6}
+    for tracking, stiffness, name in sorted(names, key=lambda one: -one[1]):
+        level = min(level - 0.085, stiffness + 0.02)
+        place = (tracking, stiffness)
+        axes.annotate(name, place, xytext=(beside, level), fontsize=7, arrowprops=arrow, annotation_clip=False)
+    for name in nowhere:
+        level -= 0.085
+        axes.text(beside, level, name, fontsize=7)
 
 
 class _Cost(NamedTuple):
@@ -208,18 +221,10 @@ def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":
 
     A panel is an instrument and a hand.
     """
-    from matplotlib.figure import Figure
-
     networks, laws = list(dict.fromkeys(row.case.network for row in rows)), list(dict.fromkeys(row.law for row in rows))
     panels = list(dict.fromkeys(row.case[:2] for row in rows))
-    across = min(2, len(panels))
-    down = -(-len(panels) // across)
-    size = (2.6 + 1.25 * len(laws) * across, down * (1.8 + 0.48 * len(networks)))
-    figure = Figure(figsize=size, layout="constrained")
+    figure, grid = _panels(len(panels), 1.3 + 1.25 * len(laws), 1.8 + 0.48 * len(networks), sharey=True)
     image: Any = None
-    grid = figure.subplots(down, across, sharey=True, squeeze=False)
-    for axes in grid.flat[len(panels) :]:
-        axes.set_visible(False)
     for axes, panel in zip(grid.flat, panels, strict=False):
         image = _draw_shares(axes, [row for row in rows if row.case[:2] == panel], networks, laws)
         if len(panels) > 1:

@@ -195,7 +195,7 @@ def test_the_law_to_take_held_most_and_followed_nearest():
     assert (smith.held, smith.runs, smith.made_energy) == (2, 2, 1)
     assert smith.measures["tracking_error"] == (0.25, 0.2, 0.3)
     assert found[lan][2].verdicts == {"limit_cycle": 1, "stable": 1}
-    summary = summary_of(plan_of(["wave"], quick=True), [made("lan", "wave", "stable", 0.5)], rows)
+    summary = summary_of(plan_of(["wave"], quick=True), [made("lan", "wave", "stable", 0.5)], rows, {})
     assert [(taken["network"], taken["law"]) for taken in summary["take"]] == [("lan", "smith"), ("satellite", None)]
     assert {(taken["instrument"], taken["steadiness"]) for taken in summary["take"]} == {("ideal", "scripted")}
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
@@ -290,7 +290,7 @@ def test_instrument_and_hand_turn_a_run_and_a_seed_decides_their_noise(outcomes)
 
 def test_a_line_that_stalls_while_the_tip_is_placed_is_guarded_and_the_others_are_run():
     """A stall withdraws the tip before its session begins: the run has no measures, and the sweep goes to its end."""
-    stalled = run(run_of("passivity", "touch", "cicv5g_n78_arterial"))
+    stalled = run(run_of("wave", "touch", "cicv5g_n78_arterial"))
     assert (stalled.verdict, set(stalled.measures.values())) == ("guarded", {None})
     assert "hold_expired" in stalled.reason
     (row,) = rows_of([stalled])

@@ -9,7 +9,7 @@ import hashlib
 import io
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from telenano.analysis import wilson
@@ -109,11 +109,13 @@ def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situa
 
 
 def _recommended(rows: Sequence[Row[Situation]]) -> list[Row[Situation]]:
-    greatest = max(wilson(row.sound, row.runs)[0] for row in rows)
+    intervals = {row.law: wilson(row.sound, row.runs) for row in rows}
+    greatest = max(low for low, _ in intervals.values())
 
-    def order(row: Row[Situation]) -> tuple[Any, ...]:
-        tracking, is_behind = row.price()[1], wilson(row.sound, row.runs)[1] < greatest
-        return is_behind, *((-row.sound / row.runs, tracking) if is_behind else (tracking,)), row.law
+    def order(row: Row[Situation]) -> tuple[bool, float, float, str]:
+        is_behind = intervals[row.law][1] < greatest
+        # a law that is behind is ordered by its share, and the others follow one another by the swing alone
+        return is_behind, -row.sound / row.runs if is_behind else 0.0, row.price()[1], row.law
 
     return sorted(rows, key=order)
 
@@ -176,7 +178,12 @@ def digest_of(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row[Case]]) -> dict[str, Any]:
+def summary_of(
+    plan: Plan,
+    outcomes: Sequence[Outcome],
+    rows: Sequence[Row[Case]],
+    situations: Mapping[Situation, Sequence[Row[Situation]]],
+) -> dict[str, Any]:
     """Return the object that `benchmark.json` holds and --json prints."""
     return {
         "study": "benchmark",
@@ -200,7 +207,7 @@ def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row[Case]
         ],
         "recommended": [
             {**situation._asdict(), "laws": [row.law for row in some if row.held]}
-            for situation, some in situations_of(outcomes).items()
+            for situation, some in situations.items()
         ],
         "rows": [row.as_dict() for row in rows],
     }

@@ -11,7 +11,6 @@ by the slope of force over base, which is less than that of the cantilever where
 """
 
 import csv
-import hashlib
 import io
 import json
 import statistics
@@ -28,7 +27,7 @@ from telenano.analysis import wilson
 from telenano.link import parse_settings
 from telenano.lockstep import schedule_of
 from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_random
-from telenano_experiments.benchmark.results import HELD
+from telenano_experiments.benchmark.results import HELD, digest_of
 from telenano_experiments.benchmark.run import course_of
 
 # Ages are those of this long a draw of the line for each of the benchmark's seeds, after its beginning [s].
@@ -76,7 +75,7 @@ def shown_of(runs_csv: str) -> dict[str, Any]:
     return {
         "about": _ABOUT,
         "benchmark": VERSION,
-        "digest": hashlib.sha256(runs_csv.encode()).hexdigest(),
+        "digest": digest_of(runs_csv),
         "lines": {name: line_of(name) for name in sorted({row["network"] for row in rows})},
         "columns": list(_COLUMNS),
         "laws": {law: _law_of([row for row in rows if row["law"] == law]) for law in laws},

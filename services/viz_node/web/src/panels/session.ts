@@ -1,7 +1,7 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 
-/** The operator's programme and the devices: start, stop, couple again, arm; marks and files of the recording. */
+/** The operator's force profile and the devices: start, stop, couple again, arm; marks and files of the recording. */
 export class SessionPanel implements Panel {
   private readonly start: HTMLButtonElement;
   private readonly armed: HTMLButtonElement;
@@ -41,7 +41,7 @@ export class SessionPanel implements Panel {
     const runs = Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0;
     const { isStopped } = this.cockpit.commands;
     const isKnown = store.state.has("haptic/state/master");
-    // the programme of the operator continues behind an emergency stop, and nothing follows it
+    // the force profile of the operator continues behind an emergency stop, and nothing follows it
     this.start.setAttribute("aria-pressed", String(runs && !isStopped));
     this.start.nextElementSibling!.setAttribute("aria-pressed", String(isKnown && !runs));
     this.armed.setAttribute("aria-pressed", String(isKnown && !isStopped && store.fact("haptic/state/master", "mode") !== "safe"));
