@@ -278,7 +278,7 @@ def by_measured_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 
 def by_live_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     with pytest.raises(RigError) as caught:
-        live_sessions.run_session(folder.parent / "rig", "passivity", "no_such_line")
+        live_sessions.summary_of(folder.parent / "rig", "passivity", "no_such_line")
     return "delay_node.profile" in str(caught.value)
 
 
