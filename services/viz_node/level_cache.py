@@ -15,7 +15,7 @@ import msgpack
 import zstandard
 
 from services.viz_node.levels import Levels
-from telenano.files.whole_files import whole_file
+from telenano.files.atomic_files import atomic_file
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16
@@ -56,7 +56,7 @@ class LevelCache:
             if len(packed) > _MOST_BYTES:
                 return
             path.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(path) as part:
+            with atomic_file(path) as part:
                 part.write_bytes(zstandard.ZstdCompressor(level=1, write_checksum=True).compress(packed))
             self._prune(path)
 

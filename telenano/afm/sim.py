@@ -197,8 +197,8 @@ class SimulatedInstrument:
         state = self.state
         if self._motion is None or state.part is None:
             return False
-        state.part, goes_on = self._motion.settle(self._params.plant, state.part, state.inputs)
-        return goes_on
+        state.part, continues = self._motion.settle(self._params.plant, state.part, state.inputs)
+        return continues
 
     def open(self) -> None:
         """Start at rest in the safe position.

@@ -109,8 +109,8 @@ def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple
     inside = (found["src"] == _MASTER) & (found["t_ns"] >= start_ns) & (found["t_ns"] <= end_ns)
     laws = [str(law) for law in found["law"][inside]]
     in_turn = [law for before, law in zip(["", *laws], laws, strict=False) if law != before]
-    told_s = found["round_trip_s"][inside & found["round_trip_valid"].astype(bool)]
-    return in_turn, round(1e3 * float(np.median(told_s)), 3) if told_s.size else None
+    round_trips_s = found["round_trip_s"][inside & found["round_trip_valid"].astype(bool)]
+    return in_turn, round(1e3 * float(np.median(round_trips_s)), 3) if round_trips_s.size else None
 
 
 def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> npt.NDArray[np.float64] | None:

@@ -184,7 +184,7 @@ class Lack(NamedTuple):
         return f"{self.topic}: {what} from {self.start_s:.3f} s to {self.end_s:.3f} s of the session"
 
 
-class Programme(NamedTuple):
+class SessionContext(NamedTuple):
     """What else is known of a session.
 
     planned: holds of the operator's force profile, start [s], end [s], force [N]; answered_s:
@@ -211,7 +211,7 @@ class Programme(NamedTuple):
     rest_force: Callable[[float], float] | None = None
 
 
-NO_PROGRAMME = Programme()
+NO_CONTEXT = SessionContext()
 
 
 def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> list[tuple[float, float]]:
@@ -273,7 +273,7 @@ def judge_holds(
     tip_time_s: Series,
     scaled_force_n: Series,
     tip: Instrument | None = None,
-    programme: Programme = NO_PROGRAMME,
+    context: SessionContext = NO_CONTEXT,
     spans: Sequence[tuple[float, float, float]] | None = None,
 ) -> list[Hold]:
     """Return the holds of a session, each with its verdict.
@@ -289,11 +289,11 @@ def judge_holds(
         tip_time_s: The times of the tip's samples [s], shape (m,).
         scaled_force_n: alpha_f F_s at those times [N], shape (m,).
         tip: What the instrument says at those times; None if that is not known.
-        programme: What else is known of the operator's force profile.
+        context: What else is known of the operator's force profile.
         spans: Start [s], end [s] and force [N] of the holds, where they are known although the force of the hand, an
             arm, does not stand still; None looks for them.
     """
-    forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in programme.planned)]
+    forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in context.planned)]
     greatest = float(max(forces, default=0.0))
     if greatest == 0.0:
         return []
@@ -303,18 +303,18 @@ def judge_holds(
     if not tip.knows_contact:
         tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
     step_n = rounding_of(scaled_force_n)
-    late = _late(programme)
-    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest, step_n, late)
+    late = _late(context)
+    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, context, greatest, step_n, late)
     if spans is not None:
         return [found for hold in spans if (found := _judge_hold(session, hold, spans)) is not None]
-    away = absences(tip_time_s, tip, programme)
+    away = absences(tip_time_s, tip, context)
     stretches = constant_stretches(hand_time_s, hand_force_n, STEADY_SHARE * greatest)
     holds = []
     for start, end in [part for stretch in stretches for part in outside(stretch, away)]:
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
         holds.append((start, end, force))
     # A hold that was planned and that the recording does not show at the hand has no data.
-    for start, end, force in programme.planned:
+    for start, end, force in context.planned:
         shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
         if shown_s >= 0.5 * (end - start):
             continue
@@ -322,12 +322,12 @@ def judge_holds(
         is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest
         if lacks_of(hand_time_s, hand_time_s, (start, end)):
             holds.append((start, end, force))
-        elif is_held and not programme.by_hand:
+        elif is_held and not context.by_hand:
             # the hand trembles about what was planned
             parts = outside((start, end), away)
             holds = [hold for hold in holds if not _covered(hold, [(start, end)])]
             holds += [(first, last, force) for first, last in parts]
-    swings = swings_of(tip_time_s, scaled_force_n) if programme.by_hand else []
+    swings = swings_of(tip_time_s, scaled_force_n) if context.by_hand else []
     swings = [swing for swing in swings if not _covered(swing, [*holds, *away])]
     # between its stops a hand that swings stands still now and then
     holds = sorted(hold for hold in holds if not _covered(hold, swings))
@@ -336,7 +336,7 @@ def judge_holds(
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
-def _late(known: Programme) -> list[Late]:
+def _late(known: SessionContext) -> list[Late]:
     """Return when machine or link were late in a session, in the order of time."""
     found = list(known.late)
     if known.answered_s is not None and len(known.answered_s) > 1:
@@ -361,7 +361,7 @@ class _Session(NamedTuple):
     tip_s: Series
     tip_n: Series
     tip: Instrument
-    known: Programme
+    known: SessionContext
     greatest_n: float
     step_n: float
     late: list[Late]
@@ -737,15 +737,15 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
     return Hold(swing.start_s, swing.end_s, force, *found[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz)
 
 
-def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -> list[tuple[float, float]]:
+def absences(tip_time_s: Series, tip: Instrument | None, context: SessionContext) -> list[tuple[float, float]]:
     """Return from when to when [s] the tip does not follow the hand because somebody wanted that."""
-    spans = list(programme.programs)
+    spans = list(context.programs)
     if tip is None or not tip_time_s.size:
         return spans
     follows = np.concatenate([np.ones(1, dtype=bool), tip.following, np.ones(1, dtype=bool)])
     for first, after in np.flatnonzero(np.diff(follows)).reshape(-1, 2).tolist():
         from_s = float(tip_time_s[first])
-        near = [guard for guard in programme.guards if abs(guard.time_s - from_s) <= REPORTED_WITHIN_S]
+        near = [guard for guard in context.guards if abs(guard.time_s - from_s) <= REPORTED_WITHIN_S]
         if near and min(near, key=lambda guard: abs(guard.time_s - from_s)).reason in _ASKED:
             spans.append((from_s, float(tip_time_s[min(after, len(tip_time_s) - 1)])))
     return spans
@@ -766,19 +766,19 @@ def _covered(stretch: tuple[float, ...], spans: Sequence[tuple[float, ...]]) -> 
     return sum(max(0.0, min(end_s, span[1]) - max(start_s, span[0])) for span in spans) > 0.5 * (end_s - start_s)
 
 
-def _in_words(at_s: float, reason: str, programme: Programme) -> tuple[str, bool]:
+def _in_words(at_s: float, reason: str, context: SessionContext) -> tuple[str, bool]:
     """Return when, why and at which limit the guard acted, and whether it did because commands were missing."""
-    limit = programme.limits.words(reason) if programme.limits is not None else ""
+    limit = context.limits.words(reason) if context.limits is not None else ""
     why = ": ".join(part for part in (reason, limit) if part)
     if reason in _STARVED:
         words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
-        return "; ".join([words, *_causes(programme, at_s, at_s)]), True
+        return "; ".join([words, *_causes(context, at_s, at_s)]), True
     when = f"at {at_s:.3f} s" + (", before the hand's force profile" if at_s < 0.0 else "")
     return f"{GUARD_ACTED} {when}" + (f" ({why})" if why else ""), False
 
 
-def guard_of(tip_time_s: Series, tip: Instrument, programme: Programme = NO_PROGRAMME) -> str:
+def guard_of(tip_time_s: Series, tip: Instrument, context: SessionContext = NO_CONTEXT) -> str:
     """Return when, why and at which limit the guard first ended a session, in or between its holds; empty if never.
 
     A stop that a person asked for is none, nor is one of which no reason is known.
@@ -786,19 +786,19 @@ def guard_of(tip_time_s: Series, tip: Instrument, programme: Programme = NO_PROG
     before = np.concatenate([np.ones(1, dtype=bool), tip.following[:-1]])[: len(tip_time_s)]
     for index in np.flatnonzero(~tip.following & before).tolist():
         at_s = float(tip_time_s[index])
-        near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
+        near = [guard for guard in context.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
         # a session that begins withdrawn was ended by what the guard did last
-        near = near or [guard for guard in programme.guards if index == 0 and guard.time_s <= at_s][-1:]
+        near = near or [guard for guard in context.guards if index == 0 and guard.time_s <= at_s][-1:]
         if near and near[0].reason in _GUARDING:
-            return _in_words(near[0].time_s if index == 0 else at_s, near[0].reason, programme)[0]
+            return _in_words(near[0].time_s if index == 0 else at_s, near[0].reason, context)[0]
     return ""
 
 
-def _causes(programme: Programme, start_s: float, end_s: float) -> list[str]:
+def _causes(context: SessionContext, start_s: float, end_s: float) -> list[str]:
     """Return the incidents that a stretch without samples or commands may be due to."""
     return [
         f"at {incident.time_s:.3f} s: {incident.text}"
-        for incident in programme.incidents
+        for incident in context.incidents
         if start_s - _CAUSED_WITHIN_S <= incident.time_s <= end_s + _NOTICED_WITHIN_S
     ]
 

@@ -39,7 +39,7 @@ _RESIDUE = 1e-3
 # a swing that turns by less in its stretch [rad] may be an exponential; a growth is no greater [1/length]
 _REAL_TURN = math.pi
 # lines that are less apart than three turns [rad] are one in a third of the stretch
-_TOLD_APART = 6.0 * math.pi
+_SEPARABLE_PHASE = 6.0 * math.pi
 # the octave below this bin has too few bins for a median
 _LEAST_BIN = 4.0
 _MOST_GROWTH = 400.0
@@ -375,7 +375,7 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
         own, column = state.left, 1
         for _, other in state.poles:
             for _ in range(2 if other else 1):
-                near = abs(other - turn) < _TOLD_APART
+                near = abs(other - turn) < _SEPARABLE_PHASE
                 own = own + state.weights[column] * columns[column] if near else own
                 column += 1
         edges = np.linspace(0, len(times), 4).astype(int).tolist()

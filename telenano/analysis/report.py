@@ -21,7 +21,7 @@ from telenano.analysis.holds import (
     HAND,
     LATE_S,
     LONGEST_STEP_S,
-    NO_PROGRAMME,
+    NO_CONTEXT,
     SHORTEST_HOLD_S,
     TIP,
     Guard,
@@ -30,7 +30,7 @@ from telenano.analysis.holds import (
     Instrument,
     Late,
     Limits,
-    Programme,
+    SessionContext,
     gaps_in,
     guard_of,
     hold_forces,
@@ -38,12 +38,12 @@ from telenano.analysis.holds import (
     lacks_of,
     verdict_of,
 )
-from telenano.analysis.interruptions import Interruption, Told, in_words, interruptions_of
+from telenano.analysis.interruptions import Interruption, ModeReport, in_words, interruptions_of
 from telenano.analysis.intervals import half_width, with_error
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import Spans, cut_off, gaps, recording_facts
 from telenano.analysis.summary import Summary
-from telenano.files.whole_files import whole_results
+from telenano.files.atomic_files import whole_results
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
@@ -79,7 +79,7 @@ _ALARMS = ("warning", "error")
 _LEAST_SHARE, _LEAST_N = 0.1, 0.1
 # A launcher that is busy reports the end of a process so long after it [s].
 _EXIT_WITHIN_S = 2.0
-_NOT_ANEW = "its force profile was not started again, which `telenano session start` does"
+_NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
 _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
 _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
@@ -93,7 +93,7 @@ _TIP_FIELDS = (
 class Session:
     """The part of a recording in which the operator's force profile ran, and the series that the report needs.
 
-    `missing` has a sentence for each end of it that the recording lacks; `programme` is what is known of its holds
+    `missing` has a sentence for each end of it that the recording lacks; `context` is what is known of its holds
     besides the series; `timeline` puts stamps on the master's clock, on which the series are; `otherwise` is the same
     session with the measured offset of the slave's clock taken off, where that is neither shown to be right nor wrong.
     """
@@ -108,7 +108,7 @@ class Session:
     conditions: dict[str, Any]
     timeline: Timeline
     missing: tuple[str, ...] = ()
-    programme: Programme = NO_PROGRAMME
+    context: SessionContext = NO_CONTEXT
     otherwise: "Session | None" = None
     knows_contact: bool = True
 
@@ -250,7 +250,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         conditions=found,
         timeline=timeline,
         missing=tuple(missing),
-        programme=Programme(
+        context=SessionContext(
             # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
             planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
             (hand["t_ns"][new] - start_ns) * 1e-9,
@@ -376,8 +376,8 @@ class _Reported(NamedTuple):
 
     guards: list[Guard]
     incidents: list[Incident]
-    held: list[Told]
-    let_go: list[Told]
+    held: list[ModeReport]
+    let_go: list[ModeReport]
     exits: list[tuple[str, Incident]]
 
 
@@ -388,11 +388,11 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
         name, data, kind, text = name_of(event.src), fields["data"], fields["kind"], fields["text"]
         at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
         at_s = (at_ns - start_ns) * 1e-9
-        told = Told(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
-        if name == "afm_node" and kind == "mode" and told.mode in _WITHDRAWN:
+        report = ModeReport(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
+        if name == "afm_node" and kind == "mode" and report.mode in _WITHDRAWN:
             found.guards.append(Guard(at_s, str(data.get("reason", ""))))
-        elif kind == "mode" and told.mode in ("hold", "off"):
-            (found.held if name == "afm_node" else found.let_go).append(told)
+        elif kind == "mode" and report.mode in ("hold", "off"):
+            (found.held if name == "afm_node" else found.let_go).append(report)
         elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:
             found.incidents.append(Incident(at_s, text))
             if "exit_code" in data:
@@ -406,16 +406,16 @@ def _interruptions(
     """Return what interrupted the loop while the session ran, in session time [s] and in the order of time."""
     hand_s, tip_s = ((series["t_ns"] - start_ns) * 1e-9 for series in (hand, tip))
     length_s = (end_ns - start_ns) * 1e-9
-    anew = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
-    found = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, anew)
+    restarts = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
+    found = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, restarts)
     found += interruptions_of("tip_held", tip_s, tip["mode"] == "hold", reported.held)
     exits = [(node, incident) for node, incident in reported.exits if 0.0 <= incident.time_s <= length_s]
-    for first in anew:
+    for first in restarts:
         begins_s, runs = float(hand_s[first - 1]), np.flatnonzero(hand["session_s"][first:] >= 0.0)
         own = [exit for exit in exits if exit[0] == HAND_NODE and abs(exit[1].time_s - begins_s) < _EXIT_WITHIN_S]
         text = own[0][1].text if own else f"the process of {HAND_NODE} ended and was started again"
         ends_s = float(hand_s[first + runs[0]]) if runs.size else length_s
-        then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_ANEW
+        then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_RESTARTED
         found.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
         exits = [exit for exit in exits if exit not in own]
     found += [
@@ -436,7 +436,7 @@ def summarise(
     """
     info, sent, overruns = _counted(session, recording, recording.left_out if left_out is None else left_out)
     series, holds, judged = _judged(session)
-    interruptions = session.programme.interruptions
+    interruptions = session.context.interruptions
     unread = () if left_out is None else left_out.sentences()
     missing = [*session.missing, *_lacking(session, series, holds), *missing, *unread]
     last_s = session.duration_s - RELEASE_WINDOW_S
@@ -480,10 +480,10 @@ def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
     Args:
         placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.
     """
-    said = np.asarray(placed, dtype=np.float64)
-    if np.isnan(said).all():
-        return np.ones(said.shape, dtype=np.bool_)
-    return np.asarray(np.maximum.accumulate(np.nan_to_num(said) > 0.0), dtype=np.bool_)
+    is_placed = np.asarray(placed, dtype=np.float64)
+    if np.isnan(is_placed).all():
+        return np.ones(is_placed.shape, dtype=np.bool_)
+    return np.asarray(np.maximum.accumulate(np.nan_to_num(is_placed) > 0.0), dtype=np.bool_)
 
 
 def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]]:
@@ -499,10 +499,10 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
         hand_m + session.tip["base_position_m.2"] / session.conditions["parameters"]["position_scale"],
         session.knows_contact,
     )
-    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
-    guard = guard_of(series.tip_time_s, tip, session.programme)
+    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.context)
+    guard = guard_of(series.tip_time_s, tip, session.context)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
-    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.programme.interruptions))
+    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.context.interruptions))
     # of a hold whose fate is not known nobody can say that it was not stable
     stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
     found = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
@@ -511,13 +511,13 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
 
 def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> list[str]:
     """Return a sentence for each span that makes a hold one without data, as long as it is in the session."""
-    programme = session.programme
-    times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: programme.answered_s}
+    context = session.context
+    times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: context.answered_s}
     # The holds after the end of a recording that ends early are lacking as well.
     end_s = max([session.duration_s, *(hold.end_s for hold in holds)])
     found = []
     for hold in holds:
-        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), programme.answered_s)
+        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), context.answered_s)
         for lack in lacks if hold.verdict == "no_data" else ():
             own = times[lack.topic]
             whole = gaps_in(series.hand_time_s if own is None else own, 0.0, end_s)
@@ -550,13 +550,16 @@ def lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
         is_known = fields.get("queue_s") is not None or fields.get("blocked_since_ns") is not None
         if first_ns <= message.publish_ns <= last_ns and is_known:
             reports.setdefault(fields["direction"], {})[message.src, message.seq] = fields
-    told = {way: list(found.values()) for way, found in reports.items()}
+    reports_of_way = {way: list(found.values()) for way, found in reports.items()}
     # Whether a line is full says who sends over it, and that is who receives the other direction.
     others = {"forward": "backward", "backward": "forward"}
-    figures = [_line_figures(way, own, told.get(others[way], [])) for way, own in sorted(told.items(), reverse=True)]
+    figures = [
+        _line_figures(way, own, reports_of_way.get(others[way], []))
+        for way, own in sorted(reports_of_way.items(), reverse=True)
+    ]
     for way in figures:
-        begin_ns = timeline.stamp_ns(told[way["direction"]][0]["src"], start_ns)
-        way["blocked_s"] = _blocked_s(told[way["direction"]], begin_ns)
+        begin_ns = timeline.stamp_ns(reports_of_way[way["direction"]][0]["src"], start_ns)
+        way["blocked_s"] = _blocked_s(reports_of_way[way["direction"]], begin_ns)
     return figures
 
 
@@ -667,11 +670,11 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
     if keys.size < _LEAST_FOLLOWED:
         return {}
     passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
-    said = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+    series = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
     delays, datagrams = {}, _datagrams(recording, timeline)
     for way in loop_age.WAYS:
         # The newest delay that was said of a sample counts from that sample on.
-        of_way = {name: values[said["direction"] == way][::-1] for name, values in said.items()}
+        of_way = {name: values[series["direction"] == way][::-1] for name, values in series.items()}
         from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
         at = np.searchsorted(from_ns, keys, side="right")
         added_ns, line_ns = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.files.whole_files import whole_results
+from telenano.files.atomic_files import whole_results
 from telenano.settings.config import ALLOW_CODE_VARIABLE, flag_overrides, validate
 from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.extras import how_to_install

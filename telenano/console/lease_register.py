@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from telenano.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
-from telenano.files.whole_files import changed
+from telenano.files.atomic_files import changed
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.wire.errors import ConfigError, RefusedError, RigError

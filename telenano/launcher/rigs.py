@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from telenano.files.atomic_files import write_whole
 from telenano.files.optional_modules import optional_module
-from telenano.files.whole_files import write_whole
 from telenano.launcher import processors
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock

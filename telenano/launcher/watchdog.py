@@ -116,10 +116,10 @@ class Watchdog:
             return []
         now, last = self._clock.monotonic_ns(), watched.last_ns
         # A process that stops may take its time: it has sent its last message.
-        self._watched[node] = anew = _Watched(process_id)
-        anew.last_ns = None if is_stopping else now
-        anew.looked_ns = now
-        self._look(anew, now)
+        self._watched[node] = row = _Watched(process_id)
+        row.last_ns = None if is_stopping else now
+        row.looked_ns = now
+        self._look(row, now)
         if watched.reported is None or last is None:
             return []
         silence_s = (now - last) * 1e-9

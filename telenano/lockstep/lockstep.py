@@ -59,9 +59,9 @@ from telenano.lockstep.sites import (
     Master,
     by_rate,
     carried_out,
+    continues,
     counts,
     driven,
-    goes_on,
     hand_stepped,
     instrument_at,
     master_at,
@@ -354,7 +354,7 @@ def _run(
                 sent_backward[f & mask] = False
                 if tick >= 0:
                     if path is not None:
-                        follows, later_s = goes_on(halves, s, forward[tick & mask], tick * period_ns, event_ns)
+                        follows, later_s = continues(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                         was = i.lateral
                         across = across_signalled(path, across, tick, (was.x_m, was.y_m), follows, later_s)
                         if moves_stage(across.slave):

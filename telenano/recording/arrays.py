@@ -203,7 +203,7 @@ def _array(recording: RecordingSource, channel_topic: str, field: str, values: l
     )
 
 
-def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
+def last_force_profile(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     """Return the indices of the last run of the operator's force profile.
 
     It begins where the time of the force profile falls while the time of sending continues, or where a player was set
@@ -227,8 +227,8 @@ def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
             break
         running = running[rewinds[0] :]
         old = t_ns[running] < np.maximum.accumulate(t_ns[running])
-    anew = np.flatnonzero(np.diff(session_s[running]) < 0.0)
-    return running[anew[-1] + 1 :] if anew.size else running
+    restarts = np.flatnonzero(np.diff(session_s[running]) < 0.0)
+    return running[restarts[-1] + 1 :] if restarts.size else running
 
 
 def last_session(
@@ -250,13 +250,13 @@ def last_session(
     Returns:
         The indices, fewer than two when no force profile ran.
     """
-    session = last_programme(session_s, t_ns)
+    session = last_force_profile(session_s, t_ns)
     if session.size and (last := int(session[-1])) + 1 < len(seq) and _died(last, seq, t_ns):
         end_ns = min((end_ns for end_ns in ends_ns if end_ns > t_ns[last]), default=t_ns.max() + 1)
         after = _rising(np.arange(last + 1, len(seq)), t_ns)
         session = np.concatenate((session, after[t_ns[after] < end_ns]))
     while session.size and (first := int(session[0])) > 0:
-        before = last_programme(session_s[:first], t_ns[:first])
+        before = last_force_profile(session_s[:first], t_ns[:first])
         if not before.size or not _was_cut_off(int(before[-1]), first, seq, t_ns, starts_ns):
             break
         between = _rising(np.arange(before[-1] + 1, first), t_ns)
@@ -276,5 +276,5 @@ def _rising(places: npt.NDArray[np.intp], t_ns: Column) -> npt.NDArray[np.intp]:
 
 def _was_cut_off(last: int, first: int, seq: Column, t_ns: Column, starts_ns: Sequence[int]) -> bool:
     """Return whether a force profile ended with its process, and the one that follows is of the same session."""
-    begun_anew = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
-    return _died(last, seq, t_ns) and not begun_anew
+    is_restarted = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
+    return _died(last, seq, t_ns) and not is_restarted

@@ -9,7 +9,7 @@ from typing import IO, Any
 
 from pydantic import BaseModel
 
-from telenano.files.whole_files import whole_file, whole_results
+from telenano.files.atomic_files import atomic_file, whole_results
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_messages import MessageWriter
 from telenano.recording.mcap_scan import describe_damage
@@ -38,7 +38,7 @@ class CopyWriter:
         self._file = contextlib.ExitStack()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part = self._file.enter_context(whole_file(path, replace=False))
+            part = self._file.enter_context(atomic_file(path, replace=False))
             self._stream: IO[bytes] = self._file.enter_context(part.open("wb"))
         except OSError as error:
             self._file.__exit__(type(error), error, error.__traceback__)

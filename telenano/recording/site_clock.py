@@ -229,10 +229,10 @@ def _piece(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Bo
         reports = sorted(reports, key=lambda report: report.uncertainty_s)[:1]
         upper = [(report.t_ns, round((report.offset_s + report.uncertainty_s) * _NS)) for report in reports]
     lower = [(r.answer[1], r.answer[0] - r.answer[1]) for r in reports if r.answer is not None]
-    return bounds_of(upper, lower or _told_lower(reports, upper))
+    return bounds_of(upper, lower or _reported_lower_bounds(reports, upper))
 
 
-def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
+def _reported_lower_bounds(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
     """Return the lower bounds of reports that name no answer, as those of datagrams: each of an exchange before it."""
     asked = {round(ahead_ns / _SAME_NS): asked_ns for asked_ns, ahead_ns in upper}
     found = []

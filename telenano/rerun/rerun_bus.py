@@ -103,8 +103,8 @@ class RerunBus:
     def _compare(self, message: Message, payload: bytes, recorded: RecordedMessage) -> None:
         if payload == recorded.payload:
             return
-        topic, said, kept = recorded.topic, fields_of(message), fields_of(recorded.decode())
-        found = first_difference(said, kept, self._tolerances.on(topic), _said_since(message, kept))
+        topic, published, kept = recorded.topic, fields_of(message), fields_of(recorded.decode())
+        found = first_difference(published, kept, self._tolerances.on(topic), _keys_added_since(message, kept))
         if found is not None:
             text = f"re-run {found.text} recorded"
             raise self._difference(topic, message.seq, recorded.publish_ns, found.field, text)
@@ -135,7 +135,7 @@ class RerunOutlet:
         return {}
 
 
-def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
+def _keys_added_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
     """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
     optional = [field.name for field in msgspec.structs.fields(type(message)) if not field.required]
     since = {key for key in optional if kept[key] is None}

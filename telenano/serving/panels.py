@@ -67,7 +67,7 @@ class Picture(Protocol):
     def snapshot(self, snapshot: Mapping[str, Any], *, hand: bool) -> dict[str, Any]:
         """Return what the page of a guest begins with, of what that of an operator begins with."""
 
-    def said(self, *, is_ok: bool) -> str:
+    def acknowledgement(self, *, is_ok: bool) -> str:
         """Return the answer to a request in words that tell nothing else."""
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import msgspec
 
 from telenano.console.lease import MOST_LETTERS
+from telenano.files.atomic_files import changed
 from telenano.files.printable import printable
-from telenano.files.whole_files import changed
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.wire.errors import ConfigError

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from telenano.files.whole_files import write_whole
+from telenano.files.atomic_files import write_whole
 from telenano.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.serving.access import LOOPBACK, Access, is_loopback

@@ -71,6 +71,6 @@ if TYPE_CHECKING:
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
-    from telenano.wire.topics import take_up as take_up
+    from telenano.wire.topics import register_topic as register_topic
 else:
     __getattr__, __dir__ = face(__name__)

@@ -103,7 +103,7 @@ def find_with(find: Callable[[str], Topic | None]) -> None:
     _finders.append(find)
 
 
-def take_up(row: Topic) -> Topic:
+def register_topic(row: Topic) -> Topic:
     """Take the row of a package into the table.
 
     Raises:

@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from telenano.wire import Topic, decode, decode_header, encode, json_schema, take_up
+from telenano.wire import Topic, decode, decode_header, encode, json_schema, register_topic
 
 
 def vectors_of(path: Path, *rows: Topic) -> list[dict[str, Any]]:
     """Return the golden vectors of a file, after the topics of a package are taken up."""
     for row in rows:
-        take_up(row)
+        register_topic(row)
     vectors: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     return vectors
 

@@ -97,9 +97,9 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
     def _ask(self, todo: str, **items: Any) -> Answers:
         """Send a request and return its answer; DeviceError where the server does not know it."""
         answer = _items((yield gwyscope_wire.encode({"todo": todo, **items})))
-        said = answer.get("todo")
-        if said != todo:
-            raise DeviceError(f"does not do {todo}: it answers {said!r}" + _sent_text(items))
+        reported = answer.get("todo")
+        if reported != todo:
+            raise DeviceError(f"does not do {todo}: it answers {reported!r}" + _sent_text(items))
         return answer
 
     def _send_z(self, z_m: float) -> Generator[bytes, bytes, None]:

@@ -116,12 +116,12 @@ class RetractGuard:
         # This tells whose answer the controller owes: the rig's, the guard's own, or nobody's.
         self._owed = ""
         self._retry_ns = 0
-        self._told = ""
+        self._last_text = ""
 
-    def run(self, goes_on: Callable[[], bool]) -> None:
-        """Guard until `goes_on` returns False, then leave the tip retracted as far as the controller answers."""
+    def run(self, continues: Callable[[], bool]) -> None:
+        """Guard until `continues` returns False, then leave the tip retracted as far as the controller answers."""
         try:
-            while goes_on():
+            while continues():
                 self.step()
         finally:
             if self.judge.driven:
@@ -245,8 +245,8 @@ class RetractGuard:
             self._tell(text)
 
     def _tell(self, text: str) -> None:
-        if text != self._told:
-            self._told = text
+        if text != self._last_text:
+            self._last_text = text
             self._say(text)
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.files import read_in_child, whole_file
+from telenano.files import atomic_file, read_in_child
 from telenano.wire import ConfigError
 from telenano_afm_files.igor_waves import load_wave, notes_of
 
@@ -130,7 +130,7 @@ def main() -> None:
     """Fit the image that is named on the command line, and write the figure into the file that is named after it."""
     path, out = Path(sys.argv[1]), Path(sys.argv[2])
     curve = amplitude_phase(*read_amplitude_phase(path))
-    with whole_file(out) as part:
+    with atomic_file(out) as part:
         amplitude_phase_figure(curve).savefig(part, dpi=110, format=out.suffix[1:] or "png")
     left = curve.phase_deg - curve.model_deg
     sys.stdout.write(

@@ -30,12 +30,12 @@ _READERS: dict[str, Callable[[str], Curves]] = {
 
 
 @contextmanager
-def _open(path: str, given: dict[str, float], said: text_curves.Said = text_curves.NOTHING) -> Any:
+def _open(path: str, given: dict[str, float], options: text_curves.TableOptions = text_curves.NOTHING) -> Any:
     suffix = Path(path).suffix.lower()
-    if any(said):
+    if any(options):
         if suffix not in text_curves.SUFFIXES or nanonis.is_spectroscopy(path):
-            raise ValueError(f"--set {', '.join(said._fields)}: are for a text table; this file says its own")
-        yield text_curves.curves_of(path, said)
+            raise ValueError(f"--set {', '.join(options._fields)}: are for a text table; this file says its own")
+        yield text_curves.curves_of(path, options)
         return
     own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)
     if own is None and not suffix.startswith(map_libraries.SUFFIXES):
@@ -74,7 +74,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table
     """
     given = _given(stiffness, sensitivity)
     places, counts, columns = [], [], []
-    with _open(path, given, text_curves.said_of(table)) as curves:
+    with _open(path, given, text_curves.table_options_of(table)) as curves:
         facts: dict[str, Any] = {"shape": curves.shape, "sides": curves.sides_m}
         for read, share in curves.each:
             curve = read()
@@ -111,7 +111,7 @@ def load_one(
     deflection [m].
     """
     given, wanted, count = _given(stiffness, sensitivity), int(number), 0
-    with _open(path, given, text_curves.said_of(table)) as curves:
+    with _open(path, given, text_curves.table_options_of(table)) as curves:
         for count, (read, _) in enumerate(curves.each, start=1):
             if count - 1 == wanted:
                 return _deflections_of(read(), given)

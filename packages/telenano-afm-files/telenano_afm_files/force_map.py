@@ -28,7 +28,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from telenano.extend.maps import SI_UNITS, UNITS, Array, MapFormat, OverMap, Span
-from telenano.files import open_regular, whole_file
+from telenano.files import atomic_file, open_regular
 from telenano.wire import ConfigError
 from telenano_afm_files.recorded_map import MapParams, start, step
 
@@ -123,9 +123,9 @@ def _known(found: dict[str, Any], name: str, known: Any) -> Any:
     value = found.get(name)
     value = int(value) if isinstance(value, float) and value.is_integer() else value
     if value is None or value not in known:
-        said = f"is missing (--set {name}=…)" if value is None else f"is {value!r}"
+        fault = f"is missing (--set {name}=…)" if value is None else f"is {value!r}"
         shown = ", ".join(str(each) for each in known) if len(known) < 12 else "N, nN, pN, Hz, A, m, rad, deg, V"
-        raise MapError(f"{name}: {said}; it must be one of {shown}")
+        raise MapError(f"{name}: {fault}; it must be one of {shown}")
     return value
 
 
@@ -212,7 +212,7 @@ def write_map(path: Path, found: ForceMap) -> None:
     }  # fmt: skip
     if found.quantity == "force":
         members |= {"sign": 1, "axis": "base", "stiffness_n_per_m": found.stiffness_n_per_m}
-    with whole_file(path) as part, part.open("wb") as file:
+    with atomic_file(path) as part, part.open("wb") as file:
         np.savez(file, **members)
 
 

@@ -62,8 +62,10 @@ def load_image(path: str) -> Found:
         if ended.returncode != 0 or not out.is_file():
             if b"No module can load" in ended.stderr:
                 raise ValueError("is of no format that Gwyddion knows; export it as .gsf, or as .npy (with --size)")
-            said = ended.stderr.decode("utf-8", "replace").strip().rpartition(source)[2].strip("': \n")
-            raise ValueError(f"Gwyddion's converter cannot read it: {said or f'it ended with code {ended.returncode}'}")
+            message = ended.stderr.decode("utf-8", "replace").strip().rpartition(source)[2].strip("': \n")
+            raise ValueError(
+                f"Gwyddion's converter cannot read it: {message or f'it ended with code {ended.returncode}'}"
+            )
         facts, maps = _maps_of(out, "it holds curves, and no image")
     return facts, maps
 

@@ -14,7 +14,7 @@ from telenano_afm_files.force_map import MEMBERS, gates, write_map
 from telenano_afm_files.map_files import Imported, Wanted
 from telenano_afm_files.map_files import import_map as read_map_of
 from telenano_afm_files.sader_jarvis import ASKED
-from telenano_afm_files.text_curves import Said
+from telenano_afm_files.text_curves import TableOptions
 
 FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, .dat of Nanonis, or force curves of an instrument.")
@@ -119,7 +119,7 @@ def _read(
     **further: Any,
 ) -> Imported:
     given = flag_overrides(members or ())
-    known = (*MEMBERS, *Said._fields, *(ASKED if converted else ()))
+    known = (*MEMBERS, *TableOptions._fields, *(ASKED if converted else ()))
     if unknown := sorted(set(given) - set(known)):
         raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(known)}")
     with progress(file.name, 1.0, shown=not as_json) as show:

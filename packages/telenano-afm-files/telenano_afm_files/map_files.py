@@ -29,7 +29,7 @@ from telenano_afm_files.force_map import ForceMap, MapError, checked_map, read_m
 from telenano_afm_files.nanonis import backward_of, is_spectroscopy, sweep_of, unit_of
 from telenano_afm_files.readers import limits_of_curves
 from telenano_afm_files.sader_jarvis import ASKED, as_force
-from telenano_afm_files.text_curves import SUFFIXES, Said
+from telenano_afm_files.text_curves import SUFFIXES, TableOptions
 
 _LONGEST_3DS_HEADER = 1 << 18
 _MOST_SIDE, _LEAST_POINTS = 4096, 8
@@ -104,11 +104,11 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
             open_regular(path).close()
             if path.stat().st_size == 0:
                 raise MapError("is empty")
-        members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *Said._fields)}
-        said = {name: value for name, value in wanted.given.items() if name in Said._fields}
-        if said and path.suffix.lower() not in SUFFIXES:
-            raise MapError(f"--set {next(iter(said))}: is for a text table; this file says its own")
-        found = _import(path, wanted._replace(given=members), json.dumps(said), watch)
+        members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *TableOptions._fields)}
+        options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
+        if options and path.suffix.lower() not in SUFFIXES:
+            raise MapError(f"--set {next(iter(options))}: is for a text table; this file says its own")
+        found = _import(path, wanted._replace(given=members), json.dumps(options), watch)
         found = _corrected(found, wanted)
         found = found._replace(notes=(*_in_free_air(found.map), *found.notes))
         if not wanted.converted:
@@ -124,7 +124,7 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         raise ConfigError(f"{path}: {error}") from error
 
 
-def _import(path: Path, wanted: Wanted, said: str, watch: Watch) -> Imported:
+def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
     suffix = path.suffix.lower()
     source = {"source": path.name}
     if suffix == ".npz":
@@ -147,7 +147,7 @@ def _import(path: Path, wanted: Wanted, said: str, watch: Watch) -> Imported:
             return Imported(
                 checked_map({**source, **facts, **dict(zip("xyz", axes, strict=True)), **wanted.given}, values), ()
             )
-    return _on_one_grid(_read_curves(path, wanted, said, watch), wanted, source)
+    return _on_one_grid(_read_curves(path, wanted, options, watch), wanted, source)
 
 
 def _in_free_air(found: ForceMap) -> list[str]:
@@ -202,12 +202,12 @@ def _corrected(found: Imported, wanted: Wanted) -> Imported:
     return Imported(whole._replace(values=values), (*found.notes, *notes))
 
 
-def _read_curves(path: Path, wanted: Wanted, said: str, watch: Watch) -> _Curves:
+def _read_curves(path: Path, wanted: Wanted, options: str, watch: Watch) -> _Curves:
     given = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
     texts = [None if value is None else repr(float(value)) for value in given]
     limits = limits_of_curves(sum(file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())))
     facts, (places, counts, heights, forces) = read_in_child(
-        "telenano_afm_files.curve_files:load_curves", path, *texts, said, limits=limits, watch=watch
+        "telenano_afm_files.curve_files:load_curves", path, *texts, options, limits=limits, watch=watch
     )
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]

@@ -49,7 +49,7 @@ def particles(
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
         from telenano.afm import read_surface
-        from telenano.files import whole_file
+        from telenano.files import atomic_file
         from telenano_assembly.find import find_particles
         from telenano_assembly.particles.tip_shape import tip_shape
 
@@ -61,7 +61,7 @@ def particles(
             raise ConfigError(f"{file}: {error}") from error
         document = {"file": str(file), "particles": [one._asdict() for one in found]}
         if out is not None:
-            with whole_file(out) as part:
+            with atomic_file(out) as part:
                 part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     if as_json:
         print_document(document, "", as_json=True)

@@ -456,19 +456,19 @@ def _sader_with_slopes(
 def _agreement(ratio: float, share: float, known: Thermal) -> str:
     """Return in words whether both methods agree within their errors, and which errors those are."""
     apart = abs(math.log(ratio)) / share
-    said = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
+    text = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
     if apart <= _WITHIN:
-        said += "they agree within their errors"
+        text += "they agree within their errors"
     elif max(ratio, 1.0 / ratio) > _FARTHEST:
-        said += "a lever of this size cannot have it: the unit of the density, the sensitivity or the size is wrong"
+        text += "a lever of this size cannot have it: the unit of the density, the sensitivity or the size is wrong"
     else:
-        said += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
+        text += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
     unknown = [
         name
         for name, error in (("the sensitivity", known.sensitivity_error_m_per_v), ("the size", known.size_error_m))
         if not error
     ]
-    return said + (f" (not counting that of {' and of '.join(unknown)}: not given)" if unknown else "")
+    return text + (f" (not counting that of {' and of '.join(unknown)}: not given)" if unknown else "")
 
 
 def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:

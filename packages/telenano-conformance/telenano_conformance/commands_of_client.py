@@ -30,7 +30,7 @@ class _Command:
     phase: Literal["silent", "refused", "acknowledged", "acknowledged plainly", "ended"] = "silent"
     phase_ns: int = 0
     copies: int = 1
-    told_ns: int = 0
+    answered_ns: int = 0
     quoted: set[str] = field(default_factory=set)
 
 
@@ -106,7 +106,7 @@ class CommandsOfClient:
         if known.first["command"] == "arm":
             data |= {"latch": LATCH, "estop_age_s": 3600.0, "latched": False}
         answer = {"id": identifier, "kind": "refused", "level": "warning", "text": text, "data": data}
-        known.told_ns = self._answers(known.node, answer)
+        known.answered_ns = self._answers(known.node, answer)
         known.phase, known.phase_ns = "refused", now_ns
 
     def _acknowledge(self, identifier: str, known: _Command, now_ns: int, *, plainly: bool = False) -> None:
@@ -117,7 +117,7 @@ class CommandsOfClient:
 
     def _wanted(self, known: _Command) -> dict[str, tuple[str, Any]]:
         """Return what is to be quoted by its rule: the key, and the value for the node."""
-        wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", known.told_ns)}
+        wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", known.answered_ns)}
         return wanted | ({"quoted stop": ("node_latch", LATCH)} if known.first["command"] == "arm" else {})
 
     def _quotations(self, identifier: str, known: _Command, fields: dict[str, Any]) -> None:

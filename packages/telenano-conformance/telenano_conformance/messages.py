@@ -253,11 +253,11 @@ class MessageExaminer:
             if src != fields["src"]:
                 continue
             stream.ended = True
-            told = data.get(f"sent.{topic}")
-            if told == stream.seq + 1:
+            last = data.get(f"sent.{topic}")
+            if last == stream.seq + 1:
                 self._account.hold("last message")
             else:
-                self._account.fail("last message", f"sent.{topic} is {told}, and {stream.seq + 1} were sent")
+                self._account.fail("last message", f"sent.{topic} is {last}, and {stream.seq + 1} were sent")
 
 
 def _has_the_keys(topic: str, fields: dict[str, Any]) -> bool:

@@ -68,7 +68,7 @@ class ExperimentBus:
         self._sender = os.urandom(6).hex()
         self._issued = 0
         self._cue: dict[str, Any] | None = None
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self._taken: deque[str] = deque(maxlen=MOST_QUESTIONS)
         self._known: set[tuple[str, ...]] = set()
 
@@ -174,7 +174,7 @@ class ExperimentBus:
         """
         self._network.process_events()
         found = [answer for message in self._received() if (answer := self._new(message)) is not None]
-        if found or time.monotonic() - self._told_s >= _REPEAT_S:
+        if found or time.monotonic() - self._reported_s >= _REPEAT_S:
             self._tell()
         return found
 
@@ -224,8 +224,8 @@ class ExperimentBus:
         """Publish the cue as it stands: with the time that is left, and the answers that were taken."""
         if self._cue is None:
             return
-        self._told_s = time.monotonic()
-        left_s = None if self._ends_s is None else max(0.0, self._ends_s - self._told_s)
+        self._reported_s = time.monotonic()
+        left_s = None if self._ends_s is None else max(0.0, self._ends_s - self._reported_s)
         self._publisher.publish(
             "experiment/cue", **{**self._cue, "remaining_s": left_s, "answered": tuple(dict.fromkeys(self._taken))}
         )

@@ -146,12 +146,12 @@ class PersonDesk(BusDesk):
         return answer is not None and answer.values.get(asked.name) == words.agree
 
     def instruct(self, trial: Trial) -> None:
-        self._wait("instruction", *self._told(trial), practice=trial.phase == "practice")
+        self._wait("instruction", *self._instructions(trial), practice=trial.phase == "practice")
 
     def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
         bus, task = self._bus(), self.plan.tasks[trial.task]
         parameters = parameters_of(task, trial.task_parameters)
-        title, text = self._told(trial)
+        title, text = self._instructions(trial)
         shown: dict[str, Any] = {"done": self.place.done, "total": self.place.total, "labels": self.words.labels}
         shown |= {"practice": trial.phase == "practice"}
         if first:
@@ -171,7 +171,7 @@ class PersonDesk(BusDesk):
 
     def ask(self, trial: Trial, questions: tuple[Question, ...], data: TrialData) -> Answers:
         end_s = float(data.haptic["time_s"][-1]) if len(data.haptic["time_s"]) else 0.0
-        answer = self._wait("question", self._told(trial)[0], "", questions=self._asked(trial, questions))
+        answer = self._wait("question", self._instructions(trial)[0], "", questions=self._asked(trial, questions))
         if answer is None:
             return ()
         time_s = end_s + answer.shown_s
@@ -198,7 +198,7 @@ class PersonDesk(BusDesk):
         found = super().during(elapsed_s)
         return [{**answer, "value": self._meant(answer["name"], answer["value"])} for answer in found]
 
-    def _told(self, trial: Trial) -> tuple[str, str]:
+    def _instructions(self, trial: Trial) -> tuple[str, str]:
         """Return heading and instruction of a trial's task."""
         task, words = self.plan.tasks[trial.task], self.words.tasks.get(trial.task)
         parameters = parameters_of(task, trial.task_parameters)

@@ -18,7 +18,7 @@ from telenano.cli import (
     print_rows,
     report_errors,
 )
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.settings import read_yaml
 from telenano.wire import ConfigError
 from telenano_experiments.analyse_command import analyse
@@ -73,7 +73,7 @@ def new(
         source = find_experiment(base)
         first = f"name: {read_yaml(source).get('name', '')}"
         text = source.read_text(encoding="utf-8").replace(f"\n{first}\n", f"\nname: {name}\n", 1)
-        with whole_file(path, replace=False) as part:
+        with atomic_file(path, replace=False) as part:
             part.write_text(text, encoding="utf-8")
             _load(part)
     print_answer({"file": str(path)}, f"{path}; next: telenano experiment check {path}", as_json=as_json)
@@ -289,10 +289,10 @@ def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | N
     folder.mkdir(parents=True, exist_ok=True)
     if (source.parent / plan.experiment.scenario).is_file() or plan.experiment.scenario.endswith((".yaml", ".yml")):
         changed["scenario"] = "scenario.yaml"
-        with whole_file(folder / "scenario.yaml") as part:
+        with atomic_file(folder / "scenario.yaml") as part:
             part.write_text(yaml.safe_dump(plan.scenario, sort_keys=False), encoding="utf-8")
     text = yaml.safe_dump({**document, **changed}, sort_keys=False) if changed else source.read_text(encoding="utf-8")
-    with whole_file(folder / _FILE) as part:
+    with atomic_file(folder / _FILE) as part:
         part.write_text(text, encoding="utf-8")
 
 

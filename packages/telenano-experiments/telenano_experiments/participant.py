@@ -44,7 +44,7 @@ _AFM, _AFM_KEYS = "afm/state/slave", ("in_contact", "meniscus")
 _MOST_HELD = 300
 # A picture that is later than it can be held would never be shown.
 _LONGEST_DELAY_S = 9.0
-_SAID = {True: "done", False: "not carried out: tell the experimenter"}
+_ACKNOWLEDGEMENTS = {True: "done", False: "not carried out: tell the experimenter"}
 
 Changes = Mapping[str, Any]
 
@@ -120,9 +120,9 @@ class ParticipantPicture:
             "lines": snapshot.get("lines", []),
         }
 
-    def said(self, *, is_ok: bool) -> str:
+    def acknowledgement(self, *, is_ok: bool) -> str:
         """Return the answer to a request in words of its own: those of a node may name the law."""
-        return _SAID[is_ok]
+        return _ACKNOWLEDGEMENTS[is_ok]
 
     def _streams(self, changes: Changes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
         streams = changes.get("streams", {})

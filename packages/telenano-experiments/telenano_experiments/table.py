@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.wire import ConfigError
 
 Row = dict[str, Any]
@@ -114,7 +114,7 @@ def write_tables(tables: Tables, folder: Path) -> list[Path]:
             described = {row.name: row for row in tables.dictionary if row.table == name}
             for write, suffix in ((_write_parquet, "parquet"), (_write_csv, "csv")):
                 written.append(folder / f"{name}.{suffix}")
-                with whole_file(written[-1]) as part:
+                with atomic_file(written[-1]) as part:
                     write(part, rows, described)
     document = [row._asdict() for row in tables.dictionary]
     for name, text in (
@@ -122,7 +122,7 @@ def write_tables(tables: Tables, folder: Path) -> list[Path]:
         ("dictionary.md", dictionary_page(tables)),
     ):
         written.append(folder / name)
-        with whole_file(written[-1]) as part:
+        with atomic_file(written[-1]) as part:
             part.write_text(text, encoding="utf-8")
     return written
 

@@ -101,7 +101,7 @@ class ServoLoop:
         found: What it said of itself; another one that comes back in its place is refused.
         now_ns: The monotonic clock [ns]; a test replaces it.
         sleep: Waits while the device is lost.
-        goes_on: Whether the node is still there.
+        is_needed: Whether the node is still there.
     """
 
     def __init__(
@@ -112,10 +112,10 @@ class ServoLoop:
         *,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
-        goes_on: Callable[[], bool] = lambda: True,
+        is_needed: Callable[[], bool] = lambda: True,
     ) -> None:
         self._shared, self._wire, self._found = shared, wire, found
-        self._now_ns, self._sleep, self._goes_on = now_ns, sleep, goes_on
+        self._now_ns, self._sleep, self._is_needed = now_ns, sleep, is_needed
         self._period_s = 1.0 / found.rate_hz
         self.servo = Servo(self._period_s)
         self._sample = DeviceSample(_NOWHERE, 0)
@@ -144,7 +144,7 @@ class ServoLoop:
         return self._step(sample)
 
     def _ends(self) -> bool:
-        return self._shared.stops or not self._goes_on()
+        return self._shared.stops or not self._is_needed()
 
     def _step(self, sample: DeviceSample) -> Vector:
         now_ns = self._now_ns()
@@ -154,8 +154,8 @@ class ServoLoop:
         passed_s = passed_ns * 1e-9 if self._turn_ns else self._period_s
         self._turn_ns, self._sample = now_ns, sample
         command = self._shared.command()
-        force, told = self.servo.step(command, sample, now_ns, min(max(passed_s, 1e-6), _LONGEST_STEP_S))
-        self._shared.write_sample(told)
+        force, report = self.servo.step(command, sample, now_ns, min(max(passed_s, 1e-6), _LONGEST_STEP_S))
+        self._shared.write_sample(report)
         return force
 
     def _reopened(self, error: str) -> bool:
@@ -335,7 +335,7 @@ def main() -> int:
     try:
         _answer({"found": found._asdict()})
         schedule_as_node("servo")
-        ServoLoop(shared, wire, found, goes_on=lambda: not ended and os.getppid() == parent).run()
+        ServoLoop(shared, wire, found, is_needed=lambda: not ended and os.getppid() == parent).run()
         return 0
     finally:
         wire.close()
@@ -344,8 +344,8 @@ def main() -> int:
             Path(order["shared"]).unlink(missing_ok=True)
 
 
-def _answer(said: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(said) + "\n")
+def _answer(answer: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 
 

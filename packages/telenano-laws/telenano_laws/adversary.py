@@ -154,8 +154,8 @@ def main() -> None:
         sys.stdout.write(json.dumps(found[-1]._asdict()) + "\n")
         sys.stdout.flush()
     worst = sorted(found, key=lambda one: one.least_j)[:5]
-    told = ", ".join(f"draw {one.number}: {1e3 * one.least_j:.4g} mJ" for one in worst)
-    sys.stderr.write(f"{len(found)} draws of {given.law}; least energy at the ports: {told}\n")
+    energies = ", ".join(f"draw {one.number}: {1e3 * one.least_j:.4g} mJ" for one in worst)
+    sys.stderr.write(f"{len(found)} draws of {given.law}; least energy at the ports: {energies}\n")
 
 
 if __name__ == "__main__":

@@ -76,18 +76,18 @@ def policy_of(scenario: Path, laws: str, stiffness_n_per_m: float | None) -> Pol
 
 def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
     """Change the law, say so, and mark it in the recording; return whether the law was changed."""
-    told = f"law {decision.law}: {decision.reason}"
+    text_of_decision = f"law {decision.law}: {decision.reason}"
     try:
         text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
     except TelenanoError as error:
         # Somebody else has the hand, or no answer came: that is no fault of the law, which is asked for again.
-        typer.echo(f"not asked: {told}: {error}")
+        typer.echo(f"not asked: {text_of_decision}: {error}")
         return False
     if text:
         policy.refused(decision.law, text)
-        typer.echo(f"refused: {told}: {text}")
+        typer.echo(f"refused: {text_of_decision}: {text}")
         return False
-    typer.echo(told)
+    typer.echo(text_of_decision)
     try:
         unmarked = send(Command("mark", RECORDER, parameters=dict(facts_of(decision))))
     except TelenanoError as error:

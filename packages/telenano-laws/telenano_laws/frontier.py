@@ -15,7 +15,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 from matplotlib.figure import Figure
 
-from telenano.files import whole_file
+from telenano.files import atomic_file
 
 # over these the bar allows a tracking error of 0.35, over all others of 0.2
 LONG_NETWORKS = frozenset({"satellite"})
@@ -113,7 +113,7 @@ def main() -> None:
         # results of benchmark 2 have no such columns
         ideal = {"instrument": "ideal", "steadiness": "scripted"}
         rows = [row for row in csv.DictReader(file) if {key: row.get(key, ideal[key]) for key in ideal} == ideal]
-    with whole_file(given.picture) as part:
+    with atomic_file(given.picture) as part:
         frontier(rows).savefig(part, dpi=110, format=given.picture.suffix[1:] or "png")
 
 

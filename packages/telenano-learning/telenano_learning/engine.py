@@ -58,7 +58,7 @@ TIP_X, TIP_Y, TIP_Z, TIME, CONTACT, FELT_X, FELT_Y, BENT = range(8)
 BELIEVED_X, BELIEVED_Y, ERROR, LOSSES, PEAK, STANDS, TRUE_ERROR = range(8, 15)
 _STATE = 15
 # what an agent is told: so many values of the observation, the goal that is achieved, and the one that is desired
-OBSERVED, TOLD = 10, 14
+OBSERVED, AGENT_VALUES = 10, 14
 _NOISES = 3
 
 
@@ -170,14 +170,14 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 
 @always_compiled
-def tell(given: Array, state: Array, moving: Array, told: npt.NDArray[np.float32], truth: bool) -> None:
+def tell(given: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
     """Write what an agent is told into told, shape (n, 14), in units of d and of the usual friction.
 
     With `truth` it is told the true place of the particle in the place of the believed one. The true distance from the
     goal goes into `state`, for who judges.
     """
     for i in range(given.shape[0]):
-        g, s, row = given[i], state[i], told[i]
+        g, s, row = given[i], state[i], observations[i]
         true_x, true_y = moving[i, 0, X], moving[i, 0, Y]
         x, y = true_x - g[GOAL_X], true_y - g[GOAL_Y]
         s[TRUE_ERROR] = math.sqrt(x * x + y * y)
@@ -201,7 +201,7 @@ class Episodes:
     """
 
     def __init__(self, count: int, longest_s: float, *, truth: bool = False) -> None:
-        self._truth, self._told = truth, np.zeros((count, TOLD), np.float32)
+        self._truth, self._observations = truth, np.zeros((count, AGENT_VALUES), np.float32)
         self.steps = max(round(longest_s / CONTROL_S), 1)
         self.given, self.state = np.zeros((count, _GIVEN)), np.zeros((count, _STATE))
         self.fixed, self.moving = np.zeros((count, 1, 4)), np.zeros((count, 1, 3))
@@ -220,7 +220,7 @@ class Episodes:
         advance(self.given, self.state, self.fixed, self.moving, self.model, self.noise, self.taken, action)
         self.taken += 1
 
-    def told(self) -> npt.NDArray[np.float32]:
+    def observations(self) -> npt.NDArray[np.float32]:
         """Return what an agent is told, a row for each episode, shape (n, 14)."""
-        tell(self.given, self.state, self.moving, self._told, self._truth)
-        return self._told.copy()
+        tell(self.given, self.state, self.moving, self._observations, self._truth)
+        return self._observations.copy()

@@ -117,7 +117,7 @@ class UdpLink(DelayNode):
         self._ports, self._bounds = ports, bounds
         self._numbers = dict.fromkeys(WAYS, 0)
         self.counts: dict[Direction, Counts] = {way: Counts() for way in WAYS}
-        self._told_ns = 0
+        self._overflow_reported_ns = 0
         now_ns = self.clock.monotonic_ns()
         self._end_ns = NEVER_NS if duration_s is None else now_ns + round(duration_s * 1e9)
         ports.take = self.arrive
@@ -192,9 +192,9 @@ class UdpLink(DelayNode):
 
     def _tell_overflow(self, direction: Direction) -> None:
         now_ns = self.clock.monotonic_ns()
-        if now_ns < self._told_ns:
+        if now_ns < self._overflow_reported_ns:
             return
-        self._told_ns = now_ns + 1_000_000_000
+        self._overflow_reported_ns = now_ns + 1_000_000_000
         bounds = self._bounds
         text = (
             f"{bounds.datagrams} datagrams or {bounds.size_bytes >> 20} MiB are on their way {direction}: those that"

@@ -17,8 +17,8 @@ import numpy as np
 
 from telenano.afm import AfmConfig
 from telenano.analysis import Image, ImageFacts, LiveImage, images_of_lines, scenario_in
-from telenano.files import whole_file
-from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_programme
+from telenano.files import atomic_file
+from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_force_profile
 from telenano.settings import validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 
@@ -103,7 +103,7 @@ def export_session(recording: Recording, target: Path, selection: Selection) -> 
         raster = (pixels, rows, images[0].width_m, images[0].depth_m)
     is_tapping = any(np.isfinite(image.amplitude_m).any() for image in images)
     facts = _facts_of(recording, "tapping mode" if is_tapping else "contact mode")
-    with whole_file(target, replace=False) as part:
+    with atomic_file(target, replace=False) as part:
         write(part, facts._replace(raster=raster, ramp=ramp), plots)
     return CopyResult(path=str(target), messages=count)
 
@@ -196,7 +196,7 @@ def _origin_ns(recording: Recording) -> int:
     """Return when the operator's force profile last began; the beginning of the recording where none ran."""
     if any(channel.channel_topic == "haptic/state" for channel in recording.channels):
         found = columns(recording, "haptic/state", ("session_s", "t_ns"))
-        running = last_programme(found["session_s"], found["t_ns"])
+        running = last_force_profile(found["session_s"], found["t_ns"])
         if running.size > 1:
             first = running[0]
             return int(found["t_ns"][first] - round(found["session_s"][first] * 1e9))

@@ -30,7 +30,7 @@ METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9
 _LENGTH = (("m", 1.0),)
 _TEXTS = (".txt", ".csv", ".tsv", ".asc")
 # what the head of a matrix says: a side with its unit, and the unit of the values
-_SAID = {
+_HEAD_PATTERNS = {
     "width": r"(?i)\bwidth\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
     "height": r"(?i)\bheight\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
     "values": r"(?i)\b(?:value|z)[ -]*units?\s*[:=]\s*(\S+)",
@@ -144,9 +144,13 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         raise ValueError(f"is a table of two columns and {len(table.lines)} rows, and no matrix of heights")
     values = np.array([table.numbers(column) for column in table.columns]).T[::-1]
     _check_pixels(values.shape)
-    said = {key: found[0] for key, words in _SAID.items() if (found := re.findall(words, "\n".join(table.head)))}
+    stated = {
+        key: found[0] for key, words in _HEAD_PATTERNS.items() if (found := re.findall(words, "\n".join(table.head)))
+    }
     sides = [
-        (as_number(said[key][0]) or 0.0) * _metres(said[key][1], f"the {key} in its head") if key in said else None
+        (as_number(stated[key][0]) or 0.0) * _metres(stated[key][1], f"the {key} in its head")
+        if key in stated
+        else None
         for key in ("width", "height")
     ]
     width = sides[0] if size_m is None else size_m
@@ -156,9 +160,9 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         )
     # without a side of its own the pixels are square
     depth = sides[1] if size_m is None and sides[1] is not None else width * len(values) / len(values[0])
-    if "values" not in said and not np.nanmax(np.abs(values)) < _HIGHEST_M:
+    if "values" not in stated and not np.nanmax(np.abs(values)) < _HIGHEST_M:
         raise ValueError("its values are no heights in m: write their unit above them, as in `# Value units: nm`")
-    return [_Channel("heights", values, width, depth, "m", said.get("values", "m"))]
+    return [_Channel("heights", values, width, depth, "m", stated.get("values", "m"))]
 
 
 def _check_pixels(shape: tuple[int, ...]) -> None:

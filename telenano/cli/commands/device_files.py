@@ -7,7 +7,7 @@ import typer
 import yaml
 from pydantic import BaseModel
 
-from telenano.files.whole_files import whole_file
+from telenano.files.atomic_files import atomic_file
 from telenano.settings import find_scenario
 from telenano.wire.errors import TelenanoError
 
@@ -35,7 +35,7 @@ def section_of(scenario: Path | None, name: str, model: type[Section]) -> Sectio
 def write_document(path: Path, document: dict[str, object]) -> None:
     """Write a calibration file; TelenanoError where it cannot be written."""
     try:
-        with whole_file(path) as file:
+        with atomic_file(path) as file:
             file.write_text(yaml.safe_dump(document, sort_keys=False))
     except OSError as error:
         raise TelenanoError(f"{path}: cannot be written: {error.strerror}") from error

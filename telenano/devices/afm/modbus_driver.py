@@ -56,7 +56,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self._target_v = self._sent_v = stage.retract_v
         self._cycle_ns = self._answered_ns = 0
         # the exchanges of this connection when the base was last told to retract
-        self._told_at = 0
+        self._safe_wanted_at = 0
         self._identity = registers.model
         self._heart = heartbeat_of(calibration, registers)
         # The process assumes after less than its limit that the device has retracted, because the heartbeat needs time
@@ -103,24 +103,24 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self._conversation = Conversation(self.calibration.network.device_id)
         self._outstanding = False
         self._requests.clear()
-        self._beat = self._told_at = 0
+        self._beat = self._safe_wanted_at = 0
 
     def _want(self, base_m: float) -> None:
         self._target_v = self.calibration.voltage_v(base_m) if self._released else self.calibration.stage.retract_v
 
     def _want_safe(self) -> None:
         self._target_v = self._sent_v = self.calibration.stage.retract_v
-        self._told_at = self.exchanges
+        self._safe_wanted_at = self.exchanges
 
     def _is_safe(self) -> bool:
-        return self.exchanges >= self._told_at + 2 and is_retracted(self.calibration, self._map, self._output_v)
+        return self.exchanges >= self._safe_wanted_at + 2 and is_retracted(self.calibration, self._map, self._output_v)
 
     def _begin_talk(self, now_ns: int, line: Line) -> None:
         self._preparation = Handshake(self.calibration, self._map, self._conversation, self._now_ns)
         self._talk = self._preparation.steps()
         self._send(next(self._talk), now_ns)
 
-    def _go_on_talking(self, now_ns: int, line: Line, talk: Any) -> None:
+    def _continue_exchange(self, now_ns: int, line: Line, talk: Any) -> None:
         answer = self._conversation.answer(line.receive()) if self._outstanding else None
         if self._ready:
             self._cycle(now_ns, answer)

@@ -115,7 +115,7 @@ class TcpConnector:
         return TcpLine(place)
 
 
-def go_on_connecting(line: Line, now_ns: int, begun_ns: int, waiting_ns: int) -> tuple[bool, int]:
+def continue_connecting(line: Line, now_ns: int, begun_ns: int, waiting_ns: int) -> tuple[bool, int]:
     """Return whether a line is connected by now, and since when the device itself is waited for [ns].
 
     Args:

@@ -18,7 +18,7 @@ import zmq
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
-from telenano.files.whole_files import changed, locked, write_whole
+from telenano.files.atomic_files import changed, locked, write_whole
 from telenano.runtime.bus.address_book import MACHINE_PATTERN
 from telenano.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
 from telenano.settings.config import Settings, parse_yaml, validate

@@ -105,7 +105,7 @@ class Observer:
         return not any(subscriber.trackers for subscriber in self.subscribers.values())
 
 
-def nobody_runs(book: AddressBook) -> bool:
+def runs_no_node(book: AddressBook) -> bool:
     """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is.
 
     Those of consoles, players and pages say nothing of a rig: one that was killed leaves its socket behind.
@@ -119,7 +119,7 @@ def nobody_runs(book: AddressBook) -> bool:
 
 def require_rig(book: AddressBook, site_file: Path) -> None:
     """Raise RigError at once where no rig can be running, in the place of waiting for messages in vain."""
-    if nobody_runs(book):
+    if runs_no_node(book):
         raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
 
 

@@ -71,8 +71,8 @@ def _gaps(take: Take[Facts]) -> tuple[Result, str]:
     rows = _present(take)
     longest_s = float(rows["age_s"].max(initial=0.0))
     good = longest_s <= GAP_S and not rows["lost"].any()
-    said = "" if good or not take.facts.said else f": {take.facts.said[0]}"
-    return passes(good), f"{1e3 * longest_s:.0f} ms{said}"
+    message = "" if good or not take.facts.said else f": {take.facts.said[0]}"
+    return passes(good), f"{1e3 * longest_s:.0f} ms{message}"
 
 
 def _fresh(take: Take[Facts]) -> tuple[Result, str]:
@@ -323,8 +323,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 )
 
 
-def _facts_of(device: Any, settings: Any, **said: Any) -> Facts:
-    return Facts(Capabilities(**device), CouplingSettings(**settings), **said)
+def _facts_of(device: Any, settings: Any, **values: Any) -> Facts:
+    return Facts(Capabilities(**device), CouplingSettings(**settings), **values)
 
 
 HAPTIC_DEVICE = Kind(ROW, _facts_of, _CHECKS)

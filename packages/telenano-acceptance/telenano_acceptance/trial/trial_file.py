@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from telenano.files import open_regular, whole_file
+from telenano.files import atomic_file, open_regular
 from telenano.settings import all_installed
 from telenano.wire import ConfigError
 from telenano_acceptance.handle.checks import HANDLE
@@ -112,7 +112,7 @@ def write_trial(path: Path, trial: Trial) -> None:
         OSError: It cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+    with atomic_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in (
             (ACCEPTANCE, trial.acceptance),
             (VERSIONS, trial.versions),

@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
-from telenano.console import couple_anew, holding, send_control
+from telenano.console import holding, recouple, send_control
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings, changed, network_name
@@ -303,7 +303,7 @@ class Live(Apparatus):
         if self._states()["afm/state"].in_contact:
             self._command("stop", TIP)
             self._await_tip(lambda state: not state.in_contact, "that the tip is withdrawn")
-        self._show(couple_anew(self._site_file))
+        self._show(recouple(self._site_file))
 
     def _prepare_sample(self, document: Mapping[str, Any]) -> None:
         """Put the tip to its place over the sample where a hand moves it across, and particles to where they began."""

@@ -41,9 +41,9 @@ from telenano.lockstep import (
     Series,
     Trajectory,
     build_rig,
+    context_of,
     instrument_of,
     known_of,
-    programme_of,
     schedule_of,
     simulate,
     time_to_place_s,
@@ -410,7 +410,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     force = scales.force_scale * course.tip_force_n
     tip = instrument_of(course, scales.position_scale, knows_contact=cell.environment == "tip_sample")
     deadlines_s = (SafetyConfig().command_deadline_s, LimitsConfig().command_deadline_s)
-    known = programme_of(course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s))
+    known = context_of(course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s))
     late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
     (found,) = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from telenano.lockstep import Schedule, fresh, schedule_over
-from telenano.recording import Recording, columns, last_programme
+from telenano.recording import Recording, columns, last_force_profile
 from telenano.wire import RecordingError
 from telenano_studies.loops.links import Times
 
@@ -30,7 +30,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     recording = Recording(path)
     period_ns = round(period_s * 1e9)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "step_s"))
-    running = last_programme(hand["session_s"], hand["t_ns"])
+    running = last_force_profile(hand["session_s"], hand["t_ns"])
     if not running.size:
         raise RecordingError(f"{path}: the operator's force profile never ran in it")
     # Each sample says how many periods it is after the one before, which gives its tick, however late it was.

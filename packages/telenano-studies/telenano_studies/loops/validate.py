@@ -36,7 +36,7 @@ from telenano.analysis import lacks_of, read_session
 from telenano.cli import EXIT_INCOMPLETE
 from telenano.launcher import run_session
 from telenano.lockstep import Trajectory, simulate
-from telenano.recording import Recording, Timeline, columns, last_programme
+from telenano.recording import Recording, Timeline, columns, last_force_profile
 from telenano.wire import ConfigError, RecordingError, TelenanoError
 from telenano_studies.failed_session import reason_of
 from telenano_studies.loops.cells import (
@@ -175,11 +175,11 @@ def validate_cells(
     agreements = []
     for number, cell in enumerate(cells, start=1):
         report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
-        agreements.append(_compared_anew(cell, bus, report))
+        agreements.append(_compare_with_retries(cell, bus, report))
     return agreements
 
 
-def _compared_anew(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agreement:
+def _compare_with_retries(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agreement:
     """Run a cell and compare it, and once more where that fails or disagrees while the machine held a process up."""
     draws, path = draws_of(cell), bus.recording_of(cell)
     for run in range(1, TRIES + 1):
@@ -221,11 +221,11 @@ def longest_stall_s(path: Path) -> float:
     recording = Recording(path)
     events = [event.fields() for event in recording.messages(("session/event",))]
     hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
-    running = hand["t_ns"][last_programme(hand["session_s"], hand["t_ns"])]
+    running = hand["t_ns"][last_force_profile(hand["session_s"], hand["t_ns"])]
     # A rig that could not be started has no force profile, and all of its time counts.
     start_ns = int(running[0]) if running.size else 0
-    of_programme = [event["data"] for event in events if event["t_ns"] >= start_ns]
-    stalls_s = [float(data["stalled_s"]) for data in of_programme if "stalled_s" in data]
+    profile_events = [event["data"] for event in events if event["t_ns"] >= start_ns]
+    stalls_s = [float(data["stalled_s"]) for data in profile_events if "stalled_s" in data]
     return max(stalls_s, default=0.0)
 
 
@@ -278,7 +278,7 @@ def read_course(path: Path) -> Trajectory:
     """
     recording = Recording(path)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
-    running = last_programme(hand["session_s"], hand["t_ns"])
+    running = last_force_profile(hand["session_s"], hand["t_ns"])
     if running.size < 2:
         raise StudyError(f"{path}: the operator's force profile never ran in it")
     hand = {name: values[running] for name, values in hand.items()}
@@ -320,7 +320,7 @@ def lacking_of(cell: Cell, path: Path) -> str:
     """
     session = read_session(Recording(path))
     series = session.series()
-    lacks = lacks_of(series.hand_time_s, series.tip_time_s, cell.hold_s(), session.programme.answered_s)
+    lacks = lacks_of(series.hand_time_s, series.tip_time_s, cell.hold_s(), session.context.answered_s)
     return "; ".join(map(str, lacks))
 
 

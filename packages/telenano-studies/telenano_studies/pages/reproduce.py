@@ -25,7 +25,7 @@ from telenano.afm import (
     table_force,
     volts_per_m,
 )
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.settings import scenario_of
 from telenano.wire import RigError
 from telenano_studies.page import Page, png_of, text
@@ -195,7 +195,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
                 page.paragraph(f"Not made: {error}")
     if failed:
         summary["failed"] = failed
-    with whole_file(out / "reproduce.html") as file:
+    with atomic_file(out / "reproduce.html") as file:
         page.write(file)
     return summary
 

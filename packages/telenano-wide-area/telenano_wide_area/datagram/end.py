@@ -387,9 +387,9 @@ class DatagramEnd:
     def maintain(self, now_ns: int) -> None:
         """Exchange keys, send a sign of life, choose the way to receive by, and report."""
         loss_share = max(self.arrivals.lost / max(1, self.arrivals.settled), self.outgoing.repeats.loss_share)
-        told = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
-        if told is not None:
-            self._tell(*told)
+        notice = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
+        if notice is not None:
+            self._tell(*notice)
         if self._relay is not None:
             self._steer(self._relay, now_ns)
         self._exchange_keys(now_ns)
@@ -415,8 +415,8 @@ class DatagramEnd:
         sending = "datagram" if self.acknowledged else "stream"
         ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
         parts = self.offset.estimate(), self.arrivals, self.outgoing, self.incoming.capacity
-        said = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
-        self._outlets.reports.publish("link/network", **said, refused=dict(self.rejected))
+        report = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
+        self._outlets.reports.publish("link/network", **report, refused=dict(self.rejected))
 
     def _weigh_tcp(self) -> None:
         """Take what TCP can carry each way, by what is known of the datagrams."""
@@ -450,9 +450,9 @@ class DatagramEnd:
             self.incoming.wants_train = False
             self.outgoing.send_train(now_ns, self._send)
         self.incoming.measure(now_ns)
-        told = self.outgoing.told_of_queue(now_ns, self.machine)
-        if told is not None:
-            self._tell(*told)
+        notice = self.outgoing.report_queue(now_ns, self.machine)
+        if notice is not None:
+            self._tell(*notice)
 
     def send_train(self) -> bool:
         """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.

@@ -40,7 +40,7 @@ _LONGEST = 120
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
+def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """Yield the temporary path of a file that gets its name when the block ends, and is removed if it fails.
 
     A link is followed; a device or a pipe is written to as it is.
@@ -59,7 +59,7 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
         yield path
         return
     with _temporary(path, path, replace=replace) as part:
-        with _said_when_interrupted(path):
+        with _report_interruption(path):
             yield part
         if replace:
             part.replace(path)
@@ -166,7 +166,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """
     with _temporary(path, path, replace=False) as part:
         part.mkdir(parents=True)
-        with _said_when_interrupted(path):
+        with _report_interruption(path):
             yield part
         part.rename(path)
 
@@ -188,7 +188,7 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """
     with new_folder(path), _temporary(path / _RESULTS, path, replace=True) as part:
         part.mkdir()
-        with _said_when_interrupted(path):
+        with _report_interruption(path):
             yield part
         names = sorted(found.name for found in part.iterdir())
         taken = [] if replace else [name for name in names if os.path.lexists(path / name)]
@@ -217,7 +217,7 @@ def new_folder(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _said_when_interrupted(path: Path) -> Iterator[None]:
+def _report_interruption(path: Path) -> Iterator[None]:
     """Let an interruption of what makes a result say that it is lost, for who reports it."""
     try:
         yield
