@@ -190,8 +190,8 @@ class HapticNode(DeviceNode):
                 raise RefusedError("disturbances: a real device has its own")
             if not control.parameters:
                 raise RefusedError("set needs parameters, such as disturbances.tremor.enabled=true")
-            found = changed_disturbances(self.device.disturbances, control.parameters, "haptic_node")
-            self.device.configure(found)
+            changed = changed_disturbances(self.device.disturbances, control.parameters, "haptic_node")
+            self.device.configure(changed)
             return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         return super().on_control(control)
 

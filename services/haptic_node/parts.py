@@ -129,14 +129,14 @@ class SpatialDevice(TickPart):
         tick.spatial = SpatialCommand(_ZERO if is_off else tick.command.position_m[:2], tick.shown_n, tick.armed)
 
     def measure(self, tick: Tick, memory: HapticMemory) -> None:
-        found = tick.reading.spatial or SpatialReading()
-        memory.gate = found.gate
-        tick.across = found[:4]
-        tick.added_fields.update(hand_energy_j=found.hand_energy_j, coupling_energy_j=found.coupling_energy_j)
+        spatial = tick.reading.spatial or SpatialReading()
+        memory.gate = spatial.gate
+        tick.across = spatial[:4]
+        tick.added_fields.update(hand_energy_j=spatial.hand_energy_j, coupling_energy_j=spatial.coupling_energy_j)
         if self._has_orientation:
-            tick.added_fields["orientation"] = found.orientation
+            tick.added_fields["orientation"] = spatial.orientation
         if self._has_buttons:
-            tick.added_fields["buttons"] = found.buttons
+            tick.added_fields["buttons"] = spatial.buttons
         if memory.gate in FAULTS:
             # What cannot be believed until a person arms is no hand, simulated or not.
             tick.added_fields["device"] = "lost"

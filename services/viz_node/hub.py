@@ -297,14 +297,14 @@ class Hub:
             self.desk.refused.note("revoked", f"{session.party.label}: the address was revoked, or has expired")
             self.leave(session)
             session.end(_packed({"k": "refused", "text": REVOKED}))
-        found = self.desk.tick(self.sessions, time.monotonic())
-        if found is not None and self._holder is not None and not self.desk.may_press(self._holder):
+        changes = self.desk.tick(self.sessions, time.monotonic())
+        if changes is not None and self._holder is not None and not self.desk.may_press(self._holder):
             self._holder.answer(_packed({"k": "hand", "held": False, "text": f"Let go: {self._who_has_it()}"}))
             self._release()
         holder = self.desk.lease.holder
-        if found is not None:
+        if changes is not None:
             self.on_lease(holder)
-        if found is not None and holder is not None:
+        if changes is not None and holder is not None:
             for wish in self._wishes:
                 if wish.session.party.id != holder.id and wish.needs_lease:
                     wish.make_void(self._who_has_it())
@@ -312,7 +312,7 @@ class Hub:
         if self.desk.lease.withdraw and self._commander is not None and is_free:
             with contextlib.suppress(RuntimeError):
                 self._withdrawing = asyncio.get_running_loop().create_task(self._withdraw(self._commander))
-        return found
+        return changes
 
     async def _withdraw(self, commander: Commander) -> None:
         """Withdraw the tip of a holder who has vanished, as that of a hand that is lost, unless somebody has it now."""
@@ -450,12 +450,12 @@ class Hub:
             work: Callable[[], Any] = document.about
             if isinstance(request, PartRequest):
                 work = partial(document.part, request.from_s, request.to_s, request.spans)
-            found = await asyncio.wrap_future(_in_thread(work))
+            answer = await asyncio.wrap_future(_in_thread(work))
         except TelenanoError as error:
             return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
         finally:
             self._reads -= counted
-        return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": found}
+        return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": answer}
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):

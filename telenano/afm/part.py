@@ -109,8 +109,8 @@ def motion_around(
         return None
 
     def settle(params: Any, state: Any, inputs: PlantInputs) -> tuple[Any, bool]:
-        given = inputs if inputs_of is None else inputs_of(params, state, inputs)
-        after, continues = inner.settle(getattr(params, within), getattr(state, within), given)
+        inner_inputs = inputs if inputs_of is None else inputs_of(params, state, inputs)
+        after, continues = inner.settle(getattr(params, within), getattr(state, within), inner_inputs)
         return state._replace(**{within: after}), continues
 
     return Motion(settle, lambda state: inner.oscillation(getattr(state, within)))

@@ -60,7 +60,7 @@ def interruptions_of(
         reports: The device's reports of modes held or let go.
         restarts: The indices of the first samples of processes that were started again, which begin with nothing.
     """
-    restarted, found = set(restarts), []
+    restarted, interruptions = set(restarts), []
     edges = np.flatnonzero(np.diff(is_open, prepend=False, append=False))
     for first, after in edges.reshape(-1, 2).tolist():
         if first == 0 or first in restarted:
@@ -69,8 +69,10 @@ def interruptions_of(
         near = [report for report in reports if abs(report.time_s - begins_s) <= REPORTED_WITHIN_S]
         reason = min(near, key=lambda report: abs(report.time_s - begins_s)).reason if near else ""
         if kind == "hand_let_go" or reason in (DEADLINE, ""):
-            found.append(Interruption(kind, begins_s, ends_s, reason or (DEADLINE if kind == "tip_held" else "")))
-    return found
+            interruptions.append(
+                Interruption(kind, begins_s, ends_s, reason or (DEADLINE if kind == "tip_held" else ""))
+            )
+    return interruptions
 
 
 def in_words(interruptions: Sequence[Interruption]) -> str:

@@ -79,11 +79,11 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
 
 def console_of(book: AddressBook, site: Site) -> str:
     """Return the console of a site whose machine this is; ConfigError when there is none."""
-    known = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
+    consoles = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
     machines = _machines_here(book)
-    here = [node for node in known if machines is None or book.machine_of(node) in machines]
+    here = [node for node in consoles if machines is None or book.machine_of(node) in machines]
     if not here:
-        elsewhere = f", {', '.join(known)} is on another machine" if known else ""
+        elsewhere = f", {', '.join(consoles)} is on another machine" if consoles else ""
         raise ConfigError(f"nodes: a console@{site} of this machine is missing, commands need an endpoint{elsewhere}")
     return here[0]
 

@@ -190,7 +190,7 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
         part.mkdir()
         with _report_interruption(path):
             yield part
-        names = sorted(found.name for found in part.iterdir())
+        names = sorted(entry.name for entry in part.iterdir())
         taken = [] if replace else [name for name in names if os.path.lexists(path / name)]
         if taken:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path / taken[0]))
@@ -227,8 +227,8 @@ def _report_interruption(path: Path) -> Iterator[None]:
 
 
 def _move_into(part: Path, path: Path) -> None:
-    for found in sorted(part.iterdir()):
-        found.replace(path / found.name)
+    for entry in sorted(part.iterdir()):
+        entry.replace(path / entry.name)
 
 
 @contextlib.contextmanager
@@ -286,10 +286,10 @@ def _remove_leftovers(path: Path) -> None:
     """Remove what processes of this machine that are no more have left of a result."""
     stem = _stem(path)
     with contextlib.suppress(OSError):
-        for found in path.parent.iterdir():
-            process = found.name.removeprefix(stem).removesuffix(_SUFFIX)
-            if found.name == f"{stem}{process}{_SUFFIX}" and process.isdecimal() and not _runs(int(process)):
-                _remove(found)
+        for entry in path.parent.iterdir():
+            process = entry.name.removeprefix(stem).removesuffix(_SUFFIX)
+            if entry.name == f"{stem}{process}{_SUFFIX}" and process.isdecimal() and not _runs(int(process)):
+                _remove(entry)
 
 
 def _runs(process: int) -> bool:

@@ -65,14 +65,14 @@ def known_law(name: str) -> Law:
 
 def broken_rules(name: str) -> dict[str, list[str]]:
     """Return what a law does against each rule, by the rule's name; an empty list where it keeps it."""
-    found: dict[str, list[str]] = {}
+    broken: dict[str, list[str]] = {}
     for rule in RULES:
         try:
-            found[rule.name] = list(rule.broken_by(name))
+            broken[rule.name] = list(rule.broken_by(name))
         # Anything that the law of a package raises is a finding of the rule.
         except Exception as error:  # noqa: BLE001
-            found[rule.name] = [f"fails: {type(error).__name__}: {error}"]
-    return found
+            broken[rule.name] = [f"fails: {type(error).__name__}: {error}"]
+    return broken
 
 
 def _params(name: str, period_s: float = _PERIOD_S, **settings: float) -> Any:

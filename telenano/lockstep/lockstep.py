@@ -221,8 +221,8 @@ def simulate(
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((len(COLUMNS), schedule.ticks))
     states = rig.haptic_start, rig.instrument_start
-    given = (rig.halves, rig.haptic, rig.instrument, *states, schedule, session_tick, rows, hand, path)
-    start, done = compiled_call(_run, given) if at_once else _run_as_it_pays(rig, given)
+    arguments = (rig.halves, rig.haptic, rig.instrument, *states, schedule, session_tick, rows, hand, path)
+    start, done = compiled_call(_run, arguments) if at_once else _run_as_it_pays(rig, arguments)
     if start < 0:
         limits, newest = rig.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
         why = (
@@ -248,8 +248,8 @@ def _run_as_it_pays(rig: Rig, given: tuple[Any, ...]) -> tuple[int, int]:
     kind = tuple(map(type, (rig.halves.law, rig.instrument.plant, *given)))
     if _plain_ticks[kind] >= PLAIN_TICKS or is_compiled(_run, given):
         try:
-            found: tuple[int, int] = compiled_call(_run, given)
-            return found
+            counts: tuple[int, int] = compiled_call(_run, given)
+            return counts
         # what has run until now as plain Python goes on so
         except ConfigError as error:
             logging.getLogger("studies").warning("%s; it runs as plain Python", error)

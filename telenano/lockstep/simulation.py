@@ -237,10 +237,10 @@ def context_of(course: Trajectory, safety: SafetyParams | None, known: SessionCo
     time_s, held = course.time_s, course.instrument_mode == MODE_HOLD
     begins = np.flatnonzero(np.diff(held, prepend=False) & held)
     reports = [ModeReport(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
-    found = interruptions_of("tip_held", time_s, held, reports)
+    interruptions = interruptions_of("tip_held", time_s, held, reports)
     # a hand is let go for want of commands, or because the law no longer couples it to a tip that is held or away
-    found += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
-    return known._replace(guards=guards, interruptions=sorted(found, key=lambda one: one.start_s))
+    interruptions += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
+    return known._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
 
 
 def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> SessionContext:
@@ -365,16 +365,16 @@ def simulate_document(
     safety = rig.instrument.safety
     ages_s = _ages_s(schedule, period_s)
     transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
-    known = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
-    known = known._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
-    known = known._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
+    context = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
+    context = context._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
+    context = context._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
     return SimulatedSession(
         conditions,
         course,
         section.force_scale,
         safety,
         further=columns_of(hand),
-        known=known,
+        known=context,
         position_scale=section.position_scale,
     )
 

@@ -211,9 +211,9 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
 def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int) -> tuple[Master, PortSignal, bool]:
     """Return the master half after a sample, the signal that it sends, and whether the dead band lets it through."""
     m = _master_settled(halves, m, now_ns)
-    timing, found = integration.master_sampled(m.timing, halves.master, now_ns, False, False)
-    law = master_start(halves.law, hand) if found.begins else m.law
-    dt = found.periods * halves.period_s
+    timing, step = integration.master_sampled(m.timing, halves.master, now_ns, False, False)
+    law = master_start(halves.law, hand) if step.begins else m.law
+    dt = step.periods * halves.period_s
     law, signal = master_send(halves.law, law, hand, dt)
     band, sent = deadband(halves.band, m.band, signal, dt)
     after = Master(

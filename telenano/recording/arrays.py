@@ -58,9 +58,9 @@ def column_pieces(recording: RecordingSource, channel_topic: str, fields: Sequen
     """
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
-        known = ", ".join(sorted(names)) or "none"
+        shown = ", ".join(sorted(names)) or "none"
         near = probably_meant(channel_topic, names)
-        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}{near}")
+        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {shown}{near}")
     paths: dict[str, _Path] = {
         field: tuple(int(part) if part.isdecimal() else part for part in field.split("."))
         for field in fields
@@ -120,17 +120,17 @@ def _reader(paths: Mapping[str, _Path]) -> Callable[[Sequence[RecordedMessage]],
     decode = msgspec.msgpack.Decoder(msgspec.defstruct("Wanted", wanted, rename=renamed, gc=False)).decode
 
     def read(messages: Sequence[RecordedMessage]) -> dict[str, list[Any]] | None:
-        found: dict[str, list[Any]] = {}
+        rows_of: dict[str, list[Any]] = {}
         try:
             rows = [decode(message.payload) for message in messages]
             for field, (first, *rest) in paths.items():
                 values = list(map(attrgetter(keys[first]), rows))
                 for part in rest:
                     values = [None if value is None else value[part] for value in values]
-                found[field] = values
+                rows_of[field] = values
         except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError):
             return None
-        return found
+        return rows_of
 
     return read
 
@@ -172,8 +172,8 @@ def _read_each(
                     value = None if value is None else value[part]
             except (KeyError, IndexError, TypeError) as error:
                 where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
-                known = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
-                raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
+                shown = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
+                raise RecordingError(f"{where}: has no field {field}, its fields are {shown}") from error
             values[field].append(value)
     return [message for message, _ in taken], values
 
@@ -183,8 +183,8 @@ def _joined(pieces: list[Column]) -> Column:
     last = pieces[-1].dtype
     if last == np.object_:
         # a piece in which all values were nil is one of numbers that are none
-        pieces = [found if found.dtype == last else np.full(found.shape, None, dtype=np.object_) for found in pieces]
-    return np.concatenate([found.astype(last, copy=False) for found in pieces])
+        pieces = [piece if piece.dtype == last else np.full(piece.shape, None, dtype=np.object_) for piece in pieces]
+    return np.concatenate([piece.astype(last, copy=False) for piece in pieces])
 
 
 def _array(recording: RecordingSource, channel_topic: str, field: str, values: list[Any], kinds: set[type]) -> Column:

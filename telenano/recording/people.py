@@ -21,8 +21,8 @@ def people_in(recording: RecordingSource) -> dict[str, dict[str, int]]:
 
     def take(message: Any) -> None:
         decoded = message.decode()
-        given = fields_of(decoded) if message.channel.topic == "session/control" else decoded.data
-        by, command = given.get("by"), given.get("command")
+        fields = fields_of(decoded) if message.channel.topic == "session/control" else decoded.data
+        by, command = fields.get("by"), fields.get("command")
         if by and command:
             commands[decoded.id] = by, command
         elif by:

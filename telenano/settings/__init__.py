@@ -70,8 +70,8 @@ def find_scenario(name: str) -> Path:
 
     if hint := where_it_is(f"scenario {name}"):
         raise ConfigError(hint)
-    known = known_scenarios()
-    listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
+    names = known_scenarios()
+    listed = f"known are {', '.join(names)}, or give a .yaml file{probably_meant(name, names)}"
     raise ConfigError(f"unknown scenario {name!r}: {listed}")
 
 

@@ -50,8 +50,8 @@ class DeviceDriver:
 
     def section(self, node: BaseModel) -> BaseModel:
         """Return the settings of the driver in the section of its node, or the default ones."""
-        found: BaseModel | None = section_of(node, self.name)
-        return found or self.config()
+        settings_of_driver: BaseModel | None = section_of(node, self.name)
+        return settings_of_driver or self.config()
 
     def device(self, node: BaseModel, limits: Any, period_s: float, settings: BaseModel | None = None) -> Any:
         """Return the device of a node.
@@ -137,8 +137,8 @@ class _Name:
             return value
         if hint := where_it_is(f"driver {value}"):
             raise ValueError(hint)
-        *known, last = map(repr, self._known())
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(known)} or {last}"})
+        *names, last = map(repr, self._known())
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(names)} or {last}"})
 
     def _known(self) -> tuple[str, ...]:
         return (*self.own, *self.drivers.all().found)

@@ -13,15 +13,15 @@ from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCal
 def _gwyscope(settings: ControllerSettings, limits: SafetyParams, **keywords: Any) -> AfmDriver:
     from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 
-    found = read_controller(Path(settings.calibration), GwyscopeCalibration)
-    return GwyscopeAfm(found.reached_at(settings.host, settings.port), limits, **keywords)
+    controller = read_controller(Path(settings.calibration), GwyscopeCalibration)
+    return GwyscopeAfm(controller.reached_at(settings.host, settings.port), limits, **keywords)
 
 
 def _nanonis(settings: ControllerSettings, limits: SafetyParams, **keywords: Any) -> AfmDriver:
     from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-    found = read_controller(Path(settings.calibration), NanonisCalibration)
-    return NanonisAfm(found.reached_at(settings.host, settings.port), limits, **keywords)
+    controller = read_controller(Path(settings.calibration), NanonisCalibration)
+    return NanonisAfm(controller.reached_at(settings.host, settings.port), limits, **keywords)
 
 
 GWYSCOPE = DeviceDriver(

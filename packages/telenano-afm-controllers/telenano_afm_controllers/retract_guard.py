@@ -159,13 +159,13 @@ class RetractGuard:
         wanted = [self._server, self._client]
         if self._client is None and self._server is not None and not self.judge.due:
             wanted.append(self._listener)
-        found = [each for each in wanted if each is not None]
-        for each in found:
+        ready = [each for each in wanted if each is not None]
+        for each in ready:
             self._selector.register(each, selectors.EVENT_READ)
         try:
             return [key.fileobj for key, _ in self._selector.select(_POLL_S)]  # type: ignore[misc]
         finally:
-            for each in found:
+            for each in ready:
                 self._selector.unregister(each)
 
     def _reach(self, now_ns: int) -> None:

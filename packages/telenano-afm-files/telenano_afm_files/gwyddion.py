@@ -72,8 +72,8 @@ def load_image(path: str) -> Found:
 
 def converter() -> str | None:
     """Return the path of Gwyddion's converter: on PATH, or as gwyddionpy-converter installed it; None without it."""
-    if found := shutil.which(_PROGRAM):
-        return found
+    if path := shutil.which(_PROGRAM):
+        return path
     place = find_spec("gwyddionpy_converter")
     if place is None or place.origin is None:
         return None

@@ -37,11 +37,11 @@ def inspect(
 ) -> None:
     """Say what a file is taken for: format, columns, units, sign, what was left out, and which command takes it."""
     with report_errors(as_json):
-        given = flag_overrides(lacking or ())
-        if unknown := sorted(set(given) - set(TableOptions._fields)):
+        overrides = flag_overrides(lacking or ())
+        if unknown := sorted(set(overrides) - set(TableOptions._fields)):
             raise ConfigError(f"--set {unknown[0]}: is not one of {', '.join(TableOptions._fields)}")
         try:
-            options = table_options_of(json.dumps(given))
+            options = table_options_of(json.dumps(overrides))
         except ValueError as error:
             raise ConfigError(str(error)) from error
         document = inspected(file, options)
@@ -68,10 +68,10 @@ def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
     try:
         table = parse_table(content, str(path))
     except ConfigError as error:
-        found = _of_instrument(path)
-        if found["takes_it"]:
-            return {**found, "as_a_table": str(error)}
-        return {**found, "format": "no table, and no file that an installed package reads", "reason": str(error)}
+        document = _of_instrument(path)
+        if document["takes_it"]:
+            return {**document, "as_a_table": str(error)}
+        return {**document, "format": "no table, and no file that an installed package reads", "reason": str(error)}
     return _of_table(path, table, options)
 
 
@@ -116,8 +116,11 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
     columns = table.columns
     kinds = {name: _of(columns, name) for name in ("Hz", "m", "N", "V", "s", *_DENSITIES)}
     if any(options):
-        given = " ".join(f"--set {name}={value}" for name, value in options._asdict().items() if value)
-        takes = [f"telenano curve --overlay {path} {given}", f"telenano sample import {path} {given} --out map.npz"]
+        settings = " ".join(f"--set {name}={value}" for name, value in options._asdict().items() if value)
+        takes = [
+            f"telenano curve --overlay {path} {settings}",
+            f"telenano sample import {path} {settings} --out map.npz",
+        ]
         return "a force curve, as --set says", takes, _curve(path, options)
     in_head = table.units_in_head(*_DENSITIES)
     if (kinds["Hz"] and any(kinds[name] for name in _DENSITIES)) or in_head:
@@ -182,11 +185,11 @@ def _curve(path: Path, options: TableOptions) -> dict[str, Any]:
 def _of_instrument(path: Path) -> dict[str, Any]:
     """Return what the reader of an installed package finds in a file: images, curves and spectra."""
     ending = path.suffix.lower().removeprefix(".").replace("-", "_")
-    found = {point.name: point for point in entry_points(group="telenano.readers")}
+    readers = {point.name: point for point in entry_points(group="telenano.readers")}
     document: dict[str, Any] = {"format": f"a file of an instrument, by its ending {path.suffix or 'other'}"}
     takes, refused = [], []
     for name in (ending, "other"):
-        reader = found[name].load() if name in found else FileReader()
+        reader = readers[name].load() if name in readers else FileReader()
         for what, line in (
             ("heights", f"telenano scan --sample {path}"),
             ("curve", f"telenano curve --overlay {path}"),

@@ -94,8 +94,8 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
         sound = np.isfinite(z) & np.isfinite(force)
         ways.append((z[sound], force[sound]))
     unit = _kind_of(options.value_unit or pairs[0][1].unit)
-    found = _in_order(ways)
-    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), found, unit), 1.0)]))
+    ordered = _in_order(ways)
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), ordered, unit), 1.0)]))
 
 
 def is_of_other_columns(path: str) -> bool:
@@ -157,8 +157,8 @@ def _both_ways(columns: list[Column]) -> list[Column]:
 
 def _named(columns: tuple[Column, ...], words: tuple[str, ...]) -> list[Column]:
     """Return the column without a unit that is known whose name begins with one of these words, the first of them."""
-    found = [column for word in words for column in columns if not column.known and _begins(column, word)]
-    return found[:1]
+    matching = [column for word in words for column in columns if not column.known and _begins(column, word)]
+    return matching[:1]
 
 
 def _begins(column: Column, word: str) -> bool:

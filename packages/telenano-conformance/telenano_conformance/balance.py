@@ -156,11 +156,11 @@ def worst_balances(
         settings: The settings of the law's section.
     """
     limit_s = silence_limit_s(law.config.model_validate(dict(settings or {})))
-    found = {}
+    worst = {}
     for kind in kinds:
         done = [balance(law, drawn(seed, case, kind, limit_s, longest_s), settings) for case in range(cases)]
-        found[kind] = sorted(done, key=lambda one: one.margin_j)
-    return found
+        worst[kind] = sorted(done, key=lambda one: one.margin_j)
+    return worst
 
 
 class _Granted:

@@ -119,7 +119,7 @@ class MessageExaminer:
         if name in TOPICS:
             account.hold("frames", "topic")
             return name
-        if payload in (known.encode() for known in TOPICS):
+        if payload in (row.encode() for row in TOPICS):
             account.fail("frames", f"the first frame is the map, and the topic {payload.decode()} comes behind it")
         else:
             account.fail("topic", f"the topic {topic[:40]!r} is not in the table")
@@ -182,7 +182,7 @@ class MessageExaminer:
     def _publisher(self, topic: str, src: str) -> None:
         publishers = TOPICS[topic].publishers
         name = src.partition("@")[0]
-        if any(fnmatchcase(src if "@" in known else name, known) for known in publishers):
+        if any(fnmatchcase(src if "@" in pattern else name, pattern) for pattern in publishers):
             self._account.hold("publisher")
         else:
             self._account.fail("publisher", f"{src} sends on {topic}, which is for {', '.join(publishers)}")

@@ -93,11 +93,11 @@ class Account:
 
     def findings(self) -> list[Finding]:
         """Return what came of each rule."""
-        found = []
+        rows = []
         for rule in RULES:
             texts = list(self.broken.get(rule.name, {}).values())
             outcome: Outcome = "failed" if texts else "passed" if rule.name in self.held else "not seen"
             least = "at least " * (len(texts) == _MOST_KEPT)
             more = f" (and {least}{len(texts) - _MOST_LISTED} more)" if len(texts) > _MOST_LISTED else ""
-            found.append(Finding(rule.name, outcome, rule.section, rule.right, "; ".join(texts[:_MOST_LISTED]) + more))
-        return found
+            rows.append(Finding(rule.name, outcome, rule.section, rule.right, "; ".join(texts[:_MOST_LISTED]) + more))
+        return rows

@@ -173,10 +173,10 @@ class ExperimentBus:
         Of the answers of a participant to the same question of a cue, the first one counts.
         """
         self._network.process_events()
-        found = [answer for message in self._received() if (answer := self._new(message)) is not None]
-        if found or time.monotonic() - self._reported_s >= _REPEAT_S:
+        new = [answer for message in self._received() if (answer := self._new(message)) is not None]
+        if new or time.monotonic() - self._reported_s >= _REPEAT_S:
             self._tell()
-        return found
+        return new
 
     def wait(
         self, cue: str, timeout_s: float | None = None, idle: Callable[[list[Answer]], object] = lambda answers: None
@@ -207,8 +207,8 @@ class ExperimentBus:
         self._open.close()
 
     def _received(self) -> list[ExperimentAnswer]:
-        found = [received.message for subscriber in self._subscribers for received in subscriber.receive()]
-        return [message for message in found if isinstance(message, ExperimentAnswer) and message.src == VIEW]
+        messages = [received.message for subscriber in self._subscribers for received in subscriber.receive()]
+        return [message for message in messages if isinstance(message, ExperimentAnswer) and message.src == VIEW]
 
     def _new(self, message: ExperimentAnswer) -> Answer | None:
         """Return an answer that is new: of a participant the first to a question counts, also where it came twice."""

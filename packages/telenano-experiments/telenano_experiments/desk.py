@@ -102,10 +102,10 @@ class BusDesk(Desk):
         self._tell(trial, attempt, "running", "")
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
-        found = self._taken([] if self.bus is None else self.bus.answers())
+        answers = self._taken([] if self.bus is None else self.bus.answers())
         if self.action in _NOW:
             raise AbortedError(self.reason or self.action)
-        return found
+        return answers
 
     def over(self, trial: Trial, attempt: int, outcome: TrialOutcome) -> None:
         self._tell(trial, attempt, "skipped" if self.action == "skip" else outcome.status, outcome.disturbance)
@@ -195,8 +195,8 @@ class PersonDesk(BusDesk):
         self._bus().cue("end", self.words.end, self.words.end_text, labels=self.words.labels)
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
-        found = super().during(elapsed_s)
-        return [{**answer, "value": self._meant(answer["name"], answer["value"])} for answer in found]
+        answers = super().during(elapsed_s)
+        return [{**answer, "value": self._meant(answer["name"], answer["value"])} for answer in answers]
 
     def _instructions(self, trial: Trial) -> tuple[str, str]:
         """Return heading and instruction of a trial's task."""
@@ -211,10 +211,10 @@ class PersonDesk(BusDesk):
 
     def _asked(self, trial: Trial, questions: tuple[Question, ...]) -> tuple[Question, ...]:
         """Return questions of a task in the words of the experiment, and note what their answers mean."""
-        found = tuple(self.words.of(trial.task, question) for question in questions)
-        for shown, question in zip(found, questions, strict=True):
+        asked = tuple(self.words.of(trial.task, question) for question in questions)
+        for shown, question in zip(asked, questions, strict=True):
             self._meanings[question.name] = dict(zip(shown.options, question.options, strict=False))
-        return found
+        return asked
 
     def _meant(self, name: str, value: Any) -> Any:
         return self._meanings.get(name, {}).get(value, value)

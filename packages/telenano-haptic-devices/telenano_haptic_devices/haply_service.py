@@ -128,19 +128,19 @@ class HaplyService:
         return 1.0 - min(self.gate, 1.0) * (len(self._turns) > _GATE_HZ * _GATE_S)
 
     def _states(self, full: bool) -> dict[str, Any]:
-        found: dict[str, Any] = {"inverse3": [], "wireless_verse_grip": [], "verse_grip": [], "custom_verse_grip": []}
+        states: dict[str, Any] = {"inverse3": [], "wireless_verse_grip": [], "verse_grip": [], "custom_verse_grip": []}
         if self.plugged:
-            found["inverse3"].append(self._inverse3(full))
+            states["inverse3"].append(self._inverse3(full))
         if self.has_grip:
             state = {
                 "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
                 "buttons": dict(self._heard[1]),
                 "battery_level": 0.8,
             }
-            found["wireless_verse_grip"].append(
+            states["wireless_verse_grip"].append(
                 {"device_id": "6060", "state": state, "status": {"awake": self.grip_awake, "connected": True}}
             )
-        return found
+        return states
 
     def _inverse3(self, full: bool) -> dict[str, Any]:
         place = self.arm.measured_m if self.frozen is None else self.frozen

@@ -169,13 +169,15 @@ class ServoLoop:
                 continue
             waited_s = 0.0
             try:
-                found = self._wire.open()
-                if found.identity == self._found.identity:
+                capabilities = self._wire.open()
+                if capabilities.identity == self._found.identity:
                     # What the coupling knew is of the device before its loss: it begins with the hand at rest.
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
-                error = f"the device is now {found.identity}, and it was {self._found.identity}: restart the node"
+                error = (
+                    f"the device is now {capabilities.identity}, and it was {self._found.identity}: restart the node"
+                )
             except Exception as still:  # noqa: BLE001
                 error = cause(still)
             self._let_go()
@@ -232,11 +234,11 @@ class ProcessLink:
                 what = f"answered nothing for {OPEN_S:g} s" if not ready else "ended; its reason is in the log above"
                 raise DeviceError(f"the servo of haptic_node.driver {self._kind} {what}")
             answer += part
-        found = json.loads(answer)
-        if "error" in found:
+        document = json.loads(answer)
+        if "error" in document:
             self.close()
-            raise DeviceError(found["error"])
-        self._found = Capabilities(**{name: _as_tuples(value) for name, value in found["found"].items()})
+            raise DeviceError(document["error"])
+        self._found = Capabilities(**{name: _as_tuples(value) for name, value in document["found"].items()})
 
     def send(self, command: ServoCommand) -> None:
         if self._shared is not None:
@@ -328,14 +330,14 @@ def main() -> int:
         shared = SharedServo(mmap.mmap(file.fileno(), SharedServo.SIZE))
     try:
         wire = wire_of(order["kind"], order["settings"])
-        found = wire.open()
+        capabilities = wire.open()
     except Exception as error:  # noqa: BLE001
         _answer({"error": cause(error)})
         return 2
     try:
-        _answer({"found": found._asdict()})
+        _answer({"found": capabilities._asdict()})
         schedule_as_node("servo")
-        ServoLoop(shared, wire, found, is_needed=lambda: not ended and os.getppid() == parent).run()
+        ServoLoop(shared, wire, capabilities, is_needed=lambda: not ended and os.getppid() == parent).run()
         return 0
     finally:
         wire.close()

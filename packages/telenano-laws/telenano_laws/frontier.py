@@ -40,11 +40,11 @@ class Point(NamedTuple):
 
 def points_of(rows: list[dict[str, str]], *, over_long: bool) -> list[Point]:
     """Return the points of the laws over the long networks or over the others; what was not held has no place."""
-    found: dict[str, list[dict[str, str]]] = {}
+    rows_of: dict[str, list[dict[str, str]]] = {}
     for row in rows:
         if row["network"] not in PROMPT_NETWORKS and (row["network"] in LONG_NETWORKS) == over_long:
-            found.setdefault(row["law"], []).append(row)
-    return [_point(law, some) for law, some in sorted(found.items())]
+            rows_of.setdefault(row["law"], []).append(row)
+    return [_point(law, some) for law, some in sorted(rows_of.items())]
 
 
 def _point(law: str, some: list[dict[str, str]]) -> Point:
@@ -54,8 +54,8 @@ def _point(law: str, some: list[dict[str, str]]) -> Point:
 
 
 def _median(rows: list[dict[str, str]], measure: str) -> float | None:
-    known = [float(row[measure]) for row in rows if row[measure]]
-    return statistics.median(known) if known else None
+    numbers = [float(row[measure]) for row in rows if row[measure]]
+    return statistics.median(numbers) if numbers else None
 
 
 def frontier(rows: list[dict[str, str]]) -> Figure:
@@ -108,13 +108,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m telenano_laws.frontier", description=main.__doc__)
     parser.add_argument("runs", type=Path, help="runs.csv of a benchmark")
     parser.add_argument("picture", type=Path, help="file to write")
-    given = parser.parse_args()
-    with given.runs.open(encoding="utf-8", newline="") as file:
+    options = parser.parse_args()
+    with options.runs.open(encoding="utf-8", newline="") as file:
         # results of benchmark 2 have no such columns
         ideal = {"instrument": "ideal", "steadiness": "scripted"}
         rows = [row for row in csv.DictReader(file) if {key: row.get(key, ideal[key]) for key in ideal} == ideal]
-    with atomic_file(given.picture) as part:
-        frontier(rows).savefig(part, dpi=110, format=given.picture.suffix[1:] or "png")
+    with atomic_file(options.picture) as part:
+        frontier(rows).savefig(part, dpi=110, format=options.picture.suffix[1:] or "png")
 
 
 if __name__ == "__main__":

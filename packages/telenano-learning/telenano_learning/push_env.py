@@ -40,9 +40,9 @@ class _Pushing:
     """What one environment and many have in common."""
 
     def __init__(self, count: int, obs: str, reward: str, longest_s: float) -> None:
-        for name, value, known in (("obs", obs, ("felt", "state")), ("reward", reward, ("progress", "sparse"))):
-            if value not in known:
-                raise ValueError(f"{name}={value!r} must be one of {', '.join(known)}")
+        for name, value, choices in (("obs", obs, ("felt", "state")), ("reward", reward, ("progress", "sparse"))):
+            if value not in choices:
+                raise ValueError(f"{name}={value!r} must be one of {', '.join(choices)}")
         if not 1.0 <= longest_s <= 3600.0:
             raise ValueError(f"longest_s = {longest_s} must lie between 1 and 3600 s")
         self.is_sparse = reward == "sparse"

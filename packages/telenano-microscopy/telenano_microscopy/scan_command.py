@@ -98,24 +98,24 @@ def scan(
                     show(n)
                     return True
 
-                found = take_image(config, keys, advanced)
+                image = take_image(config, keys, advanced)
             finish()
-            is_reported = _say_if_interrupted(found.lines.partial)
-            files = write_images(folder, _images(found), mode, sample=sample.name)
+            is_reported = _say_if_interrupted(image.lines.partial)
+            files = write_images(folder, _images(image), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
-        "lines": found.lines.finished,
+        "lines": image.lines.finished,
         "pixels": wanted.pixels,
-        "simulated_s": found.simulated_s,
-        "rms_error_m": found.rms_error_m,
-        "correlation": found.correlation,
+        "simulated_s": image.simulated_s,
+        "rms_error_m": image.rms_error_m,
+        "correlation": image.correlation,
         "files": [str(out / name) for name in files],
     }
-    if found.lines.partial:
-        document["partial"] = found.lines.partial
+    if image.lines.partial:
+        document["partial"] = image.lines.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted(is_reported, found.lines.partial)
+    _exit_if_interrupted(is_reported, image.lines.partial)
 
 
 def _scan_live(

@@ -72,15 +72,15 @@ def quantiles_ms(counts: Mapping[int, int], step_ns: int) -> dict[str, float] | 
     total = sum(counts.values())
     if not total:
         return None
-    found: dict[str, float] = {}
+    quantiles: dict[str, float] = {}
     for name, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0)):
         wanted, seen = share * total, 0
         for step in sorted(counts):
             seen += counts[step]
             if seen >= wanted:
-                found[name] = round(step * step_ns * 1e-6, 3)
+                quantiles[name] = round(step * step_ns * 1e-6, 3)
                 break
-    return found
+    return quantiles
 
 
 class UdpLink(DelayNode):

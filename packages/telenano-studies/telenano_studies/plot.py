@@ -113,8 +113,8 @@ def _extreme_places(times: npt.NDArray[Any], values: Floats, bins: int) -> npt.N
     """
     since = times - times[0]
     starts = np.unique(np.searchsorted(since, since[-1] * (np.arange(bins) / bins)))
-    found = [_first_least(np.where(np.isnan(values), np.inf, sign * values), starts) for sign in (1.0, -1.0)]
-    return np.unique(np.concatenate([[0, len(values) - 1], *found]))
+    places = [_first_least(np.where(np.isnan(values), np.inf, sign * values), starts) for sign in (1.0, -1.0)]
+    return np.unique(np.concatenate([[0, len(values) - 1], *places]))
 
 
 def _first_least(values: Floats, starts: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:

@@ -38,8 +38,8 @@ def _hdf5_tables(recording: Recording, target: Path) -> Iterator[OpenTable]:
         def open_table(name: str, kinds: Kinds) -> Write:
             group = file.create_group(name)
             group.attrs["topic"] = topic_of(name)
-            for column, found in kinds.items():
-                _create_dataset(group, column, found)
+            for column, types in kinds.items():
+                _create_dataset(group, column, types)
                 group[column].attrs.update(quantity(topic_of(name), column)._asdict())
 
             def write(columns: Columns) -> None:

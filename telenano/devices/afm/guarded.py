@@ -120,7 +120,7 @@ def line_fields(line: FinishedLine, lines: int, friction: FrictionConfig) -> dic
         "height_m": Array.from_numpy(line.height_m),
         "amplitude_m": None if line.amplitude_m is None else Array.from_numpy(line.amplitude_m),
         "phase_rad": None if line.phase_rad is None else Array.from_numpy(line.phase_rad),
-        **{key: Array.from_numpy(found) for key, found in further.items() if found is not None},
+        **{key: Array.from_numpy(array) for key, array in further.items() if array is not None},
     }
 
 
@@ -219,12 +219,12 @@ class RealDevice(AfmPart):
         self._driver, self._node = driver, node
 
     def measure(self, step: Step, memory: AfmMemory) -> None:
-        self._report = found = cast(AfmReport, self._driver.report)
-        if not found.force_valid:
+        self._report = report = cast(AfmReport, self._driver.report)
+        if not report.force_valid:
             # A force beyond the range of the input is no number for the guard.
             memory.force_n = math.nan
         step.added_fields.update(
-            device=found.status, sample_age_s=found.age_s, output_v=found.output_v, input_v=found.input_v
+            device=report.status, sample_age_s=report.age_s, output_v=report.output_v, input_v=report.input_v
         )
 
     def report(self, step: Step, memory: AfmMemory) -> None:

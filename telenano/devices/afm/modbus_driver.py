@@ -185,12 +185,12 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self.exchanges += 1
 
     def _voltages(self, words: tuple[int, ...]) -> tuple[float, float]:
-        readback, found = self._readback, self._input
+        readback, input_raw = self._readback, self._input
         if self._map.exchange == "read_write":
             first, count = self._map.read_span(self.calibration.stage.dac, self.calibration.deflection.channel)
-            at_input, at_readback = found.address - first, readback.address - first
+            at_input, at_readback = input_raw.address - first, readback.address - first
         else:
-            at_input, at_readback, count = 0, found.count, found.count + readback.count
+            at_input, at_readback, count = 0, input_raw.count, input_raw.count + readback.count
         order = self._map.word_order
         if self._heart is not None:
             trips, words = words[count:], words[:count]
@@ -200,7 +200,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
             raise DeviceError(f"answered {len(words)} registers, {count} were asked for")
         return (
             readback.decode(words[at_readback : at_readback + readback.count], order),
-            found.decode(words[at_input : at_input + found.count], order),
+            input_raw.decode(words[at_input : at_input + input_raw.count], order),
         )
 
     def _start_cycle(self, now_ns: int) -> None:

@@ -68,10 +68,10 @@ class TcpLine:
     def ready(self) -> bool:
         """Return whether it is connected by now; OSError also for a name that is not known."""
         if self._socket is None:
-            found = self._place.poll()
-            if found is None:
+            address = self._place.poll()
+            if address is None:
                 return False
-            self._connect(*found)
+            self._connect(*address)
         if not self._connected and select.select([], [self._socket], [], 0)[1]:
             failed = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if failed:

@@ -450,9 +450,9 @@ def refusal(hello: wire.HandleHello, calibration: HandleCalibration | None, peri
         return f"the handle speaks protocol {hello.major}.{hello.minor}, {wire.MAJOR} is needed: flash its firmware"
     if calibration is None:
         return ""
-    found = f"{hello.device_id:016x}"
-    if found != calibration.device_id:
-        return f"the handle is {found}, and the calibration is that of {calibration.device_id}"
+    identity = f"{hello.device_id:016x}"
+    if identity != calibration.device_id:
+        return f"the handle is {identity}, and the calibration is that of {calibration.device_id}"
     if hello.max_rate_hz < round(1.0 / period_s):
         return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / period_s)} are needed"
     return ""

@@ -45,8 +45,8 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
     topic, _, site = name.partition("@")
     meant = probably_meant(topic, TOPICS)
     if row_of(topic) is None and not (unknown and not meant and keep_unknown(topic)):
-        known = f"known are {', '.join(TOPICS)}, with @site for what left the link"
-        reason = problem_with(topic) or f"{known}{meant}"
+        names = f"known are {', '.join(TOPICS)}, with @site for what left the link"
+        reason = problem_with(topic) or f"{names}{meant}"
         raise ConfigError(f"unknown topic {name!r}: {reason}")
     if site and TOPICS[topic].bridged is None:
         raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")

@@ -177,10 +177,10 @@ class SimulatedLink:
         deadman = not self._capabilities.deadman or bool(
             buttons >> self._capabilities.buttons.index(self._capabilities.deadman) & 1
         )
-        found = DeviceSample((place[0], place[1], place[2]), now_ns, faults.quaternion, buttons, deadman, now_ns)
+        sample = DeviceSample((place[0], place[1], place[2]), now_ns, faults.quaternion, buttons, deadman, now_ns)
         if not faults.late_s:
-            return found
-        self._old.append(found)
+            return sample
+        self._old.append(sample)
         while len(self._old) > 1 and self._old[1].taken_ns <= now_ns - faults.late_s * 1e9:
             self._old.popleft()
         return self._old[0]

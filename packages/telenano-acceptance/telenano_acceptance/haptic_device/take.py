@@ -132,12 +132,12 @@ def _record_step(recorder: Recorder, asker: "_Asker", step: Step, silence_s: flo
     for index in range(count):
         recorder.wait()
         level, asked = asker.ask(step.name, index / count)
-        found = asker.newest()
-        age_s = asker.age_s(found)
-        lost = bool(found.error) or age_s > silence_s
+        sample = asker.newest()
+        age_s = asker.age_s(sample)
+        lost = bool(sample.error) or age_s > silence_s
         recorder.add(
-            age_s, level, found.position_m, found.force_n, asked, found.gate, found.counter, found.late,
-            found.buttons, found.orientation, lost,
+            age_s, level, sample.position_m, sample.force_n, asked, sample.gate, sample.counter, sample.late,
+            sample.buttons, sample.orientation, lost,
         )  # fmt: skip
 
 

@@ -77,8 +77,8 @@ class RigProcess:
     @property
     def recordings(self) -> list[Path]:
         """The files of the recording that are there, the newest last."""
-        found = (self.folder / "session").glob("session*.mcap")
-        return sorted(found, key=lambda path: int(path.stem.partition("_")[2] or 0))
+        paths = (self.folder / "session").glob("session*.mcap")
+        return sorted(paths, key=lambda path: int(path.stem.partition("_")[2] or 0))
 
     def check(self) -> None:
         """Show what the rig says of its page; RigError where it has ended by itself."""

@@ -196,8 +196,8 @@ class Cell(Conditions):
         settings: dict[str, Any] = nested(dict(self.settings), "--set")
         if self.gain is not None:
             if "force_gain" not in LAWS[self.law].config.model_fields:
-                known = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
-                raise ConfigError(f"--gain: {self.law} has no force gain; {known} has")
+                names = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
+                raise ConfigError(f"--gain: {self.law} has no force gain; {names} has")
             settings = merge(settings, {self.law: {"force_gain": self.gain}})
         return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
 
@@ -410,10 +410,12 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     force = scales.force_scale * course.tip_force_n
     tip = instrument_of(course, scales.position_scale, knows_contact=cell.environment == "tip_sample")
     deadlines_s = (SafetyConfig().command_deadline_s, LimitsConfig().command_deadline_s)
-    known = context_of(course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s))
+    session_context = context_of(
+        course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s)
+    )
     late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
-    (found,) = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))
+    (judgement,) = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, session_context, (span,))
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
         # A run that a guard ended early is judged from the beginning of the hold.
@@ -424,19 +426,19 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     pressed = force[hold] > 0.0
     return CellResult(
         cell,
-        found.verdict,
-        found.growth_per_s,
-        found.peak_to_peak_n,
+        judgement.verdict,
+        judgement.growth_per_s,
+        judgement.peak_to_peak_n,
         1.0 - float(course.in_contact[hold].mean()) if ended > first else 1.0,
         float(np.mean(course.hand_force_n[hold] / force[hold])) if pressed.size and pressed.all() else None,
         float(energies_of(course, scales).stored_j.min()),
         ended < len(lost),
-        found.reason,
+        judgement.reason,
         peak_n,
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
         float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
-        tuple(fact.kind for fact in found.facts),
+        tuple(fact.kind for fact in judgement.facts),
     )
 
 
@@ -501,8 +503,8 @@ def _instrument(
 def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
     """Return the settings of the sample of another package, with a stiffness [N/m] where they have one."""
     config = SAMPLES.found[environment].config
-    given = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
-    return validate(config, given, "--stiffness", environment)
+    settings = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
+    return validate(config, settings, "--stiffness", environment)
 
 
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: float = 0.0) -> Rig:

@@ -86,7 +86,7 @@ class Spectrum:
 
     def rows(self) -> list[dict[str, float | str | None]]:
         """Return one flat row a frequency."""
-        found: list[dict[str, float | str | None]] = []
+        table: list[dict[str, float | str | None]] = []
         for n, frequency in enumerate(self.frequencies_hz):
             row: dict[str, float | str | None] = {
                 "law": self.law,
@@ -100,8 +100,8 @@ class Spectrum:
             for k, name in enumerate(("h11", "h12", "h21", "h22")):
                 row[f"{name}_re"] = None if entries is None else entries[k].real
                 row[f"{name}_im"] = None if entries is None else entries[k].imag
-            found.append(row)
-        return found
+            table.append(row)
+        return table
 
 
 class _Tones(NamedTuple):

@@ -183,18 +183,18 @@ def _compare_with_retries(cell: Cell, bus: Bus, report: Callable[[str], None]) -
     """Run a cell and compare it, and once more where that fails or disagrees while the machine held a process up."""
     draws, path = draws_of(cell), bus.recording_of(cell)
     for run in range(1, TRIES + 1):
-        found: Agreement | StudyError
+        outcome: Agreement | StudyError
         try:
-            found = _compared(cell, draws, bus)
+            outcome = _compared(cell, draws, bus)
         except StudyError as error:
-            found = error
+            outcome = error
         stalled_s = _held_up_s(path)
-        if stalled_s == 0.0 or run == TRIES or (isinstance(found, Agreement) and found.agree):
+        if stalled_s == 0.0 or run == TRIES or (isinstance(outcome, Agreement) and outcome.agree):
             break
         report(f"   a process was held up for {1e3 * stalled_s:.0f} ms by the machine: once more")
-    if isinstance(found, StudyError):
-        raise found
-    return replace(found, stalled_s=stalled_s, runs=run)
+    if isinstance(outcome, StudyError):
+        raise outcome
+    return replace(outcome, stalled_s=stalled_s, runs=run)
 
 
 def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
@@ -203,8 +203,8 @@ def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
     try:
         recorded = over_recorded_link(cell, path) if cell.has_random_link else None
     except RecordingError as error:
-        found = compare(cell, draws, course, lacking=str(error))
-        return replace(found, agree=False, bus="no_data", reason=str(error))
+        agreement = compare(cell, draws, course, lacking=str(error))
+        return replace(agreement, agree=False, bus="no_data", reason=str(error))
     return compare(cell, draws, course, recorded, lacking=lacking_of(cell, path))
 
 
@@ -341,9 +341,9 @@ def compare(
         recorded: The run in lockstep over the losses and delays that the bus had, with which the bus then is compared.
         lacking: What the recording of the bus has no data of.
     """
-    drawn, found = [judged(cell, course) for course in lockstep], judged(cell, bus)
-    if lacking and not found.guarded:
-        found = replace(found, verdict="no_data", reason=lacking)
+    drawn, measured = [judged(cell, course) for course in lockstep], judged(cell, bus)
+    if lacking and not measured.guarded:
+        measured = replace(measured, verdict="no_data", reason=lacking)
     verdicts = Counter(draw.verdict for draw in drawn)
     decisive = drawn if recorded is None else [judged(cell, recorded)]
     stable_draws = [course for course, draw in zip(lockstep, drawn, strict=True) if draw.verdict == "stable"]
@@ -352,13 +352,13 @@ def compare(
         stable.append(recorded)
     expected = any(draw.verdict == "stable" for draw in decisive)
     undecided = expected and any(draw.verdict != "stable" for draw in decisive)
-    same = undecided or expected == (found.verdict == "stable")
+    same = undecided or expected == (measured.verdict == "stable")
     difference, tolerance = None, TOLERANCE_SHARE
     if not same and recorded is not None and 0 < len(stable_draws) < len(drawn):
         # The draws differ too, so the course of the recorded link decides, within the tolerance of the verdict.
         difference = course_difference(cell, recorded, bus)
         same = difference <= tolerance
-    elif undecided or (expected and found.verdict == "stable"):
+    elif undecided or (expected and measured.verdict == "stable"):
         among = lockstep if undecided else stable
         difference = min(course_difference(cell, course, bus) for course in among)
         apart = (course_difference(cell, first, second) for first, second in combinations(among, 2))
@@ -371,17 +371,17 @@ def compare(
         cell.stiffness_n_per_m,
         cell.round_trip_ms,
         likely.verdict,
-        found.verdict,
+        measured.verdict,
         likely.growth_per_s,
-        found.growth_per_s,
+        measured.growth_per_s,
         difference,
         tolerance,
-        same and found.verdict != "no_data" and (difference is None or difference <= tolerance),
+        same and measured.verdict != "no_data" and (difference is None or difference <= tolerance),
         cell.hand,
         cell.jitter_ms,
         cell.loss,
         dict(verdicts),
-        found.reason,
+        measured.reason,
         recorded is not None,
     )
 

@@ -74,10 +74,10 @@ class Outgoing:
         if len(sample) > MOST_SAMPLE_BYTES or (not limited and len(sample) + REPORT.size + OVERHEAD_BYTES > left):
             self.unsent += 1
             return b""
-        found = self.repeats.with_repeats(sample, left - REPORT.size - RESERVE_BYTES)
-        if self._beside and len(found) + len(self._beside) <= MOST_SAMPLE_BYTES:
-            found, self._beside = found + self._beside, b""
-        return found
+        samples_sent = self.repeats.with_repeats(sample, left - REPORT.size - RESERVE_BYTES)
+        if self._beside and len(samples_sent) + len(self._beside) <= MOST_SAMPLE_BYTES:
+            samples_sent, self._beside = samples_sent + self._beside, b""
+        return samples_sent
 
     def leaves_report_out(self, now_ns: int) -> bool:
         """Return whether a sample goes without what was heard from the other end: 32 bytes of a line that is full."""
@@ -107,10 +107,10 @@ class Outgoing:
         self._bytes_per_s += _NEWEST_SHARE * (sent / elapsed_s - self._bytes_per_s)
         if datagrams:
             self._bytes_each += _NEWEST_SHARE * (sent / datagrams - self._bytes_each)
-        found, queue_ns = self._delivery.rate(self._bytes_each, self._bytes_per_s), self.line.there_ns
-        if found is None or queue_ns is None:
+        rate, queue_ns = self._delivery.rate(self._bytes_each, self._bytes_per_s), self.line.there_ns
+        if rate is None or queue_ns is None:
             return
-        seen = Seen(queue_ns, *found, round_trip_ns, self.line.there_variation_ns)
+        seen = Seen(queue_ns, *rate, round_trip_ns, self.line.there_variation_ns)
         self.control.update(now_ns, seen, LEAST_HZ * self._bytes_each)
         self._budget.limit(self.control.bytes_per_s, self._bytes_each, now_ns)
 

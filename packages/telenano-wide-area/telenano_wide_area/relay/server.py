@@ -154,7 +154,7 @@ class Relay:
         now_s = asyncio.get_running_loop().time()
         if len(self._arrivals) >= _MOST_ADDRESSES:
             self._arrivals.clear()
-        crowd = [writer for writer, found in self._strangers.items() if found == address]
+        crowd = [writer for writer, address_of_writer in self._strangers.items() if address_of_writer == address]
         if len(crowd) < _MOST_FROM_ADDRESS:
             crowd = list(self._strangers) if len(self._strangers) >= _MOST_STRANGERS else []
         for oldest in crowd[:1]:

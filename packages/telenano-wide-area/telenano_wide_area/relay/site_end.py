@@ -41,7 +41,9 @@ class SiteEnd:
         self._own = access.own
         self._relay_key = raw_key(relay_key(access))
         self._access, self._log = access, log
-        ends = {node: _host_port(found) for node in book.nodes if (found := book.network_endpoint(node)) is not None}
+        ends = {
+            node: _host_port(endpoint) for node in book.nodes if (endpoint := book.network_endpoint(node)) is not None
+        }
         self._here = {ends[node][1] for node in ends if book.machine_of(node) == machine}
         self._bind = next((_host_port(book.bind_endpoint(node) or "")[0] for node in ends), "")
         self._there: Mapping[tuple[str, int], str] = {
