@@ -170,7 +170,8 @@ def _trace(
     if has_arrived.sum() < _FEWEST:
         raise TelenanoError(
             f"{direction}: {has_arrived.sum()} datagrams arrived, too few for a trace: does the link receive as"
-            " datagrams? Over a line that is full, the reports to the master leave them out; `telenano link show` says both"
+            " datagrams? Over a line that is full, the reports to the master leave them out;"
+            " `telenano link show` says both"
         )
     inside = slice(int(np.argmax(has_arrived)), len(has_arrived) - int(np.argmax(has_arrived[::-1])))
     number, lost, delay_ns, sent_ns, has_arrived = (x[inside] for x in (number, lost, delay_ns, sent_ns, has_arrived))
