@@ -120,7 +120,7 @@ def function_of_package(words: str) -> Any:
 
     row = package_commands().get(tuple(words.split()))
     if row is None:
-        package = KNOWN_PACKAGES[words]
+        package = KNOWN_PACKAGES[f"command {words}"]
         raise ConfigError(f"the command {words!r} is in the package {package}: {how_to_add_package(package)}")
     return getattr(importlib.import_module(row.module), row.attribute)
 
@@ -249,7 +249,7 @@ class OpenGroup(TyperGroup):
         path = (*self.path, name)
         if row := self.own_rows.get(name) or self.rows().get(name):
             return name, load_row(name, row, path), args[1:]
-        if package := KNOWN_PACKAGES.get(" ".join(path)):
+        if package := KNOWN_PACKAGES.get(" ".join(("command", *path))):
             from telenano.wire.extras import how_to_add_package
 
             ctx.fail(f"the command {name!r} is in the package {package}: {how_to_add_package(package)}")

@@ -289,7 +289,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         given=scenario_path,
     )
     if plan.fetches and not fetching().fetch:
-        package = KNOWN_PACKAGES["bag fetch"]
+        package = KNOWN_PACKAGES["command bag fetch"]
         text = f"to fetch is in the package {package}: {how_to_add_package(package)}; `stream` needs none"
         raise ConfigError(f"{loaded.origin}: recorder.far: {text}")
     existing = [path for path in plan.existing_outputs() if plan.attach or path.suffix == ".mcap"]

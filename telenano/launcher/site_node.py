@@ -80,7 +80,7 @@ class SiteNode(RigNode):
         if not control.parameters:
             raise RefusedError("set needs what is to be sent: recording.file, .offset, .bytes and .kbit_per_s")
         if self._pieces is None:
-            package = KNOWN_PACKAGES["bag fetch"]
+            package = KNOWN_PACKAGES["command bag fetch"]
             raise RefusedError(f"to send the recording is in the package {package}: {how_to_add_package(package)}")
         answer: str = self._pieces.request(control.parameters, self.clock.monotonic_ns())
         return answer

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from telenano.settings.file_readers import FileReader as FileReader
     from telenano.settings.file_readers import read_by_package as read_by_package
     from telenano.settings.known_packages import where_it_is as where_it_is
+    from telenano.settings.named_instruments import instrument_named as instrument_named
     from telenano.settings.option import Option as Option
     from telenano.settings.plugins import all_installed as all_installed
     from telenano.settings.plugins import fault_of_package as fault_of_package

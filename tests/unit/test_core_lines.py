@@ -50,7 +50,7 @@ def names_of_packages() -> tuple[set[str], set[str]]:
         packages |= {project["name"], project["name"].replace("-", "_")}
         entries = project.get("entry-points", {})
         drivers |= {name for kind in ("devices", "tasks") for name in entries.get(f"telenano.{kind}", {})}
-    return drivers | {row.removeprefix("bridge ") for row in KNOWN_PACKAGES if row.startswith("bridge ")}, packages
+    return drivers | {row.rpartition(" ")[2] for row in KNOWN_PACKAGES if row.startswith("command bridge ")}, packages
 
 
 def test_the_core_names_what_packages_bring_in_one_table_of_suggestions() -> None:

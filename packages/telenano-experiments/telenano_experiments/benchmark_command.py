@@ -46,9 +46,17 @@ def benchmark(
         from telenano_studies.page import write_images
 
         from telenano_experiments.benchmark.plan import plan_of
-        from telenano_experiments.benchmark.results import rows_of, runs_text, summary_of
+        from telenano_experiments.benchmark.results import rows_of, runs_text, situations_of, summary_of
         from telenano_experiments.benchmark.run import RUNS
-        from telenano_experiments.benchmark_page import CHOICE_HEAD, benchmark_figure, benchmark_page, choice_rows
+        from telenano_experiments.benchmark_page import (
+            CHOICE_HEAD,
+            SITUATION_HEAD,
+            benchmark_figure,
+            benchmark_page,
+            choice_rows,
+            frontier_figure,
+            situation_rows,
+        )
 
         plan = plan_of(
             option_values.laws(law),
@@ -63,14 +71,19 @@ def benchmark(
         command = _command(law, choice, quick=quick, settings=settings or ())
         with sweep_in(out, workers, scheduler, shown=not as_json, kind=RUNS) as sweep:
             outcomes = sweep.run(plan.runs())
-        rows = rows_of(outcomes)
+        rows, situations = rows_of(outcomes), situations_of(outcomes)
         summary = summary_of(plan, outcomes, rows)
         with results_in(out) as folder:
             (folder / "runs.csv").write_text(runs_text(outcomes), encoding="utf-8", newline="")
             with styled(options):
-                images = write_images(folder, {"benchmark": benchmark_figure(rows)}, command, options)
-            write_study(folder, benchmark_page(plan, summary, rows, images["benchmark.png"], command), summary)
-        print_result(summary, CHOICE_HEAD, choice_rows(rows), out, as_json=as_json)
+                figures = {"benchmark": benchmark_figure(rows)}
+                if situations:
+                    figures["frontier"] = frontier_figure(situations)
+                images = write_images(folder, figures, command, options)
+            write_study(folder, benchmark_page(plan, summary, rows, situations, images, command), summary)
+        # networks that stand for no kind of line are shown by themselves
+        head, table = (SITUATION_HEAD, situation_rows(situations)) if situations else (CHOICE_HEAD, choice_rows(rows))
+        print_result(summary, head, table, out, as_json=as_json)
         if not as_json:
             typer.echo(f"digest: {summary['digest']}")
 

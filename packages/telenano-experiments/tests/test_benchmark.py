@@ -14,9 +14,29 @@ import numpy as np
 import pytest
 from telenano_experiments.benchmark import plan as plan_module
 from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
-from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
-from telenano_experiments.benchmark.results import Case, choices, digest_of, rows_of, runs_text, summary_of
+from telenano_experiments.benchmark.plan import (
+    HANDS,
+    LINES,
+    MEASURED_LINES,
+    NETWORKS,
+    SAMPLES,
+    TASKS,
+    Plan,
+    Run,
+    is_random,
+    plan_of,
+)
+from telenano_experiments.benchmark.results import (
+    Case,
+    choices,
+    digest_of,
+    rows_of,
+    runs_text,
+    situations_of,
+    summary_of,
+)
 from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
+from telenano_experiments.benchmark_page import frontier_figure
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
@@ -181,11 +201,48 @@ def test_the_law_to_take_held_most_and_followed_nearest():
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
+def test_recommended_is_the_law_that_follows_nearest_of_those_that_chance_may_have_put_second():
+    def held(law, tracking, count, network="wifi", energy=0.0):
+        return [made(network, law, "stable" if n < count else "limit_cycle", tracking, energy) for n in range(100)]
+
+    outcomes = [*held("wave", 0.5, 100), *held("smith", 0.1, 98), *held(PAPER, 0.01, 80)]
+    # a law that holds and makes energy is not recommended
+    situations = situations_of([*outcomes, *held("position_force", 0.02, 100, energy=-0.1)])
+    (situation,) = situations
+    assert situation == ("independent delays", "ideal", "20 to 40 N/m")
+    assert [row.law for row in situations[situation]] == ["smith", "wave", PAPER, "position_force"]
+    assert [row.sound for row in situations[situation]] == [98, 100, 80, 0]
+    # a network beside those of the benchmark stands for no kind of line
+    assert situations_of(held("wave", 0.5, 100, "lte")) == {}
+    assert {name for networks in LINES.values() for name in networks} == set(NETWORKS)
+    assert [task for tasks in SAMPLES.values() for task in tasks] == list(TASKS)
+
+
+def test_the_frontier_leads_from_the_ideal_to_the_real_instrument_and_names_what_was_not_held():
+    def swung(law, instrument, verdict, tracking, stiffness, least_mj):
+        one = made("wifi", law, verdict, tracking, least_mj)
+        cell = one.cell.model_copy(update={"instrument": instrument})
+        return one._replace(cell=cell, measures={**one.measures, "stiffness_ratio": stiffness})
+
+    outcomes = [
+        swung("wave", "ideal", "stable", 0.1, 0.9, 0.0), swung("wave", "ideal", "stable", 0.3, 0.7, -0.1),
+        swung("wave", "ideal", "diverged", 9.0, 9.0, -40.0), swung("wave", "real", "stable", 0.4, 0.5, -5.0),
+        swung(PAPER, "ideal", "diverged", None, None, -90.0), swung(PAPER, "real", "diverged", None, None, -90.0),
+    ]  # fmt: skip
+    panel = frontier_figure(situations_of(outcomes)).axes[0]
+    places = [dots.get_offsets()[0].tolist() for dots in panel.collections]
+    assert places == [pytest.approx([0.2, 0.8]), pytest.approx([0.4, 0.5])]
+    assert [dots.get_array().tolist() for dots in panel.collections] == [[-0.1], [-2.0]]
+    names = {text.get_text() for text in panel.texts}
+    assert names == {"wave 67 % → 100 %", "virtual_impedance 0 % → 0 %"}
+
+
 def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
     whole, quick = plan_of(["wave"], quick=False), plan_of(["wave"], quick=True)
     assert set(quick.runs()) < set(whole.runs())
     assert len(set(whole.runs())) == len(whole.runs())
     assert [profile_named(name).about for name in NETWORKS]
+    assert {f"{line}_no_memory" for line in MEASURED_LINES} < set(NETWORKS)
     assert (whole.tasks, whole.hands) == (tuple(TASKS), tuple(HANDS))
     assert not is_random("clean")
     assert is_random("wifi")
@@ -201,7 +258,7 @@ def test_the_whole_set_is_as_large_as_the_document_says():
     runs = plan.runs()
     sizes = Counter((run.instrument, run.steadiness) for run in runs)
     assert sizes == {
-        ("ideal", "scripted"): 444, ("ideal", "trembling"): 480, ("real", "scripted"): 480, ("real", "trembling"): 480
+        ("ideal", "scripted"): 848, ("ideal", "trembling"): 896, ("real", "scripted"): 896, ("real", "trembling"): 896
     }  # fmt: skip
     assert len(plan_of(["wave"], quick=True).runs()) == 124
     chosen = plan_of(["wave"], quick=True, instruments=["real_drifting"], steadiness=["trembling"])
@@ -229,6 +286,16 @@ def test_instrument_and_hand_turn_a_run_and_a_seed_decides_their_noise(outcomes)
     learnt = run_of("model_mediated")
     drifting = run(learnt.model_copy(update={"instrument": "real_drifting"}))
     assert abs(drifting.measures["parted_mm"]) > 0.1 > 10.0 * abs(run(learnt).measures["parted_mm"])
+
+
+def test_a_line_that_stalls_while_the_tip_is_placed_is_guarded_and_the_others_are_run():
+    """A stall withdraws the tip before its session begins: the run has no measures, and the sweep goes to its end."""
+    stalled = run(run_of("passivity", "touch", "cicv5g_n78_arterial"))
+    assert (stalled.verdict, set(stalled.measures.values())) == ("guarded", {None})
+    assert "hold_expired" in stalled.reason
+    (row,) = rows_of([stalled])
+    assert (row.held, row.verdicts, row.measures["peak_force_n"]) == (0, {"guarded": 1}, None)
+    assert outcome_from(json.loads(json.dumps(stalled.as_dict()))) == stalled
 
 
 def test_another_file_of_a_network_is_another_run(monkeypatch):

@@ -3,12 +3,13 @@
     python -m telenano_networks.measured_lines FOLDER [NAME ...] [--out DIR] [--write]
 
 FOLDER has the checkouts that `CAMPAIGNS` names, each under the name and at the commit there; nothing is fetched. Each
-line is fitted by `telenano link fit`, whose table goes into DIR/acceptance.md, a row for each line. `--write`, in a
-checkout, puts the profiles, and the twins without memory, into telenano/settings/networks; only derived parameters are
-in them.
+line is fitted by `telenano link fit`, whose table goes into DIR/acceptance.md, a row for each line, and whose digest is
+printed. `--write`, in a checkout, puts the profiles, and the twins without memory, into telenano/settings/networks;
+only derived parameters are in them.
 """
 
 import argparse
+import hashlib
 import json
 import shlex
 import sys
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 from telenano.signals import run as run_child
 
-PRESETS = Path("telenano") / "presets" / "networks"
+PROFILES = Path("telenano") / "settings" / "networks"
 
 
 class Campaign(NamedTuple):
@@ -161,9 +162,10 @@ def row(name: str, found: dict[str, object]) -> str:
         return f"| {name} | no memory known |" + " – |" * 12
     for one in table:
         values = [one["measured"], one["generated"]]
-        shown = " / ".join("–" if value is None else f"{value:.3g}" for value in values)
+        shown = " / ".join("–" if value is None else f"{float(f'{value:.3g}'):g}" for value in values)
         mark = "" if one["agrees"] else " **no**"
-        cells.append(shown + ("*" if one["halves_differ"] else "") + mark)
+        # the star is escaped for Markdown
+        cells.append(shown + (r"\*" if one["halves_differ"] else "") + mark)
     return "| " + " | ".join(cells) + " |"
 
 
@@ -191,8 +193,9 @@ def main() -> None:
             names.append(f"{name}_no_memory")
             fitted(names[-1], line, chosen.folder, chosen.out, "--without-memory")
         for made in names if chosen.write else ():
-            (PRESETS / f"{made}.yaml").write_bytes((chosen.out / made / "profile.yaml").read_bytes())
+            (PROFILES / f"{made}.yaml").write_bytes((chosen.out / made / "profile.yaml").read_bytes())
         table.write_text("\n".join([*rows, ""]), encoding="utf-8")
+    sys.stdout.write(f"digest: {hashlib.sha256(table.read_bytes()).hexdigest()}\n")
 
 
 if __name__ == "__main__":

@@ -485,6 +485,12 @@ def test_the_page_has_the_curves_of_every_measured_network() -> None:
         assert curves["delay_ms"] == sorted(curves["delay_ms"])
 
 
+def test_the_measured_lines_and_their_twins_are_written_where_the_profiles_are() -> None:
+    folder = Path(__file__).parents[3] / measured_lines.PROFILES
+    twins = {f"{name}_no_memory" for name, line in measured_lines.LINES.items() if line.has_twin}
+    assert {name.lower() for name in (*measured_lines.LINES, *twins)} <= {path.stem for path in folder.glob("*.yaml")}
+
+
 LINES = [
     "cicv5g_n78_arterial", "cicv5g_n8_urban", "starlink_driving", "att_driving", "verizon_driving",
     "private_5g_mmwave", "urllc_mmwave", "att_driving_no_memory",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from telenano.laws import LAWS, OWN_LAWS
-from telenano.settings import flag_overrides, flatten
+from telenano.settings import flag_overrides, flatten, instrument_named
 from telenano.wire import ConfigError, known_names
 
 _MOST_VALUES = 10_000
@@ -156,6 +156,16 @@ def disturbances(given: Sequence[str]) -> tuple[tuple[str, float | int | str | b
     flat = _single_values("--disturb", [text for text in given if "=" in text])
     names = [text for text in given if "=" not in text] + [key.partition(".")[0] for key in flat if "." in key]
     return tuple(sorted({**{f"{name}.enabled": True for name in names}, **flat}.items()))
+
+
+def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | bool], ...]:
+    """Return the keys of `afm_node.disturbances` of a named instrument, as `disturbances` does; ConfigError for others.
+
+    >>> disturbances_of("ideal")
+    ()
+    """
+    section = instrument_named(instrument).scenario.get("afm_node", {}).get("disturbances", {})
+    return tuple(flatten(section).items())
 
 
 def _single_values(option: str, given: Sequence[str]) -> dict[str, float | int | str | bool]:

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import pytest
+from telenano_studies.loops import cells
 from telenano_studies.loops.advice import CANDIDATES, Question, advise, in_words
 from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_of
 from telenano_studies.loops.sweep import Journal, Sweep
@@ -98,6 +99,16 @@ class Told(Sweep):
         return found
 
 
+@pytest.mark.usefixtures("plain")
+def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cells, "judge_holds", lambda *course: [])
+    result = run_cell(cell("force", session_s=2.0))
+    assert (result.verdict, result.outcome) == ("stable", "nothing_moved")
+    assert result.reason == "the hand does not press, and the tip does not touch"
+
+
 def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited(tmp_path: Any) -> None:
     question = Question(round_trip_ms=120.0, loss=0.03, stiffness_n_per_m=80.0)
     sweep = Told({"wave": ("stable", 0.6, 1.0), "model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
@@ -107,7 +118,8 @@ def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suite
     assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
     words = in_words(question, found)
     assert words[0].startswith(
-        "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 runs held"
+        "120 ms, 3 % loss, wall of 80 N/m, instrument real:"
+        " take model_mediated with the clamp off; all of its 12 runs held"
     )
     assert words[1].startswith("Next come model_mediated with the clamp on, with 0.97 of the force in the worst hold")
     assert "smith with the clamp off (it grows)" in words[2]
@@ -118,21 +130,34 @@ def test_a_law_is_suited_only_if_all_its_runs_are_stable(tmp_path: Any) -> None:
     question = Question(round_trip_ms=300.0, jitter=Jitter(0.5, relative=True), stiffness_n_per_m=80.0)
     found = advise(question, Told({}, tmp_path))
     assert all(candidate.price() == math.inf for candidate in found)
-    assert in_words(question, found)[0] == "300 ms, jitter 50%, wall of 80 N/m: no law held in all of its runs."
+    assert (
+        in_words(question, found)[0]
+        == "300 ms, jitter 50%, wall of 80 N/m, instrument real: no law held in all of its runs."
+    )
     assert found[0].as_dict()["price"] is None
 
 
 def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
     sweep = Told({}, tmp_path)
-    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
+    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0, instrument="ideal"), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4
+    assert {one.disturbances for one in sweep.cells} == {()}
+
+
+def test_advice_is_for_an_instrument_with_its_disturbances_and_a_seed_decides_them(tmp_path: Any) -> None:
+    sweep = Told({}, tmp_path)
+    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
+    assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
+    assert ("drift.enabled", True) in sweep.cells[0].disturbances
+    with pytest.raises(ConfigError, match="unknown instrument 'reel'"):
+        advise(Question(round_trip_ms=50.0, instrument="reel"), sweep)
 
 
 def test_a_network_stands_in_the_place_of_delay_jitter_and_loss(tmp_path: Any) -> None:
     sweep = Told({"model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
     question = Question(network="Starlink_driving", stiffness_n_per_m=20.0)
     words = in_words(question, advise(question, sweep))
-    assert words[0].startswith("starlink_driving, wall of 20 N/m: take model_mediated")
+    assert words[0].startswith("starlink_driving, wall of 20 N/m, instrument real: take model_mediated")
     assert {(one.network, one.round_trip_ms) for one in sweep.cells} == {("starlink_driving", question.round_trip_ms)}
     assert len({one.seed for one in sweep.cells}) == 3
     assert 40.0 < question.round_trip_ms < 60.0

@@ -213,7 +213,7 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
     assert asked == [Question(round_trip_ms=120.0, loss=0.03, sample="stiff")]
     assert asked[0].tip_n_per_m == 80.0
     assert result.stdout.startswith(
-        "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 "
+        "120 ms, 3 % loss, wall of 80 N/m, instrument real: take model_mediated with the clamp off; all of its 12 "
     )
     assert "Not suited: smith with the clamp off (it grows)." in result.stdout
     assert "set: --set controller.law=model_mediated --set controller.clamp.enabled=false\n" in result.stdout

@@ -8,9 +8,10 @@ import typer
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 from telenano.settings.device_drivers import DeviceDriver
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.plugins import installed
 from telenano.wire.errors import ConfigError
-from telenano.wire.extras import how_to_install
+from telenano.wire.extras import how_to_add_package, how_to_install
 
 app = command_group()
 simulate = command_group()
@@ -62,9 +63,10 @@ def _state(driver: DeviceDriver) -> str:
 
 
 def package_rows() -> list[dict[str, Any]]:
-    """Return the drivers that installed packages bring, and whether what each needs is here.
+    """Return the drivers of packages, and whether what each needs is here.
 
-    That is what a check of `telenano doctor` with the name of the driver found.
+    Of an installed one that is what a check of `telenano doctor` with the name of the driver found; the project's own
+    that are not installed have the command that adds them.
     """
     from telenano.afm.config import DRIVERS as INSTRUMENTS
     from telenano.cli.commands.doctor import checks_of_packages
@@ -86,4 +88,10 @@ def package_rows() -> list[dict[str, Any]]:
                 "advice": finding.advice if finding else "",
             }
         )
+    there = {row["driver"] for row in rows}
+    for words, package in KNOWN_PACKAGES.items():
+        kind, _, name = words.partition(" ")
+        if kind == "driver" and name not in there:
+            absent = {"package": package, "found": "not installed", "advice": how_to_add_package(package)}
+            rows.append({"driver": name, "device": "", "node": "", **absent})
     return rows

@@ -1,8 +1,10 @@
 """What a machine says and does without the package of a driver, and what each node imports where it is installed."""
 
+import importlib
 import json
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,11 +17,13 @@ from typer.testing import CliRunner
 from telenano.afm import config as afm
 from telenano.afm.sample.surface_files import read_surface
 from telenano.cli import lazy_commands
+from telenano.cli.commands.device import package_rows
 from telenano.cli.root import app
 from telenano.devices.afm.instrument import calibration_of_file
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.settings import plugins
 from telenano.settings.config import validate
+from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire import extras
 from telenano.wire.errors import ConfigError
 
@@ -124,6 +128,33 @@ def test_a_command_that_needs_a_package_names_it_and_its_command(
     done = CliRunner().invoke(app, words.split())
     assert done.exit_code == 2
     assert f"is in the package {told(package)}" in " ".join(done.stderr.split())
+
+
+def test_every_command_of_every_package_names_its_package_where_it_is_absent() -> None:
+    root = Path(__file__).parents[3]
+    unnamed = []
+    for project in sorted(root.glob("packages/*/pyproject.toml")):
+        table = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
+        for target in table.get("entry-points", {}).get("telenano.commands", {}).values():
+            module, _, attribute = target.partition(":")
+            for words in getattr(importlib.import_module(module), attribute):
+                parts = words.split()
+                prefixes = (" ".join(("command", *parts[:count])) for count in range(len(parts), 0, -1))
+                named = next((KNOWN_PACKAGES[prefix] for prefix in prefixes if prefix in KNOWN_PACKAGES), None)
+                if named != table["name"]:
+                    unnamed.append((words, table["name"]))
+    assert unnamed == []
+
+
+def test_drivers_that_are_not_installed_are_listed_with_the_command_that_adds_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("telenano.cli.commands.device.installed", lambda kind: {})
+    monkeypatch.setattr("telenano.cli.commands.doctor.checks_of_packages", list)
+    rows = {row["driver"]: row for row in package_rows()}
+    drivers = {words.split()[1]: package for words, package in KNOWN_PACKAGES.items() if words.startswith("driver ")}
+    assert {name: row["package"] for name, row in rows.items()} == drivers
+    assert rows["haply"]["advice"] == extras.how_to_add_package("telenano-haptic-devices")
 
 
 def test_a_package_that_needs_another_one_names_it_and_its_command(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
 
 COMMANDS = command_page.commands()
 # the commands of the project's packages that stand in no group
-OF_PACKAGES = [words for words in KNOWN_PACKAGES if " " not in words]
+OF_PACKAGES = [words[1] for key in KNOWN_PACKAGES if (words := key.split())[0] == "command" and len(words) == 2]
 
 
 def test_the_page_of_commands_is_that_of_their_options() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from telenano.settings.known_packages import KNOWN_PACKAGES
 
-LAWS = sorted(row.removeprefix("law ") for row in KNOWN_PACKAGES if row.startswith("law ") and "-" not in row)
+LAWS = sorted(row.removeprefix("law ") for row in KNOWN_PACKAGES if row.startswith("law "))
 
 REFUSED = """
 import json, sys

@@ -13,15 +13,16 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 from telenano_studies.loops.cells import Cell, Environment, sources
+from telenano_studies.option_values import disturbances_of
 
 from telenano.laws import LAWS
 from telenano.link import LinkSettings, parse_settings, profile_named
-from telenano.settings import Settings, flatten, scenario_of
+from telenano.settings import Settings
 from telenano.wire import ConfigError, known_names
 
 VERSION = 3
 
-TaskName = Literal["touch", "hold", "track"]
+TaskName = Literal["touch", "hold", "track", "stiff"]
 HandName = Literal["force", "soft", "stiff", "reacting"]
 HANDS: dict[HandName, str] = {
     "force": "a constant force whatever the device does",
@@ -38,10 +39,22 @@ _TREMBLING = {"tremor": {"enabled": True, "rms_n": 0.02}, "wander": {"enabled": 
 INSTRUMENTS = ("ideal", "real")
 # The moves of the reacting operator scatter by this share of them.
 REACTION_S, SCATTER = 0.25, 0.1
+# Each measured line has a twin that draws the delay of every message by itself.
+MEASURED_LINES = ("cicv5g_n78_arterial", "starlink_driving", "att_driving", "verizon_driving")
 NETWORKS = (
-    *("clean", "lan", "wifi", "4g", "5g", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
-    "netfi_delay_1",
+    *("clean", "wifi", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
+    *(name for line in MEASURED_LINES for name in (line, f"{line}_no_memory")),
 )
+# What a reader knows of a line before anything was measured on it, and the networks that stand for it.
+LINES: dict[str, tuple[str, ...]] = {
+    "local": ("clean",),
+    "long distance": ("transatlantic", "satellite"),
+    "independent delays": (
+        *("wifi", "leo_satellite", "lossy_bursts"),
+        *(f"{line}_no_memory" for line in MEASURED_LINES),
+    ),
+    "measured line": MEASURED_LINES,
+}
 QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
 SEEDS, QUICK_SEEDS = 4, 2
 # the swing that is followed: so many newtons about the force of the hold, this often, so many periods before and in the
@@ -66,7 +79,10 @@ TASKS: dict[TaskName, Task] = {
         "press a cantilever of 40 N/m on mica with 1 N, then 2 N, and hold (Fig. 12)", "tip_sample", 40.0, 2.0
     ),
     "track": Task("press a spring of 20 N/m with 1 N, hold, then follow 0.3 N at 0.5 Hz", "spring", 20.0, 1.0, True),
+    "stiff": Task("the same on a spring of 80 N/m", "spring", 80.0, 1.0, True),
 }
+# The tasks by the sample that they touch.
+SAMPLES: dict[str, tuple[TaskName, ...]] = {"20 to 40 N/m": ("touch", "hold", "track"), "80 N/m": ("stiff",)}
 QUICK_TASKS: tuple[TaskName, ...] = ("touch", "track")
 QUICK_HANDS: tuple[HandName, ...] = ("force", "stiff")
 
@@ -226,14 +242,6 @@ def plan_of(
 
 
 @functools.cache
-def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | bool], ...]:
-    """Return the keys of `afm_node.disturbances` of a named instrument; ConfigError lists the names."""
-    named = {"name": "benchmark", "description": "a run", "duration_s": 1.0, "instrument": instrument}
-    section = scenario_of(named, "--instrument").scenario.afm_node.get("disturbances", {})
-    return tuple(flatten(section).items())
-
-
-@functools.cache
 def is_random(network: str) -> bool:
     """Return whether another seed gives other delays or losses."""
     return any(
@@ -249,5 +257,5 @@ def _link_text(network: str) -> str:
 
 @functools.cache
 def _sources() -> str:
-    own = sorted(Path(__file__).parent.glob("*.py"))
+    own = [Path(__file__).with_name(name) for name in ("etvo.py", "plan.py", "run.py")]
     return sources() + hashlib.sha256(b"".join(path.read_bytes() for path in own)).hexdigest()

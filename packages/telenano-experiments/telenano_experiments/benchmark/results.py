@@ -9,12 +9,12 @@ import hashlib
 import io
 import math
 import statistics
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from telenano.analysis import wilson
 from telenano.link import profile_named
-from telenano_experiments.benchmark.plan import STEADINESS, TASKS, VERSION, Plan
+from telenano_experiments.benchmark.plan import LINES, SAMPLES, STEADINESS, TASKS, VERSION, Plan, Run
 from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded
 
 # A run is held when it came to rest, with the force that it should have, and unstruck.
@@ -39,23 +39,34 @@ class Case(NamedTuple):
     network: str
 
 
-class Row(NamedTuple):
-    """A law in a case: runs, those held with the interval of their share, those that made energy, and measures."""
+class Situation(NamedTuple):
+    """What a reader knows beforehand: the kind of line, the instrument and the sample; every hand is in it."""
 
-    case: Case
+    line: str
+    instrument: str
+    sample: str
+
+
+Of = TypeVar("Of", bound=Case | Situation)
+
+
+class Row(NamedTuple, Generic[Of]):
+    """A law in a case or a situation: its runs.
+
+    Of them were held (with the interval of their share), made energy, and were held without it; measures are of those
+    held.
+    """
+
+    case: Of
     law: str
     runs: int
     held: int
     low: float
     high: float
     made_energy: int
+    sound: int
     verdicts: dict[str, int]
     measures: dict[str, Spread | None]
-
-    @property
-    def network(self) -> str:
-        """The network of the case."""
-        return self.case.network
 
     @property
     def share(self) -> float:
@@ -75,25 +86,60 @@ class Row(NamedTuple):
         return {**self.case._asdict(), **own, **interval, "share": rounded(self.share), "measures": spreads}
 
 
-def rows_of(outcomes: Sequence[Outcome]) -> list[Row]:
+def rows_of(outcomes: Sequence[Outcome]) -> list[Row[Case]]:
     """Return a row for each case and law, in the order of the runs."""
-    grouped: dict[tuple[Case, str], list[Outcome]] = {}
+    return _rows(outcomes, lambda cell: Case(cell.instrument, cell.steadiness, cell.network))
+
+
+def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situation]]]:
+    """Return the laws in each situation, the one that is recommended first.
+
+    Recommended is the law that followed the swing nearest, of those whose share of runs held without making energy may
+    by chance be the greatest: its 95 % interval meets that of the law with the greatest. Networks that stand for no
+    kind of line are left out.
+    """
+    lines = {network: line for line, networks in LINES.items() for network in networks}
+    samples = {task: sample for sample, tasks in SAMPLES.items() for task in tasks}
+    placed = [outcome for outcome in outcomes if outcome.cell.network in lines]
+    rows = _rows(placed, lambda cell: Situation(lines[cell.network], cell.instrument, samples[cell.task]))
+    situations: dict[Situation, list[Row[Situation]]] = {}
+    for row in rows:
+        situations.setdefault(row.case, []).append(row)
+    return {situation: _recommended(some) for situation, some in situations.items()}
+
+
+def _recommended(rows: Sequence[Row[Situation]]) -> list[Row[Situation]]:
+    greatest = max(wilson(row.sound, row.runs)[0] for row in rows)
+
+    def order(row: Row[Situation]) -> tuple[Any, ...]:
+        tracking, is_behind = row.price()[1], wilson(row.sound, row.runs)[1] < greatest
+        return is_behind, *((-row.sound / row.runs, tracking) if is_behind else (tracking,)), row.law
+
+    return sorted(rows, key=order)
+
+
+def _rows(outcomes: Sequence[Outcome], case_of: Callable[[Run], Of]) -> list[Row[Of]]:
+    grouped: dict[tuple[Of, str], list[Outcome]] = {}
     for outcome in outcomes:
-        cell = outcome.cell
-        grouped.setdefault((Case(cell.instrument, cell.steadiness, cell.network), cell.law), []).append(outcome)
+        grouped.setdefault((case_of(outcome.cell), outcome.cell.law), []).append(outcome)
     return [_row(case, law, some) for (case, law), some in grouped.items()]
 
 
-def _row(case: Case, law: str, some: Sequence[Outcome]) -> Row:
+def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
     verdicts: dict[str, int] = {}
     for outcome in some:
         verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
     held = [outcome for outcome in some if outcome.verdict in HELD]
     low, high = wilson(len(held), len(some))
-    made = sum((outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ for outcome in some)
+    made = sum(_made_energy(outcome) for outcome in some)
+    sound = sum(not _made_energy(outcome) for outcome in held)
     # What is not held has no place that its force or position could be compared at.
     measures = {name: spread_of(held, name) for name in MEASURES}
-    return Row(case, law, len(some), len(held), low, high, made, dict(sorted(verdicts.items())), measures)
+    return Row(case, law, len(some), len(held), low, high, made, sound, dict(sorted(verdicts.items())), measures)
+
+
+def _made_energy(outcome: Outcome) -> bool:
+    return (outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ
 
 
 def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
@@ -102,9 +148,9 @@ def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
     return Spread(statistics.median(known), min(known), max(known)) if known else None
 
 
-def choices(rows: Sequence[Row]) -> dict[Case, list[Row]]:
+def choices(rows: Sequence[Row[Case]]) -> dict[Case, list[Row[Case]]]:
     """Return the laws in each case, the one to take first."""
-    found: dict[Case, list[Row]] = {}
+    found: dict[Case, list[Row[Case]]] = {}
     for row in rows:
         found.setdefault(row.case, []).append(row)
     return {case: sorted(some, key=lambda row: (row.price(), row.law)) for case, some in found.items()}
@@ -130,7 +176,7 @@ def digest_of(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row]) -> dict[str, Any]:
+def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row[Case]]) -> dict[str, Any]:
     """Return the object that `benchmark.json` holds and --json prints."""
     return {
         "study": "benchmark",
@@ -151,6 +197,10 @@ def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row]) -> 
         "measures": {name: measure._asdict() for name, measure in MEASURES.items()},
         "take": [
             {**case._asdict(), "law": some[0].law if some[0].held else None} for case, some in choices(rows).items()
+        ],
+        "recommended": [
+            {**situation._asdict(), "laws": [row.law for row in some if row.held]}
+            for situation, some in situations_of(outcomes).items()
         ],
         "rows": [row.as_dict() for row in rows],
     }

@@ -10,7 +10,7 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from telenano_studies.loops.cells import CellResult, Scales, judged, scales_of, settle_ticks
+from telenano_studies.loops.cells import CellResult, Scales, judged, never_placed, scales_of, settle_ticks
 from telenano_studies.loops.sweep import Kind
 
 from telenano.afm import MODE_FOLLOW, MODE_HOLD
@@ -18,6 +18,7 @@ from telenano.hand import HapticConfig
 from telenano.link import network_name
 from telenano.lockstep import Schedule, Series, Trajectory, build_rig, schedule_of, simulate
 from telenano.settings import validate
+from telenano.wire import RigError
 from telenano_experiments.benchmark.etvo import Offsets, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
@@ -75,7 +76,10 @@ def outcome_from(data: dict[str, Any]) -> Outcome:
 def run(run: Run) -> Outcome:
     """Run and judge; ConfigError for what cannot be run."""
     points, held_s, begin_s, end_s = run.programme()
-    course = course_of(run, points, end_s)
+    try:
+        course = course_of(run, points, end_s)
+    except RigError as error:
+        return Outcome(run, never_placed(run.cell, error).outcome, str(error), dict.fromkeys(MEASURES))
     scales = scales_of(run.cell.controller())
     held = course_until(course, held_s)
     result = judged(run.cell, held)

@@ -1,10 +1,10 @@
 """Which law to take for a network and a sample: every law, tuned for it, tried with a constant force and with arms.
 
-The laws are tuned by one rule (`tuning`), and run in lockstep on the network with several seeds and four
-hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same force
-if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these runs
-is stable by `telenano.analysis.verdict` and came to rest with the force that it should, unstruck. Those that are suited
-are ranked by a price, the sum of
+The laws are tuned by one rule (`tuning`), and run in lockstep on the network and the instrument with several seeds and
+four hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same
+force if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these
+runs is stable by `telenano.analysis.verdict` and came to rest with the force that it should, unstruck. Those that are
+suited are ranked by a price, the sum of
 
 - the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
 - the share by which the greatest force at the tip exceeds the hand's, and
@@ -25,7 +25,15 @@ from telenano.wire import ConfigError
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.tuning import Settings, tuned
-from telenano_studies.option_values import COMPARED_LAWS, LONGEST_MS, STIFFEST_N_PER_M, Jitter, jitters, losses
+from telenano_studies.option_values import (
+    COMPARED_LAWS,
+    LONGEST_MS,
+    STIFFEST_N_PER_M,
+    Jitter,
+    disturbances_of,
+    jitters,
+    losses,
+)
 from telenano_studies.repetitions import Statistic, share, statistic
 
 FREE_PRICE = 0.02
@@ -60,7 +68,10 @@ class Question(StrictSettings):
     stiffness_n_per_m: Annotated[float | None, Option(("--stiffness",), "N/M")] = Field(
         default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], in place of --sample"
     )
-    seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network")
+    instrument: Annotated[str, Option(("--instrument",), "NAME")] = Field(
+        default="real", description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge"
+    )
+    seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network or instrument")
 
     @model_validator(mode="before")
     @classmethod
@@ -177,7 +188,8 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
     jitter_ms = question.jitter.at_ms(question.round_trip_ms)
     longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
     settings: Settings = (*tuned(law, question.tip_n_per_m, longest_s), ("clamp.enabled", clamp))
-    random = jitter_ms > 0.0 or question.loss > 0.0 or question.network is not None
+    disturbances = disturbances_of(question.instrument)
+    random = jitter_ms > 0.0 or question.loss > 0.0 or question.network is not None or bool(disturbances)
     return [
         Cell(
             law=law,
@@ -190,6 +202,7 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
             seed=seed,
             network=question.network,
             settings=settings,
+            disturbances=disturbances,
         )
         for hand in get_args(Hand)
         for seed in range(question.seeds if random else 1)
@@ -211,7 +224,7 @@ def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:
     network = f"{question.round_trip_ms:g} ms" if question.network is None else question.network
     network += f", jitter {question.jitter}" if question.jitter.value else ""
     network += f", {100.0 * question.loss:g} % loss" if question.loss else ""
-    where = f"{network}, {question.environment} of {question.tip_n_per_m:g} N/m"
+    where = f"{network}, {question.environment} of {question.tip_n_per_m:g} N/m, instrument {question.instrument}"
     best, *others = candidates
     if best.failed:
         return [

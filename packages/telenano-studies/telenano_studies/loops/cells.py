@@ -9,7 +9,7 @@ import functools
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -50,7 +50,7 @@ from telenano.lockstep import (
 )
 from telenano.numerics import source_digest
 from telenano.settings import Option, Settings, merge, nested, validate
-from telenano.wire import ConfigError, known_names
+from telenano.wire import ConfigError, RigError, known_names
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
@@ -272,14 +272,14 @@ class CellResult:
 
     verdict: see `telenano.analysis.verdict`, with its reason in words; growth_per_s [1/s] or None; peak_to_peak_n of
     alpha_f F_s at the end of the hold [N]; out_of_contact_share: part of the judged hold that the tip was off the
-    surface;
-    hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed; lowest_energy_j: the least that the
-    hand had put into the two-port, at its device, more than it gave to the tip, at the hand's scale [J]: below zero
-    two-port and device have made energy; guarded: whether the instrument's safety chain ended the session; peak_n:
-    greatest alpha_f F_s of the session [N]. In the later half of the hold, on average: tip_n, alpha_f F_s [N]; hand_n,
-    F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J].
-    guarded_share: part of the session in which a guard had taken over: the instrument did not follow, or the motor was
-    off. facts: what else is true of the hold, by `telenano.analysis.holds.FactKind`.
+    surface; hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed; lowest_energy_j: the least
+    that the hand had put into the two-port, at its device, more than it gave to the tip, at the hand's scale [J]: below
+    zero two-port and device have made energy; guarded: whether the instrument's safety chain ended the session; peak_n:
+    greatest alpha_f F_s of the session [N], None if it never began. In the later half of the hold, on average: tip_n,
+    alpha_f F_s [N]; hand_n, F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m].
+    hand_work_j: work of the hand [J]. guarded_share: part of the session in which a guard had taken over: the
+    instrument did not follow, or the motor was off. facts: what else is true of the hold, by
+    `telenano.analysis.holds.FactKind`.
     """
 
     cell: Cell
@@ -315,6 +315,20 @@ class CellResult:
         return cls(**{**data, **own})
 
 
+class _Judgement(NamedTuple):
+    """What a hold is judged to be: verdict, growth [1/s], force from peak to peak [N], reason, and facts."""
+
+    verdict: str
+    growth_per_s: float | None
+    peak_to_peak_n: float
+    reason: str
+    facts: tuple[str, ...]
+
+
+# A hold in which the hand does not press and the tip does not touch is none, and the law brought neither there.
+_UNTOUCHED = _Judgement("stable", None, 0.0, "the hand does not press, and the tip does not touch", ("nothing_moved",))
+
+
 class Energies(NamedTuple):
     """At the hand's scale: put in by the hand [J], given to the tip [J], shape (n,) each."""
 
@@ -327,17 +341,30 @@ class Energies(NamedTuple):
         return np.subtract(self.hand_j, self.tip_j)
 
 
-def run_cell(cell: Cell) -> CellResult:
-    """Run and judge a cell.
+def run_cell(cell: Cell, run: Callable[[], Trajectory] | None = None) -> CellResult:
+    """Run and judge a cell; one whose tip was never placed is guarded.
+
+    Args:
+        cell: The cell.
+        run: Gives its course; default: `trajectory_of`.
 
     Raises:
         ConfigError: The cell cannot be run.
     """
-    return judged(cell, trajectory_of(cell))
+    try:
+        course = trajectory_of(cell) if run is None else run()
+    except RigError as error:
+        return never_placed(cell, error)
+    return judged(cell, course)
+
+
+def never_placed(cell: Cell, error: RigError) -> CellResult:
+    """Return the result of a cell whose session never began: a stall of the link made the guard withdraw the tip."""
+    return CellResult(cell, "guarded", None, 0.0, 1.0, None, 0.0, True, str(error))
 
 
 def trajectory_of(cell: Cell) -> Trajectory:
-    """Run a cell and give the whole course of its session."""
+    """Run a cell and give the whole course of its session; RigError if the tip was never placed."""
     return course_of(cell, cell.hand_points(), cell.hold_s()[1])
 
 
@@ -415,7 +442,11 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     )
     late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
-    (judgement,) = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, session_context, (span,))
+    holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, session_context, (span,))
+    judgement = _UNTOUCHED
+    for hold in holds:
+        facts = tuple(fact.kind for fact in hold.facts)
+        judgement = _Judgement(hold.verdict, hold.growth_per_s, hold.peak_to_peak_n, hold.reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
         # A run that a guard ended early is judged from the beginning of the hold.
@@ -438,7 +469,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
         float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
-        tuple(fact.kind for fact in judgement.facts),
+        judgement.facts,
     )
 
 

@@ -17,6 +17,7 @@ variants of a group in which they can be.
 """
 
 import argparse
+import functools
 import json
 import math
 import sys
@@ -32,7 +33,7 @@ from scipy import special
 from telenano.link import Outage, Outages, parse_settings, profile_named, stream
 from telenano.lockstep import Schedule, schedule_of, simulate
 from telenano.wire import ConfigError
-from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settle_s, settle_ticks
+from telenano_studies.loops.cells import Cell, CellResult, rig_of, run_cell, settle_s, settle_ticks
 from telenano_studies.loops.network import CONTACT_N_PER_M
 
 _TICK_S = 1e-3
@@ -236,10 +237,14 @@ def _results(
                 settle = settle_ticks(cell, rig.period_s)
                 if schedule is None:
                     schedule = schedule_of(settings, settle + round(end_s / rig.period_s), rig.period_s, folder)
-                yield (one.group, one.name, cell.law), judged(cell, simulate(rig, schedule, settle))
+                yield (
+                    (one.group, one.name, cell.law),
+                    run_cell(cell, functools.partial(simulate, rig, schedule, settle)),
+                )
 
 
 def _row(group: str, variant: str, law: str, results: list[CellResult]) -> dict[str, Any]:
+    peaks_n = [result.peak_n for result in results if result.peak_n is not None]
     motions_n = [result.peak_to_peak_n for result in results if result.verdict != "guarded"]
     return {
         "group": group,
@@ -247,7 +252,7 @@ def _row(group: str, variant: str, law: str, results: list[CellResult]) -> dict[
         "law": law,
         "verdicts": dict(Counter(result.verdict for result in results)),
         "median_peak_to_peak_n": round(float(np.median(motions_n)), 4) if motions_n else None,
-        "median_peak_n": round(float(np.median([result.peak_n for result in results])), 3),
+        "median_peak_n": round(float(np.median(peaks_n)), 3) if peaks_n else None,
     }
 
 

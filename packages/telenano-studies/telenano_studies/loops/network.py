@@ -1,5 +1,6 @@
 """What each law does over a network as it was measured: in lockstep, on the recorded delays and losses."""
 
+import functools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from typing import Any
 
 from telenano.link import LinkSettings, parse_settings
 from telenano.wire import ConfigError
-from telenano_studies.loops.cells import Cell, CellResult, course_of, judged
+from telenano_studies.loops.cells import Cell, CellResult, course_of, run_cell
 from telenano_studies.loops.tuning import tuned
 
 # k of the cantilever of Table 2, in the contact of Fig. 12
@@ -61,8 +62,9 @@ def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, 
             if is_tuned:
                 settings = tuned(law, CONTACT_N_PER_M, cell.round_trip_s)
                 cell = cell.model_copy(update={"settings": settings})
-            course = course_of(cell, cell.hand_points(), cell.hold_s()[1], (network.settings, network.folder))
-            rows.append((is_tuned, judged(cell, course)))
+            measured = (network.settings, network.folder)
+            course = functools.partial(course_of, cell, cell.hand_points(), cell.hold_s()[1], measured)
+            rows.append((is_tuned, run_cell(cell, course)))
     return rows
 
 

@@ -26,7 +26,7 @@ from telenano.afm import (
     volts_per_m,
 )
 from telenano.files import atomic_file
-from telenano.settings import scenario_of
+from telenano.settings import instrument_named
 from telenano.wire import RigError
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
@@ -238,8 +238,7 @@ def _add_holds(page: Page, recording: Path) -> dict[str, object]:
 
 def _with_its_bridge(config: AfmConfig) -> AfmConfig:
     """Return a configuration with the disturbances of the paper's own AFM."""
-    named = {"name": "fig6", "description": "the paper's AFM", "duration_s": 1.0, "instrument": "paper_bridge"}
-    section = scenario_of(named, "Fig. 6").scenario.afm_node
+    section = instrument_named("paper_bridge").scenario["afm_node"]
     return AfmConfig.model_validate({**config.model_dump(exclude_unset=True), **section})
 
 

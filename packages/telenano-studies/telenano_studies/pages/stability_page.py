@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from telenano.analysis import ON_SCREEN, FigureOptions, styled
 from telenano.files import whole_results
+from telenano.wire import RigError
 from telenano_studies.figure_colours import VERDICTS
 from telenano_studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_studies.loops.stability import LineResult
@@ -236,7 +237,11 @@ def energy_figure(results: Sequence[LineResult]) -> "Figure":
     figure, axes = _panels(len(shown), 2.4)
     for axis, result in zip(axes, shown, strict=True):
         for cell, (colour, style) in zip(boundary_cells(result), _CURVES, strict=False):
-            course = trajectory_of(cell.cell)
+            try:
+                course = trajectory_of(cell.cell)
+            except RigError:
+                # the session never began, and has no energies
+                continue
             stored = energies_of(course, scales_of(cell.cell.controller())).stored_j
             label = f"{cell.cell.round_trip_ms:g} ms: {cell.verdict.replace('_', ' ')}"
             axis.plot(course.time_s, 1e3 * stored, color=colour, ls=style, linewidth=1.2, label=label)
