@@ -444,9 +444,11 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
     holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, session_context, (span,))
     judgement = _UNTOUCHED
-    for hold in holds:
-        facts = tuple(fact.kind for fact in hold.facts)
-        judgement = _Judgement(hold.verdict, hold.growth_per_s, hold.peak_to_peak_n, hold.reason, facts)
+    for judged_hold in holds:
+        facts = tuple(fact.kind for fact in judged_hold.facts)
+        judgement = _Judgement(
+            judged_hold.verdict, judged_hold.growth_per_s, judged_hold.peak_to_peak_n, judged_hold.reason, facts
+        )
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
         # A run that a guard ended early is judged from the beginning of the hold.
