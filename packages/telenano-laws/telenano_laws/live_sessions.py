@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 rows.append(row(law, line, device, summary))
                 sys.stdout.write(f"{rows[-1]}\n")
                 sys.stdout.flush()
-                with whole_file(chosen.folder / "sessions.md") as part:
+                with atomic_file(chosen.folder / "sessions.md") as part:
                     part.write_text("\n".join([*rows, ""]), encoding="utf-8")
 
 

@@ -43,7 +43,7 @@ def sample_config(
         permit_code()
     given: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
     if size_nm is not None:
-        given["size_m"] = size_nm * 1e-9
+        settings_of_sample["size_m"] = size_nm * 1e-9
     if channel is not None:
         given["channel"] = channel
     return validate(SampleConfig, given, "--sample")
