@@ -14,7 +14,7 @@ from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, Topi
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
+from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
 from telenano.settings.config import validate
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import TelenanoError

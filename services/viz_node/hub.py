@@ -476,7 +476,7 @@ class Hub:
             # Opening the way of the hand may take as long as a lease lasts without its holder.
             with contextlib.suppress(TelenanoError):
                 self._outlet()
-            said = self.desk.ask_for(session, request)
+            text = self.desk.ask_for(session, request)
             # the former holder lets go before the answer
             self.tick()
             return {"lease": ("ack", text)}

@@ -388,11 +388,11 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
         name, data, kind, text = name_of(event.src), fields["data"], fields["kind"], fields["text"]
         at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
         at_s = (at_ns - start_ns) * 1e-9
-        told = Told(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
-        if name == "afm_node" and kind == "mode" and told.mode in _WITHDRAWN:
-            found.guards.append(Guard(at_s, str(data.get("reason", ""))))
-        elif kind == "mode" and told.mode in ("hold", "off"):
-            (found.held if name == "afm_node" else found.let_go).append(told)
+        report = ModeReport(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
+        if name == "afm_node" and kind == "mode" and report.mode in _WITHDRAWN:
+            reports.guards.append(Guard(at_s, str(data.get("reason", ""))))
+        elif kind == "mode" and report.mode in ("hold", "off"):
+            (reports.held if name == "afm_node" else reports.let_go).append(report)
         elif "outside" in data:
             # It is advice, and no cause of what happened to a device.
             continue
@@ -505,7 +505,7 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.context)
     guard = guard_of(series.tip_time_s, tip, session.context)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
-    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.programme.interruptions))
+    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.context.interruptions))
     # a hold whose fate is not known cannot be said to be unstable
     stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
     judged = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}

@@ -19,9 +19,8 @@ from telenano.analysis.intervals import with_error
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
-from telenano.files.atomic_files import WRITE_ERRORS, new_folder
+from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.files.printable import printable
-from telenano.files.whole_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant

@@ -243,7 +243,7 @@ def context_of(course: Trajectory, safety: SafetyParams | None, known: SessionCo
     return known._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
 
 
-def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> Programme:
+def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> SessionContext:
     """Return what a law and a link tell of a session: what the law rests at, how long a command is in transit [s]."""
     rest_force = KNOWN_LAWS[controller.law].rest_force
     own = None if rest_force is None else functools.partial(rest_force, controller.params())

@@ -132,7 +132,7 @@ class Panels(NamedTuple):
     @property
     def topics(self) -> dict[str, tuple[str, ...]]:
         """The topics of all panels, each with the keys that pages are sent."""
-        found: dict[str, tuple[str, ...]] = {}
+        wanted: dict[str, tuple[str, ...]] = {}
         for row in self.rows:
             for topic, keys in row.topics.items():
                 wanted[topic] = tuple(dict.fromkeys((*wanted.get(topic, ()), *keys)))

@@ -6,7 +6,7 @@ from typing import Any
 
 from telenano.wire import Topic, decode, encode, json_schema
 from telenano.wire.codec import decode_header
-from telenano.wire.topics import take_up
+from telenano.wire.topics import register_topic
 
 
 def vectors_of(path: Path, *rows: Topic) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 Outcome = Literal["passed", "failed", "not seen"]
 # This number of faults of one rule are reported; the others are counted.
-_MOST_TOLD = 3
+_MOST_LISTED = 3
 # A client that breaks a rule in more ways than this fills no memory.
 _MOST_KEPT = 1000
 

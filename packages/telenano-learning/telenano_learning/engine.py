@@ -58,7 +58,8 @@ TIP_X, TIP_Y, TIP_Z, TIME, CONTACT, FELT_X, FELT_Y, BENT = range(8)
 BELIEVED_X, BELIEVED_Y, ERROR, LOSSES, PEAK, STANDS, TRUE_ERROR = range(8, 15)
 _STATE = 15
 # what an agent observes: this many values of the observation, the goal that is achieved, and the one that is desired
-OBSERVED, TOLD = 10, 14
+OBSERVED = 10
+AGENT_VALUES = 14
 _NOISES = 3
 
 
@@ -170,8 +171,8 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 
 @always_compiled
-def tell(given: Array, state: Array, moving: Array, told: npt.NDArray[np.float32], truth: bool) -> None:
-    """Write what an agent observes into told, shape (n, 14), in units of d and of the usual friction.
+def tell(given: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
+    """Write what an agent observes into `observations`, shape (n, 14), in units of d and of the usual friction.
 
     With `truth` it observes the true place of the particle in the place of the believed one. The true distance from the
     goal goes into `state`, for who judges.
@@ -220,7 +221,7 @@ class Episodes:
         advance(self.given, self.state, self.fixed, self.moving, self.model, self.noise, self.taken, action)
         self.taken += 1
 
-    def told(self) -> npt.NDArray[np.float32]:
+    def observations(self) -> npt.NDArray[np.float32]:
         """Return what an agent observes, a row for each episode, shape (n, 14)."""
-        tell(self.given, self.state, self.moving, self._told, self._truth)
-        return self._told.copy()
+        tell(self.given, self.state, self.moving, self._observations, self._truth)
+        return self._observations.copy()

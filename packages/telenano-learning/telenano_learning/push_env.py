@@ -60,7 +60,7 @@ class _Pushing:
         return np.where(now <= _ARRIVED, 0.0, more - 1.0)
 
 
-def _named(told: npt.NDArray[np.float32]) -> Observation:
+def _named(observations: npt.NDArray[np.float32]) -> Observation:
     """Return what an agent observes by the names of its parts, of one episode or of all."""
     goals = e.OBSERVED + 2
     parts = observations[..., : e.OBSERVED], observations[..., e.OBSERVED : goals], observations[..., goals:]

@@ -18,8 +18,8 @@ from telenano_microscopy.image_files import Image, ImageFacts, LiveImage, images
 
 from telenano.afm import AfmConfig
 from telenano.analysis import scenario_in
-from telenano.files import whole_file
-from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_programme
+from telenano.files import atomic_file
+from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_force_profile
 from telenano.settings import validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 

@@ -174,7 +174,7 @@ def extensions() -> list[Finding]:
 
 def checks_of_packages() -> list[Finding]:
     """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for name, check in load("checks").found.items():
         try:
             findings += [Finding(*finding) for finding in check()]

@@ -10,7 +10,7 @@ import yaml
 from telenano.cli.completion import scenario_names
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
-from telenano.files.whole_files import whole_file
+from telenano.files.atomic_files import atomic_file
 from telenano.settings.config import read_yaml
 from telenano.settings.included import find_scenario, scenarios
 from telenano.wire.errors import ConfigError

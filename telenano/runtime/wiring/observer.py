@@ -119,7 +119,7 @@ def runs_no_node(book: AddressBook) -> bool:
 
 def require_rig(book: AddressBook, site_file: Path) -> None:
     """Raise RigError at once where no rig can be running, instead of waiting for messages that cannot come."""
-    if nobody_runs(book):
+    if runs_no_node(book):
         raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
 
 

@@ -43,7 +43,7 @@ STEPS = (
 )
 MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off", "with load")
 # What a device says is wrong with it is kept, each sentence once, up to this many.
-_MOST_SAID = 16
+_MOST_MESSAGES = 16
 
 ROW = row_of(
     ("level", "f8"),
