@@ -203,9 +203,9 @@ class SlaveTiming(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """What the slave half does (NOTHING to GO_ON), the periods to account for, and whether the answer is sent.
+    """What the slave half does (NOTHING to CONTINUE), the periods to account for, and whether the answer is sent.
 
-    continues: whether it steps once more behind an ANSWER, as in GO_ON.
+    continues: whether it steps once more behind an ANSWER, as in CONTINUE.
     """
 
     what: int

@@ -282,7 +282,7 @@ def test_a_half_whose_instrument_is_late_goes_on_in_a_silence_without_a_step_of_
         assert measured(timing, ms, 7, follows=follows)[1] == Settled(ANSWER, 1, True, goes_on)
     # one that has answered in time makes its own steps
     own = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 3 * MS, 0), 8, False)
-    assert [measured(own, ms, 8)[1].goes_on for ms in (3.4, 3.49, 3.5, 4.5)] == [False, False, True, True]
+    assert [measured(own, ms, 8)[1].continues for ms in (3.4, 3.49, 3.5, 4.5)] == [False, False, True, True]
 
 
 def test_nothing_is_owed_after_a_stall() -> None:
