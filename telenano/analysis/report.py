@@ -292,12 +292,12 @@ def _transit_s(hand: Mapping[str, Series]) -> float:
     return 1e-9 * float(np.percentile(ages_ns, 99.0)) if ages_ns.size else LONGEST_STEP_S
 
 
-def _rest_force(document: Scenario, found: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
+def _rest_force(document: Scenario, facts: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
     """Return what the law rests at; None where it does not say, or was changed while the session ran."""
-    if len(found["law"]) != 1 or any("controller" in change for change in found["changed"]):
+    if len(facts["law"]) != 1 or any("controller" in change for change in facts["changed"]):
         return None
-    rest_force = KNOWN_LAWS[found["law"][0]].rest_force
-    section = {**document.controller_in_force, "law": found["law"][0]}
+    rest_force = KNOWN_LAWS[facts["law"][0]].rest_force
+    section = {**document.controller_in_force, "law": facts["law"][0]}
     params = validate(ControllerConfig, section, origin, "controller").params()
     return None if rest_force is None else partial(rest_force, params)
 
@@ -695,15 +695,15 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
 
 def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:
     """Return by direction when each datagram that arrived had left, rising, and how long it took [ns]."""
-    found: dict[str, list[Series]] = {}
+    by_name: dict[str, list[Series]] = {}
     for message, _ in readable(recording.messages(("link/network",)), LeftOut()):
         report: Any = message.decode()
         arrived = report.lost_flag.to_numpy() == 0
         if report.clock.valid and arrived.any():
             took_ns, at_ns = (each.to_numpy()[arrived] for each in (report.delay_ns, report.arrived_ns))
             left_ns = timeline.times_ns(message.src, at_ns) - took_ns
-            found.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
-    rows = {way: np.concatenate(parts) for way, parts in found.items()}
+            by_name.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
+    rows = {way: np.concatenate(parts) for way, parts in by_name.items()}
     return {way: tuple(each[np.argsort(each[:, 0])].T) for way, each in rows.items()}
 
 

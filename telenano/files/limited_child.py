@@ -107,7 +107,7 @@ def read_in_child(
 
 def _watched(
     command: list[str],
-    given: list[Any],
+    arguments: list[Any],
     out: BinaryIO,
     environment: dict[str, str],
     wall_s: float,
@@ -117,7 +117,8 @@ def _watched(
     reader, writer = os.pipe()
     try:
         process = children.start(
-            [*command, json.dumps([*given, writer])], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
+            [*command, json.dumps([*arguments, writer])],
+            stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
             env=environment, pass_fds=(writer,),
         )  # fmt: skip
     except BaseException:

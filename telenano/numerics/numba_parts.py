@@ -165,9 +165,9 @@ class InterruptibleDispatcher(CPUDispatcher):
         finally:
             interrupts.computing(False)
 
-    def is_ready(self, given: tuple[Any, ...]) -> bool:
+    def is_ready(self, arguments: tuple[Any, ...]) -> bool:
         """Return whether a call with such arguments compiles nothing."""
-        signature = tuple(map(self.typeof_pyval, given))
+        signature = tuple(map(self.typeof_pyval, arguments))
         return signature in self.overloads or self._cache.has(signature, self.targetctx)
 
     def _compile_for_args(self, *args: Any, **keywords: Any) -> Any:
@@ -195,8 +195,8 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return value
 
 
-def _lowered(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    return _without_owner(context, builder, signature.args[0], given[0])
+def _lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return _without_owner(context, builder, signature.args[0], arguments[0])
 
 
 def register_borrowed(function: Callable[..., object]) -> None:

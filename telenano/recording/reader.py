@@ -127,13 +127,13 @@ class Recording:
             if not first_ns <= message.log_ns <= last_ns:
                 dates.add(message.log_ns, message.log_ns, 1)
                 examples.setdefault(message.log_ns // LONGEST_PAUSE_NS, f"{message.channel_topic}, seq {message.seq}")
-        found = [
+        spans = [
             odd_text(group, examples[group.first_ns // LONGEST_PAUSE_NS], span_ns)
             for group in islice(dates.groups(), _MOST_NAMED)
         ]
         if self._layout.repeated:
-            found.append(f"the index names chunks again, {self._layout.repeated} times: each is read once")
-        return tuple(found)
+            spans.append(f"the index names chunks again, {self._layout.repeated} times: each is read once")
+        return tuple(spans)
 
     @cached_property
     def _dates(self) -> Dates:

@@ -79,8 +79,8 @@ class Connections:
 
     def admit(self, client: Any) -> None:
         """Record that a connection has shown a token: it gives way to no other."""
-        if found := self._open.get(client):
-            found.is_page = True
+        if connection := self._open.get(client):
+            connection.is_page = True
 
     def drop_silent(self) -> None:
         """Drop what has waited for the head of a request for too long."""

@@ -142,7 +142,7 @@ class LoopAge:
         """Return the parts of the samples that were answered since the last call; none of too few."""
         topics = [topic for topic, sent in self._sent.items() if sent]
         keys = [key for key in self._answered if all(key in self._sent[topic] for topic in topics)]
-        found: list[Part] = []
+        ages: list[Part] = []
         if len(keys) >= _LEAST_SAMPLES and topics:
             rows = [[key, *(self._sent[topic][key] for topic in topics), self._answered[key]] for key in keys]
             delays = {
@@ -150,13 +150,13 @@ class LoopAge:
                 for way, history in self._delays.items()
             }
             device_s = np.array([self._device.get(key, 0.0) for key in keys])
-            found = parts_of(split(np.array(rows, np.int64), topics, delays, device_s))
-        newest = max(keys) if found else 0
+            ages = parts_of(split(np.array(rows, np.int64), topics, delays, device_s))
+        newest = max(keys) if ages else 0
         maps: list[dict[int, Any]] = [*self._sent.values(), self._answered, self._device]
         for kept in maps:
             for key in [key for number, key in enumerate(kept) if key <= newest or number < len(kept) - _MOST_SAMPLES]:
                 del kept[key]
-        return found
+        return ages
 
 
 def in_words(parts: Sequence[Part]) -> str:

@@ -195,7 +195,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "_Stream.__init__: self.t_ns = 0 [self.t_ns = 0 => pass]": "read only after the first message set it",
         "_Check.run: log_ns >= last_ns [log_ns >= last_ns => log_ns > last_ns]": "one received at the same time is"
         " looked at more closely, with the same outcome",
-        '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True) [True => False]': "there"
-        " are three of each",
+        '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)'
+        " [True => False]": "there are three of each",
     },
 }

@@ -88,8 +88,8 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
     def _find_guard(self) -> Generator[bytes, bytes, None]:
         if self._attended:
             return
-        found = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
-        answer = _items(found)
+        reply = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
+        answer = _items(reply)
         if answer.get("todo") != GUARD_QUESTION:
             self.refuse_without_guard()
         self.retractions = int(_number(answer, "trips"))

@@ -286,7 +286,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         """Take values that were old_s [s] old at most when they were asked for; is_own: z is the one that was sent."""
         value, z_m, x_m, y_m, *further = values
         channels = self.calibration.channels.items()
-        self._channels = {name: each.si * found for (name, each), found in zip(channels, further, strict=True)}
+        self._channels = {name: each.si * reading for (name, each), reading in zip(channels, further, strict=True)}
         # A value may be older than the handshake until a Tap has gone by since then.
         if is_own and asked_ns - self._ready_ns > round(3.0 * self.tick_s * 1e9):
             self.check_z(z_m, asked_ns)

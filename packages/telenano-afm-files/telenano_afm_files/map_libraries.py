@@ -61,13 +61,13 @@ class NoCurvesError(ValueError):
     """A file is of no format that the library reads."""
 
 
-def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
+def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
     """Return the curves of a file that afmformats reads.
 
     Args:
         path: The file.
         folder: Where parts of a large archive are written.
-        given: Constants in place of those of the file, of a file that has deflections as they were read.
+        constants: Constants in place of those of the file, of a file that has deflections as they were read.
     """
     import afmformats
     from afmformats.errors import AFMFileFormatError, FileFormatNotSupportedError, MissingMetaDataError
@@ -75,7 +75,7 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
     # it reports with a traceback what it raises as well
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
     refuse_large_archive(path, _MOST_OF_ONE_BYTES if path.lower().endswith(".jpk-force") else _MOST_UNPACKED_BYTES)
-    override = {_NAMES[name]: value for name, value in given.items() if is_raw(path)}
+    override = {_NAMES[name]: value for name, value in constants.items() if is_raw(path)}
 
     def parts() -> Iterator[tuple[Any, float]]:
         for block, share in blocks_of(path, folder):

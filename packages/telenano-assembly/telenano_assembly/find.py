@@ -123,7 +123,7 @@ def fixed_places(
     height_m: npt.ArrayLike,
     step_x_m: float,
     step_y_m: float,
-    found: list[Found],
+    particles: list[Found],
     reach_m: float,
     middle: tuple[float, float] = (0.0, 0.0),
 ) -> list[tuple[float, float]]:
@@ -133,22 +133,22 @@ def fixed_places(
         height_m: Heights, as for `find_particles`.
         step_x_m: Width of a pixel [m].
         step_y_m: Depth of a pixel [m].
-        found: The particles of the image.
+        particles: The particles of the image.
         reach_m: How far the image of a particle reaches from its centre [m].
         middle: The place of the middle of the image [m].
     """
     heights = np.array(height_m, np.float64)
     is_finite = np.isfinite(heights)
-    if not found or not is_finite.any():
+    if not particles or not is_finite.any():
         return []
     heights[~is_finite] = np.median(heights[is_finite])
     level, noise = flattened(heights)
-    usual = 2.0 * float(np.median([one.radius_m for one in found]))
+    usual = 2.0 * float(np.median([one.radius_m for one in particles]))
     rows, columns = level.shape
     x = middle[0] + (np.arange(columns) - 0.5 * (columns - 1)) * step_x_m
     y = middle[1] + (np.arange(rows) - 0.5 * (rows - 1)) * step_y_m
     stands = is_finite & (ndimage.median_filter(level, 3) > max(_STANDS_DEVIATIONS * noise, _STANDS_SHARE * usual))
-    for one in found:
+    for one in particles:
         stands &= np.hypot(x[None, :] - one.x_m, y[:, None] - one.y_m) > _BESIDE * reach_m
     places: list[tuple[float, float]] = []
     for row, column in np.argwhere(stands).tolist():

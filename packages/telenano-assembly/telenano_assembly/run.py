@@ -398,13 +398,13 @@ class Assembler:
         self._known[particle] = one._replace(x_m=found.x_m, y_m=found.y_m, radius_m=found.radius_m, seen_s=time_s)
         return True
 
-    def _follow_drift(self, before: _Known, found: Found, time_s: float) -> None:
+    def _follow_drift(self, before: _Known, particle: Found, time_s: float) -> None:
         ahead, elapsed_s = drift_at(self._drift, time_s), time_s - before.seen_s
-        x_error, y_error = max(found.x_error_m, _LEAST_ERROR_M), max(found.y_error_m, _LEAST_ERROR_M)
+        x_error, y_error = max(particle.x_error_m, _LEAST_ERROR_M), max(particle.y_error_m, _LEAST_ERROR_M)
         self._drift = Drift(
             ahead.time_s,
-            moved(ahead.x, found.x_m - before.x_m, elapsed_s, math.sqrt(2.0) * x_error),
-            moved(ahead.y, found.y_m - before.y_m, elapsed_s, math.sqrt(2.0) * y_error),
+            moved(ahead.x, particle.x_m - before.x_m, elapsed_s, math.sqrt(2.0) * x_error),
+            moved(ahead.y, particle.y_m - before.y_m, elapsed_s, math.sqrt(2.0) * y_error),
         )
 
     def _outcome(self, before: Look, after: Look) -> Assembly:

@@ -87,12 +87,12 @@ def state_of(plan: Plan, records: Sequence[Record]) -> dict[str, Any]:
     rows = []
     for participant in plan.experiment.pseudonyms:
         progress = progress_of(records, participant)
-        attempts = [record for found in progress.outcomes.values() for record in found]
+        attempts = [record for outcomes in progress.outcomes.values() for record in outcomes]
         kinds = Counter(record["status"] for record in attempts)
         rows.append(
             {
                 "participant": participant,
-                "done": sum(any(record["final"] for record in found) for found in progress.outcomes.values()),
+                "done": sum(any(record["final"] for record in outcomes) for outcomes in progress.outcomes.values()),
                 "left": left.get(participant, 0),
                 "disturbed": kinds["disturbed"],
                 "aborted": kinds["aborted"],

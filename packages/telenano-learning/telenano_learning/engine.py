@@ -101,7 +101,7 @@ def drawn(random: np.random.Generator, steps: int) -> Drawn:
 
 @always_compiled
 def advance(
-    given: Array,
+    drawn: Array,
     state: Array,
     fixed: Array,
     moving: Array,
@@ -113,7 +113,7 @@ def advance(
     """Take a control step in each row, and write what became of it into `state` and `moving`.
 
     Args:
-        given: Shape (n, 10), what was drawn.
+        drawn: Shape (n, 10), what was drawn.
         state: Shape (n, 15), written.
         fixed: Shape (n, 1, 4), what does not change of each particle.
         moving: Shape (n, 1, 3), what does; written.
@@ -123,8 +123,8 @@ def advance(
         action: Shape (n, 3): speed in x and y, and lift, each -1 to 1.
     """
     ticks = round(CONTROL_S / PHYSICS_S)
-    for i in range(given.shape[0]):
-        g, s, m, draws = given[i], state[i], model[i], noise[i, taken[i]]
+    for i in range(drawn.shape[0]):
+        g, s, m, draws = drawn[i], state[i], model[i], noise[i, taken[i]]
         tip, spring = TipShape(m[0], m[1], m[2], m[3]), Spring(m[4], m[5], m[6], m[7] != 0.0, m[8])
         speed_x = SPEED_M_PER_S * min(max(action[i, 0], -1.0), 1.0)
         speed_y = SPEED_M_PER_S * min(max(action[i, 1], -1.0), 1.0)
@@ -171,14 +171,14 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 
 @always_compiled
-def tell(given: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
+def tell(drawn: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
     """Write what an agent observes into `observations`, shape (n, 14), in units of d and of the usual friction.
 
     With `truth` it observes the true place of the particle in the place of the believed one. The true distance from the
     goal goes into `state`, for who judges.
     """
-    for i in range(given.shape[0]):
-        g, s, row = given[i], state[i], observations[i]
+    for i in range(drawn.shape[0]):
+        g, s, row = drawn[i], state[i], observations[i]
         true_x, true_y = moving[i, 0, X], moving[i, 0, Y]
         x, y = true_x - g[GOAL_X], true_y - g[GOAL_Y]
         s[TRUE_ERROR] = math.sqrt(x * x + y * y)

@@ -28,7 +28,8 @@ def _losses(take: Take[Facts]) -> tuple[Result, str]:
     rows = _attached(take)
     lost = rows["status"] == _LOST
     if lost.any():
-        return "fail", f"lost after {rows['time_s'][lost][0]:.2f} s: {next(iter(take.facts.said), 'see its events')}"
+        message = next(iter(take.facts.device_messages), "see its events")
+        return "fail", f"lost after {rows['time_s'][lost][0]:.2f} s: {message}"
     return "pass", "never"
 
 
@@ -168,8 +169,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 )
 
 
-def _facts_of(device: Any, **known: Any) -> Facts:
-    return Facts(Capabilities(**device), **known)
+def _facts_of(device: Any, **facts: Any) -> Facts:
+    return Facts(Capabilities(**device), **facts)
 
 
 HANDLE = Kind(ROW, _facts_of, _CHECKS)

@@ -43,15 +43,15 @@ class Facts(NamedTuple):
     """What the checks need besides the rows.
 
     device: what it declares; watchdog_s: silence after which it is off [s]; max_drive_n: the most that its drive may
-    give; amplitude_m: of the step *follow*; said: what the driver reported was wrong, each once; stopped: why the
-    motion ended early.
+    give; amplitude_m: of the step *follow*; device_messages: what the driver reported was wrong, each once; stopped:
+    why the motion ended early.
     """
 
     device: Capabilities
     watchdog_s: float
     max_drive_n: float
     amplitude_m: float
-    said: tuple[str, ...] = ()
+    device_messages: tuple[str, ...] = ()
     stopped: str = ""
 
     @property
@@ -91,7 +91,7 @@ def record_take(driver: Any, facts: Facts, clock: Clock, guide: Guide = SILENT) 
     except (EndedError, TelenanoError) as error:
         facts = facts._replace(stopped=f"{error} (in the step {recorder.step.name})")
     driver.make_safe()
-    return recorder.take(ROW, facts._replace(said=tuple(motion.driver_messages)))
+    return recorder.take(ROW, facts._replace(device_messages=tuple(motion.driver_messages)))
 
 
 class _Motion:

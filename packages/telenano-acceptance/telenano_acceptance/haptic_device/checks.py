@@ -71,7 +71,7 @@ def _gaps(take: Take[Facts]) -> tuple[Result, str]:
     rows = _present(take)
     longest_s = float(rows["age_s"].max(initial=0.0))
     good = longest_s <= GAP_S and not rows["lost"].any()
-    message = "" if good or not take.facts.said else f": {take.facts.said[0]}"
+    message = "" if good or not take.facts.device_messages else f": {take.facts.device_messages[0]}"
     return passes(good), f"{1e3 * longest_s:.0f} ms{message}"
 
 

@@ -232,8 +232,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 )
 
 
-def _facts_of(limits: Any, **known: Any) -> Facts:
-    return Facts(limits=SafetyParams(**limits), **known)
+def _facts_of(limits: Any, **facts: Any) -> Facts:
+    return Facts(limits=SafetyParams(**limits), **facts)
 
 
 INSTRUMENT = Kind(ROW, _facts_of, _CHECKS, say_what_is_missing=True)

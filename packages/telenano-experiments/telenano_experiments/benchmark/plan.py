@@ -159,7 +159,7 @@ class Run(Settings):
         condition = (self.instrument, self.steadiness)
         return (*condition, self.network, self.task, self.law, self.hand, self.seed, self.settings)
 
-    def programme(self) -> tuple[list[tuple[float, float]], float, float, float]:
+    def force_profile(self) -> tuple[list[tuple[float, float]], float, float, float]:
         """Return the hand's corners (time [s], force [N]), and when hold, settling of the swing, and run end [s]."""
         task, cell = TASKS[self.task], self.cell
         points, held_s = list(cell.hand_points()), cell.hold_s()[1]
@@ -186,7 +186,7 @@ class Plan(NamedTuple):
 
     def runs(self) -> list[Run]:
         """Return the runs, those over one draw together: to draw a link or a noise takes longer than to run over it."""
-        found = [
+        planned = [
             Run(
                 task=task, network=network, law=law, hand=hand, seed=seed, settings=self.settings,
                 instrument=instrument, steadiness=steadiness,
@@ -199,7 +199,7 @@ class Plan(NamedTuple):
             for law in self.laws
             for hand in self.hands
         ]  # fmt: skip
-        return [run for run in found if run.seed == 0 or run.is_random]
+        return [run for run in planned if run.seed == 0 or run.is_random]
 
 
 def plan_of(

@@ -109,8 +109,8 @@ class Line:
         most = f + b - self._least_both
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
 
-    def _keep(self, found: Least, at: int) -> None:
-        self._now = found if self._now is None else self._now.and_least(found)
+    def _keep(self, least: Least, at: int) -> None:
+        self._now = least if self._now is None else self._now.and_least(least)
         if at < self._now_ends_ns:
             return
         self._now_ends_ns = at + self._span_ns
