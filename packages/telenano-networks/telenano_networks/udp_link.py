@@ -15,8 +15,9 @@ from telenano.wire import Received, SessionControl
 
 TOPIC = "udp"
 WAYS: tuple[Direction, Direction] = ("forward", "backward")
-# steps of the counts of delays and of lateness [ns]
-DELAY_STEP_NS, LATE_STEP_NS = 100_000, 10_000
+# Delays and lateness are counted in steps of these lengths.
+DELAY_STEP_NS = 100_000
+LATE_STEP_NS = 10_000
 _MOST_LATE = 100_000
 _FATES_AT_ONCE = 32
 _Key = TypeVar("_Key")

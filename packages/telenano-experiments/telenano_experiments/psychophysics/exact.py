@@ -13,8 +13,10 @@ import numpy.typing as npt
 Numbers = npt.NDArray[np.float64]
 
 _LN2 = 0.6931471805599453
-# ln 2 in two parts, of which the first has so few digits that a whole multiple of it is exact
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+# The upper part of ln 2 has so few digits that a whole multiple of it is exact.
+_LN2_HIGH = 6.93147180369123816490e-01
+# The rest of ln 2.
+_LN2_LOW = 1.90821492927058770002e-10
 _EXPONENTIAL = [1.0 / math.factorial(power) for power in range(14)]
 _LOGARITHM = [1.0 / (2 * power + 1) for power in range(12)]
 _ROOT_HALF = 0.7071067811865476
