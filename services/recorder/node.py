@@ -33,6 +33,7 @@ _CALM_PASSES = 30
 _PASS_NS = 5_000_000
 # This number of messages in a pass is a backlog.
 _BACKLOG = 256
+# The rate of recording is measured over this time.
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _PERIOD_NS = 1_000_000

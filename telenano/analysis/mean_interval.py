@@ -77,6 +77,7 @@ _BANDS = 26
 _QUALITIES = (4.0, 15.0, 100.0)
 # The white noise beside a band, as a part of its variance.
 _BAND_WHITE_PARTS = (0.003, 0.1, 1.0)
+# A variance is taken to be no less than this, so that it can be divided by.
 _LEAST_VARIANCE = 1e-12
 
 

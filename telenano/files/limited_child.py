@@ -41,6 +41,7 @@ _CPU_S = 20.0
 _CPU_S_PER_BYTE = 2.5e-7
 # The limit of wall time is this multiple of it: the machine may be busy with something else.
 _WALL_FACTOR = 4.0
+# The text of an error is cut to this number of characters.
 _LONGEST_TEXT = 500
 
 

@@ -37,6 +37,7 @@ _AT = 0
 _FORCE = 1
 _WEIGHT = 2
 _ROOT = 3
+# Newton's method takes this number of steps at most.
 _ITERATIONS = 30
 # The weights of all bins fall to this share when the tip goes to another bin.
 _KEEP = 0.98

@@ -50,6 +50,7 @@ _SHIPPED_TAP_S = 20e-3
 _LOG_HEADER = struct.Struct(">IfQH")
 # The TCP Logger is in this state with a frame of samples.
 _LOG_DATA = 4
+# A frame of the TCP Logger has at most this number of signals.
 _MOST_CHANNELS = 24
 # this number of reads of a tick find the end of what has come, or it has none
 _MOST_RECEIVED = 64

@@ -53,6 +53,7 @@ _LOG_HEADER = struct.Struct(">IfQH")
 _LOG_STARTS = 2
 _LOG_IDLE = 1
 _LOG_RUNS = 4
+# At most this number of frames wait for a reader.
 _MOST_LOGGED = 4096
 
 

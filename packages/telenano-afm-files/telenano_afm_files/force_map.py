@@ -46,6 +46,7 @@ _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header
 _CLOSED = 0.05
 # A curve is in contact above this share of its greatest force.
 _CONTACT = 0.05
+# The steps of an axis may differ by this share of its greatest value.
 _EVEN = 1e-6
 
 

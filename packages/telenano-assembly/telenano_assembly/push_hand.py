@@ -45,6 +45,7 @@ _FELT_TICKS = 100.0
 _BEHIND = 1.35
 # On the way there it keeps this multiple of d from the particle.
 _KEEPS = 1.25
+# A particle that lies further aside than this angle is approached again; this is its cosine.
 _MOST_ASIDE = math.cos(math.radians(75.0))
 # The errors of a hand change this number of times a second: every this number of ticks.
 _HELD_TICKS = 20
@@ -91,6 +92,7 @@ _FORCE_SHARE = 0.1
 _TREMOR = 0.15
 # The error of the hand's heading [rad].
 _TURN = 0.05
+# The errors of the hand are drawn for this number of ticks.
 _ERRORS = 2048
 
 

@@ -37,6 +37,7 @@ QUALITIES = (0.5, 1e7)
 _MOST_STEPS = 60
 # The fit has ended when a step lowers its cost, minus the logarithm of the likelihood, by less than this.
 _ENOUGH = 1e-7
+# The derivatives of the fit are differences over this step of a parameter.
 _DIFFERENCE = 1e-5
 # Windows count where the peak has fewer lines within the width at half its height.
 _FEW_LINES = 2.0

@@ -45,7 +45,9 @@ _MOST_HAND_N_PER_M = 3000.0
 # The stiffness of a sample is drawn between these.
 _LEAST_SAMPLE_N_PER_M = 0.02
 _MOST_SAMPLE_N_PER_M = 30.0
+# A delay is drawn up to this.
 _MOST_DELAY_S = 0.2
+# A drift of the sample is drawn up to this, either way.
 _MOST_DRIFT_M_PER_S = 0.5e-9
 # before this time the instrument is armed, and the line has brought a first answer [s]
 BEGINS_S = 1.0

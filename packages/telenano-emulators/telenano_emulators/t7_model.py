@@ -41,6 +41,7 @@ _LUA_SIZE = 6012
 _LUA_SOURCE = 6014
 _LUA_SAVE = 6032
 _LUA_RUN_DEFAULT = 6100
+# The script runs at this interval.
 _SCRIPT_STEP_NS = 5_000_000
 # address, form, value at power-up
 _REGISTERS: tuple[tuple[int, str, float], ...] = (

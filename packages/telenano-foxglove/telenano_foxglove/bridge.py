@@ -24,8 +24,11 @@ _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 _MESSAGE = struct.Struct("<BIQ")
 # The opcode of a message.
 _MESSAGE_DATA = 1
+# The level of a status message that reports an error.
 _ERROR = 2
+# At most this number of viewers are connected.
 _MOST_VIEWERS = 16
+# At most this number of frames wait for a viewer; the oldest go.
 _MOST_QUEUED = 1024
 
 

@@ -19,6 +19,7 @@ from telenano_haptic_devices.wires import Mechanics
 RADIUS_M = 0.10
 # The resolution of the encoders.
 _STEP_M = 1e-6
+# The mechanics are integrated in steps of this length.
 _SUBSTEP_S = 0.25e-3
 # A process that stood still for longer continues from now, as the emulated handle does.
 _LONGEST_S = 0.05

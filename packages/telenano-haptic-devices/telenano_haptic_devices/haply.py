@@ -42,6 +42,7 @@ EMULATED = "telenano emulator"
 SESSION_RUNS = "org.telenano:session-runs"
 SESSION_RESTS = "org.telenano:servo"
 BUTTONS = ("a", "b", "c")
+# The service has this time to answer when it is opened.
 _OPEN_S = 3.0
 # The service may take as long for a place as the coupling tolerates silence.
 _SILENT_S = 0.05

@@ -31,14 +31,17 @@ _USABLE = 0x2551
 _STYLE = 0x2555
 _STIFFNESS_N_PER_MM = 0x2602
 _MAX_FORCE_N = 0x2603
+# The capability of libHD that lets motors render a force.
 _FORCE_OUTPUT = 0x4000
 # States of the calibration that the driver acts on.
 _CALIBRATED = 0x5000
 _NEEDS_UPDATE = 0x5001
+# The handle that stands for no device.
 _INVALID = 0xFFFFFFFF
 # A callback returns one of these to be called again, or not.
 _CONTINUE = 1
 _DONE = 0
+# The priority of the callback in the scheduler of the library, its highest.
 _PRIORITY = 65_535
 # The driver looks at this interval whether the library's scheduler has called.
 _WAIT_S = 0.01
@@ -48,6 +51,7 @@ _SILENT_LOOKS = 5
 # The first call, and one that is not over, may take this number of looks.
 _PATIENT_LOOKS = 50
 _MM = 1e-3
+# Forces are limited to this share of the most that the device takes, so that rounding does not exceed it.
 _NEARLY = 1.0 - 1e-6
 # What CHAI3D declares for the Touch.
 _DAMPING_N_S_PER_M = 4.0

@@ -42,6 +42,7 @@ _SHARED_MEMORY = Path("/dev/shm")
 # The flags that the node sets for the servo: a session runs, and the servo is to end.
 _RUNS = 1
 _STOP = 2
+# The place before the first sample [m].
 _NOWHERE = (0.0, 0.0, 0.0)
 
 

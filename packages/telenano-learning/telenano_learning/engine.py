@@ -32,9 +32,12 @@ Array = npt.NDArray[np.float64]
 PHYSICS_S = 1e-3
 # The period at which an agent acts.
 CONTROL_S = 20e-3
+# An action of 1 moves the tip across at this speed.
 SPEED_M_PER_S = 2e-6
 TIP_RADIUS_M = 10e-9
+# The tip pushes at this height.
 LOW_M = 5e-9
+# The tip is lifted and lowered at this speed.
 _LIFT_M_PER_S = 20e-6
 # The stiffness of the cantilever for deflection, and the one across.
 _K_N_PER_M = 1.0

@@ -41,8 +41,11 @@ Array = npt.NDArray[np.float64]
 _MOST_POINTS = 200
 # The way from the sample after the contact is thinned to this number of points.
 _MOST_FREE_POINTS = 400
+# The fit needs this number of points in contact before the pull-off.
 _LEAST_POINTS = 12
+# A curve of the model is computed at this number of depths.
 _GRID = 600
+# The fit begins at each of these shifts of the contact point.
 _SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
 # next to the pull-off the contact may end a little earlier or later than the model's
 _LEFT_OUT = 0.03

@@ -56,6 +56,7 @@ MOST_HELD_BYTES = 4 << 20
 _RESAMPLES = 200
 # The statistics of the model are those of this number of logs that it generates.
 _DRAWS = 25
+# Messages of this size are sent through the model of the line.
 _SIZE_BYTES = 200
 # Of the messages that the statistics of a written way are of.
 _SENT_BYTES = 300

@@ -21,6 +21,7 @@ _TOGETHER = 0.2
 _PERIODS = 2.0
 # A stall is longer than this multiple of the distance from the median delay to the third quartile.
 _SPREADS = 8.0
+# The log is resampled in blocks of about this length.
 _BLOCK_S = 20.0
 # The longest time over which the delay is compared with itself [s].
 _LONGEST_LAG_S = 30.0

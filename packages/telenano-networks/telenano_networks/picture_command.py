@@ -20,6 +20,7 @@ _PERIOD_NS = 5_000_000
 # They are sent for this number of seconds.
 _SECONDS = 600
 _SIZE_BYTES = 200
+# More networks than this are not drawn over one another.
 _MOST_OVER_ONE_ANOTHER = 8
 
 

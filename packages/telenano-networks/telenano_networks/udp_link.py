@@ -18,7 +18,9 @@ WAYS: tuple[Direction, Direction] = ("forward", "backward")
 # Delays and lateness are counted in steps of these lengths.
 DELAY_STEP_NS = 100_000
 LATE_STEP_NS = 10_000
+# A greater lateness is counted with this number of steps.
 _MOST_LATE = 100_000
+# Fates are reported after this number of datagrams.
 _FATES_AT_ONCE = 32
 _Key = TypeVar("_Key")
 

@@ -24,7 +24,9 @@ RECORDING_FILE = re.compile(r"session(?:_([0-9]{1,9}))?\.mcap")
 PIECE_BYTES = 1 << 16
 # A file is recognized by the digest of this number of its first bytes.
 HEAD_BYTES = 1024
+# A request is for this number of bytes at most.
 MOST_BYTES = 1 << 24
+# A request is for a rate between these [kbit/s].
 _RATES = (64.0, 1e6)
 
 

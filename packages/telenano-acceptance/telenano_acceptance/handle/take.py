@@ -31,6 +31,7 @@ _PERIOD_S = 3.0
 _BEFORE_S = 0.3
 # The silence lasts longer than the watchdog of the handle by this.
 _SPARE_S = 0.1
+# At most this number of messages of the driver are kept.
 _MOST_MESSAGES = 16
 ROW = row_of(
     ("asked_m", "f8"),

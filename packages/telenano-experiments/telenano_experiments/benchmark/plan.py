@@ -69,6 +69,7 @@ SWING_HZ = 0.5
 SWINGS_BEFORE = 2
 # The number of its periods in the measurement.
 SWINGS = 2
+# The swing is given by this number of points for each period.
 _POINTS_PER_PERIOD = 200
 
 

@@ -34,6 +34,7 @@ from telenano_experiments.benchmark.run import course_of
 _LINE_S = 20.0
 # Ages in this time after the beginning of a draw are left out.
 _BEGINNING_S = 3.0
+# The period of the loop.
 _PERIOD_S = 1e-3
 # Unevenness: by how much this share of the ages is at most above their median.
 UNEVEN_SHARE = 0.95

@@ -83,7 +83,9 @@ CANTILEVER_N_PER_M = 40.0
 _CONTACT_M = 1.05e-8
 # The base goes this much further for each newton at the hand.
 _CONTACT_M_PER_N = 0.65e-9
+# The hand rests for this time before the first ramp.
 _QUIET_S = 0.2
+# A ramp of the hand's force to its next level takes this time.
 _RAMP_S = 0.4
 # The hand approaches for this time at least.
 _APPROACH_S = 2.4

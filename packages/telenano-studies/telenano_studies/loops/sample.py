@@ -14,7 +14,9 @@ _ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "tip_sample")
 _JITTER_SHARES = (0.0, 0.0, 0.25)
 # Loss is given as a share of the messages.
 _LOSSES = (0.0, 0.0, 0.05, 0.2)
+# The stiffness of an environment is one of these, but for that of a tip and a sample.
 _STIFFNESSES_N_PER_M = (5.0, 10.0, 20.0, 38.0, 80.0)
+# The stiffness of a cell with a tip and a sample.
 _CONTACT_N_PER_M = 40.0
 # the hold that is judged, short enough to be run in real time [s]
 HOLD_S = 4.0

@@ -42,6 +42,7 @@ _HALVINGS = 7
 # The hand presses with this mean force, and swings about it by _AMPLITUDE_N.
 _MEAN_N = 1.0
 _AMPLITUDE_N = 0.3
+# The ramp to the mean force takes this time.
 _RAMP_S = 0.5
 # corners of the sine: straight lines between 200 points a period differ from it by 1e-4 of its amplitude
 _POINTS_PER_PERIOD = 200

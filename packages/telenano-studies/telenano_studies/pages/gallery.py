@@ -36,6 +36,7 @@ _MOST_J = 0.02
 _CURVE = 1e-2
 # The picture shows the Nyquist curve up to this magnitude.
 _MOST_CURVE = 9.0
+# The Nyquist curve is computed at these frequencies.
 _FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
 
 FOLDER = web_folder() / "gallery"

@@ -28,6 +28,7 @@ _LINEAR_PER_S = 0.5
 # The widths of the lines of the measured edge, and of the one by theory.
 _EDGE_PT = 4.0
 _THEORY_PT = 1.4
+# The ticks of the axis of growth rates.
 _RATES_PER_S = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
 VERDICT_WORDS = (

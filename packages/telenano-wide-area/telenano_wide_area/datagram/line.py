@@ -27,6 +27,7 @@ _SPANS = 64
 # The length of a span doubles from _FIRST_SPAN_NS to _LAST_SPAN_NS.
 _FIRST_SPAN_NS = 250_000_000
 _LAST_SPAN_NS = 16_000_000_000
+# Older spans are forgotten only while there are this number at least.
 _FEWEST_SPANS = 4
 
 

@@ -82,7 +82,9 @@ _UNREACHED = 1.5
 _SOON_NS = 5_000_000_000
 # It does so if the rate is less than this share of what was carried before it.
 _WELL_BELOW = 0.9
+# A greater share of lost datagrams, beyond those lost anyway, lowers the rate.
 _MUCH_LOST = 0.10
+# Losses are judged at this interval at the shortest.
 _LOSS_PERIOD_NS = 500_000_000
 # Over this time the delivered rate is judged.
 _SPAN_NS = 300_000_000

@@ -37,11 +37,13 @@ _MOST_ADDRESSES = 4096
 _MOST_STREAMS = 128
 # The number of connections for each site that may wait for the other one.
 _MOST_WAITING = 64
+# At most this number of sites are connected, and a site meets this number of others at most.
 _MOST_SITES = 64
 # The other site has this time to dial.
 _JOIN_S = 4.0
 # A site that sends nothing for this time is gone.
 _SITE_SILENCE_S = 15.0
+# The relay looks for changed keys and unused places at this interval.
 _TIDY_S = 0.5
 _REFUSALS = {
     "unlisted": "the relay does not list this key: run `telenano keys allow NAME KEY --role relay` there",

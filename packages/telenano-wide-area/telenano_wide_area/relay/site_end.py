@@ -25,7 +25,9 @@ _SILENCE_S = 12.0
 # The relay is dialled again after this time, which doubles up to _AGAIN_MOST_S.
 _AGAIN_S = 0.5
 _AGAIN_MOST_S = 5.0
+# A site end that another process has replaced dials again after this time.
 _REPLACED_S = 20.0
+# A fault that stays is reported again after this time.
 _REMIND_S = 60.0
 # A node that does not listen yet is tried for this time; the one that waits for it gives up a little later.
 _NODE_S = 3.0
