@@ -51,14 +51,13 @@ MOST_PARTS = 128
 FEWEST_PARTS = 24
 # The most probability of the models that leave the mean open with which there is an interval.
 MOST_OPEN = 0.13
-# The weights of the priors.
-# White noise alone.
+# The weight of the prior of white noise alone.
 _WHITE = 10.0
-# Slow parts that leave the mean open.
+# The weight of the priors with slow parts that leave the mean open.
 _OPEN = 1.2
-# Slow parts that do not leave it open.
+# The weight of the priors with slow parts that do not leave it open.
 _SETTLED = 3.0
-# Bands.
+# The weight of the priors with bands.
 _BAND = 0.5
 # The corners of the slow parts [cycles a window].
 _OPEN_CORNERS = (0.03, 0.1, 0.3, 1.0, 2.0, 3.5, 5.5)
@@ -72,6 +71,7 @@ _WHITE_PARTS = (0.0, 0.1, 0.5, 3.0)
 _FIRST_BAND = 1.3
 # The middle of a band is this multiple of that of the band below it.
 _NEXT_BAND = 1.17
+# The number of middles of bands.
 _BANDS = 26
 # The middle of a band is one of these multiples of its width.
 _QUALITIES = (4.0, 15.0, 100.0)

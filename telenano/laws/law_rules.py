@@ -38,11 +38,13 @@ _HAND_JUMP_M_PER_S = 0.05
 _TIP_JUMP_M = 0.7 / 30.0 * _PERIOD_S * 1.5e-6 * 1.001
 # A hand holds a spring for this time.
 _HOLD_S = 4.0
+# The stiffness of that spring.
 _SPRING_N_PER_M = 20.0
 # The force that it holds with, and the swing of it, may be off by this share.
 _HOLD_SHARE = 0.06
 # Corners of the settings are drawn from this seed.
 _CORNER_SEED = 1
+# The number of corners that are drawn.
 _CORNER_CASES = 8
 # The hand goes to a wall at this distance of the tip.
 _WALL_M = 3e-9

@@ -47,9 +47,9 @@ _MOST_WINDOWS = 64
 _CAUSALITY_NS = 2 * _NS
 # They are examined in this number of windows.
 _MOST_EXAMINED = 8
-# This number of messages on clocks are kept, of some thousand in a recording.
+# At most this number of messages on clocks are kept, of some thousand in a recording.
 _MOST_LOOKED = 100_000
-# This number of parts are read besides the windows.
+# At most this number of parts are read besides the windows.
 _MOST_SOUGHT = 256
 # Of what is read one line is tried for this time at first.
 _PIECE_NS = 4 * _NS

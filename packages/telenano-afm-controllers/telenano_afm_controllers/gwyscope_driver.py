@@ -21,7 +21,7 @@ from telenano_afm_controllers.request_driver import RequestDriver
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
 _FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
-# The server's tick is measured by this number of distinct samples.
+# The server's tick is measured by this number of steps between distinct samples.
 _TICKS = 4
 # At most this number of reads are spent on measuring the tick.
 _READS = 200
