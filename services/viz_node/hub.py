@@ -46,10 +46,11 @@ TICK_S = 1.0 / 30.0
 # without a page only what a page that comes later needs is collected
 IDLE_S = 0.25
 # A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
-# for a tenth of a second and more. What it said last holds for the first time and is repeated to the haptic node, which
-# waits for less; then it fades over the second time, and rises again as slowly. A frame that is later than the first
-# time is dropped: over a queue that grows, old forces would be those of now.
-HAND_FRESH_S, HAND_FADE_S = 0.1, 0.25
+# for a tenth of a second and more. The last force holds for this time and is repeated to the haptic node, which waits
+# for less. A frame that is later than this is dropped: over a queue that grows, old forces would be those of now.
+HAND_FRESH_S = 0.1
+# The force then fades over this time, and rises again as slowly.
+HAND_FADE_S = 0.25
 # A page whose hand is too slow is told so this often [s].
 _SLOW_REPORT_PERIOD_S = 0.5
 # Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
@@ -69,8 +70,10 @@ _MOST_ASKED_BYTES = 4096
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 _METRICS_NS = 1_000_000_000
-# The age of the loop is told so often [s]; a page that answers later was away.
-_AGE_S, _LONGEST_WAY_S = 1.0, 5.0
+# The age of the loop is sent to the pages at this interval.
+_AGE_S = 1.0
+# A page that answers later than this was away.
+_LONGEST_WAY_S = 5.0
 REVOKED = "this address was revoked, or has expired: ask for another where the rig runs"
 
 Answers = Mapping[str, tuple[str, str]]

@@ -19,8 +19,9 @@ from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import LAUNCHER, LINK, name_of
 
 _MASTER = "controller@master"
-# A round trip that varies by more than this, and by more than this share of its median, was changed, or jitters.
-_CHANGED_MS, _CHANGED_SHARE = 10.0, 0.5
+# A round trip was changed, or jitters, if it varies by more than this, and by more than _CHANGED_SHARE of its median.
+_CHANGED_MS = 10.0
+_CHANGED_SHARE = 0.5
 
 
 def conditions(

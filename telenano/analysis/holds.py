@@ -65,7 +65,10 @@ PARTED_M = 1e-3
 # what is late by more than this [s] is the machine's: a fifth of the deadline of both devices
 LATE_S = 0.01
 
-HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
+# The topics whose samples have to come.
+HAND = "haptic/state"
+TIP = "afm/state"
+ANSWERS = "haptic/command"
 # samples come every millisecond; at this distance [s] the deadline of the loop has passed
 LONGEST_STEP_S = 0.05
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
@@ -73,8 +76,10 @@ _STARVED = (DEADLINE, "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
 # It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
 _ASKED = ("retract_requested", "estop")
-# an incident is the cause of what ends this long after it [s], or is reported this long after what it caused
-_CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
+# An incident is the cause of what begins up to this long after it.
+_CAUSED_WITHIN_S = 3.0
+# An incident may be reported this long after what it caused.
+_NOTICED_WITHIN_S = 2.0
 GUARD_ACTED = "the instrument's guard acted"
 # a session that swings and has lost its contact swings: what a person meets first, and what does not end by itself
 _WORST_FIRST: tuple[Kind, ...] = (

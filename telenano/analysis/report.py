@@ -69,14 +69,21 @@ RELEASE_WINDOW_S = 1.0
 _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
-_RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
-# The percentiles of the loop's age are taken of this number of parts of a session, of this number of answers each.
-_AGE_PARTS, _LEAST_AGES = 10, 100
+# A program of the instrument runs in these states.
+_RUNS = ("running", "paused")
+# The first step of a program is reported this long after it.
+_FIRST_STEP_S = 0.01
+# The percentiles of the loop's age are taken of this number of parts of a session.
+_AGE_PARTS = 10
+# A part needs this number of answers.
+_LEAST_AGES = 100
 # Below this number of samples a share of a stage says nothing.
 _LEAST_FOLLOWED = 50
 _ALARMS = ("warning", "error")
-# part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
-_LEAST_SHARE, _LEAST_N = 0.1, 0.1
+# A press rises and falls by more than this part of the greatest force: less is a tremor or noise.
+_LEAST_SHARE = 0.1
+# A press also rises and falls by more than this.
+_LEAST_N = 0.1
 # A launcher that is busy reports the end of a process this long after it [s].
 _EXIT_WITHIN_S = 2.0
 _NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"

@@ -26,8 +26,10 @@ from telenano.wire.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
 _POLL_MS = 20
-# A node reports its health as often [s], and its first report may take as long as a connection [s].
-_HEALTH_S, _JOIN_S = 0.5, 1.0
+# A node reports its health at this interval.
+_HEALTH_S = 0.5
+# The first report of a node may take this long more, for the connection.
+_JOIN_S = 1.0
 # A rig is late where a node reads a command later than this [s]: its loops come round a hundred times in it.
 _LATE_S = 0.1
 _SUBSCRIBED = b"\x01session/control"

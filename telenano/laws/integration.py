@@ -48,7 +48,11 @@ from telenano.laws.hand_periods import RESTARTED, HandClock, no_sample, periods_
 from telenano.numerics.compiler import inlined
 
 # The slave half does one of these on a state of the instrument, or when none has come.
-NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, CONTINUE = 0, 1, 2, 3, 4
+NOTHING = 0
+ACCOUNT = 1
+ANSWER = 2
+ANSWER_EARLY = 3
+CONTINUE = 4
 _NEVER_NS = -1
 # the place among the steps of commands where those that are no longer distinguished are added up
 _LAST = 7

@@ -25,7 +25,8 @@ from telenano.signals import interrupts
 _MAIN_THREAD = main_thread().ident
 # numba declares neither
 _numba: Any = CPUDispatcher
-_call, _compile = _numba.__call__, _numba._compile_for_args
+_call = _numba.__call__
+_compile = _numba._compile_for_args
 # their declarations name only some of their types
 _build: Any = cgutils
 _declare: Any = type_callable

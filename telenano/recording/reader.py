@@ -48,8 +48,10 @@ from telenano.wire.nodes import site_of
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once.
 _PLANNED_END = "split"
-# A piece has one chunk, or no more than so much in several [bytes]; its lead may have this number where it has one.
-_LARGEST_PIECE, _LEAD = 16 << 20, 2
+# A piece of several chunks has no more bytes than this.
+_LARGEST_PIECE = 16 << 20
+# The lead of a piece may have this number of chunks, even where the piece has one.
+_LEAD = 2
 # groups of messages with odd times that are named
 _MOST_NAMED = 5
 

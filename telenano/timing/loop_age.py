@@ -26,7 +26,10 @@ STAGES = {
     "teleop/backward": "law of the slave",
     "haptic/command": "law of the master",
 }
-DEVICE, QUEUE, TOGETHER = "device of the hand", "queue at the device", "laws and instrument"
+# The names of the parts that are no stages.
+DEVICE = "device of the hand"
+QUEUE = "queue at the device"
+TOGETHER = "laws and instrument"
 WITH_JITTER = f"{TOGETHER}, and jitter of the line"
 # These parts begin at one site and end at the other: the clocks leave open how much belongs to which way.
 ACROSS_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER, WITH_JITTER)
@@ -36,7 +39,10 @@ _SLAVES = ("afm/command", "afm/state", "teleop/backward")
 _CLOCKS_OPEN_NS = 200_000
 # A share of the samples around a percentile, whose parts stand for it.
 _BAND = 0.005
-_LEAST_SAMPLES, _MOST_SAMPLES = 20, 4000
+# The parts of fewer samples than this are not known.
+_LEAST_SAMPLES = 20
+# This number of samples are kept.
+_MOST_SAMPLES = 4000
 
 
 class Part(NamedTuple):

@@ -21,8 +21,10 @@ from telenano_afm_controllers.request_driver import RequestDriver
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
 _FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
-# this number of distinct samples give the server's tick, and this number of reads at most are spent on them
-_TICKS, _READS = 4, 200
+# The server's tick is measured by this number of steps between distinct samples.
+_TICKS = 4
+# At most this number of reads are spent on measuring the tick.
+_READS = 200
 # A server whose samples stand for this time does not run its loop.
 _CLOCK_STANDS_S = 0.05
 _SLOWEST_TICK_S = 1.0

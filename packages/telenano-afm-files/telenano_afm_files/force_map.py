@@ -37,10 +37,16 @@ METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9
 MEMBERS = ("unit", "length_unit", "sign", "axis", "stiffness_n_per_m", "sensitivity_m_per_v", "source")
 _KNOWN = frozenset({*MEMBERS, "x", "y", "z"})
 MOST_VALUES = 1 << 27
-_MOST_FACT_BYTES, _PIECE_BYTES = 1 << 20, 1 << 24
+# The largest array of a file that states a fact about the map.
+_MOST_FACT_BYTES = 1 << 20
+# Large arrays are read in pieces of this size.
+_PIECE_BYTES = 1 << 24
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# Of its greatest difference, two branches that differ by less are one; of its greatest force, this is contact.
-_CLOSED, _CONTACT = 0.05, 0.05
+# Two branches are one where they differ by less than this share of their greatest difference.
+_CLOSED = 0.05
+# A curve is in contact above this share of its greatest force.
+_CONTACT = 0.05
+# The steps of an axis may differ by this share of its greatest value.
 _EVEN = 1e-6
 
 

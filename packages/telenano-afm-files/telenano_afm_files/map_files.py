@@ -32,7 +32,10 @@ from telenano_afm_files.sader_jarvis import ASKED, as_force
 from telenano_afm_files.text_curves import SUFFIXES, TableOptions
 
 _LONGEST_3DS_HEADER = 1 << 18
-_MOST_SIDE, _LEAST_POINTS = 4096, 8
+# A side of the grid of a map has up to this number of points.
+_MOST_SIDE = 4096
+# A curve needs this number of valid points.
+_LEAST_POINTS = 8
 _CURVE_SUFFIXES = (
     ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".nid", ".nhf", ".zip", ".csv", ".txt",
     ".h5", ".tab", ".asc", ".tsv",

@@ -17,12 +17,18 @@ from telenano_afm_files.recorded import Curves, Recorded, lacks
 
 # curves that are read at once
 _BLOCK = 64
-_MOST_UNPACKED_BYTES, _MOST_OF_ONE_BYTES = 8 << 30, 1 << 30
-# Curves pack to a third or a half, and an archive may be so large unpacked besides.
-_GREATEST_RATIO, _ORDINARY_BYTES = 32, 64 << 20
-# An entry of an archive has a head of this number of bytes at least; what all curves share is copied for each block of
-# them.
-_LEAST_HEAD, _MOST_SHARED_BYTES = 30, 4 << 20
+# The largest size of an archive that is read, unpacked.
+_MOST_UNPACKED_BYTES = 8 << 30
+# The largest size of an archive of one curve, unpacked.
+_MOST_OF_ONE_BYTES = 1 << 30
+# An archive may unpack to this multiple of its size, while curves pack to a third or a half.
+_GREATEST_RATIO = 32
+# An archive may unpack to this size whatever its own size is.
+_ORDINARY_BYTES = 64 << 20
+# The head of an entry of an archive has this number of bytes at least.
+_LEAST_HEAD = 30
+# The properties that all curves share have at most this size, because they are copied for each block of curves.
+_MOST_SHARED_BYTES = 4 << 20
 
 # the names of constants, and those of afmformats
 _NAMES = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}

@@ -19,8 +19,10 @@ from telenano_afm_files.force_map import ForceMap, MapError
 
 # What is asked for besides the stiffness of the sensor.
 ASKED = ("resonance_hz", "amplitude_m")
-# A shift that changes by more in the farthest tenth of its curve, of its greatest attraction, does not stand yet.
-_STANDS, _FAR = 0.05, 10
+# The shift is still changing if it changes by more than this share of its greatest attraction at the far end.
+_STANDS = 0.05
+# The far end of a curve is the last one of this number of parts.
+_FAR = 10
 
 
 def as_force(recorded: ForceMap, constants: dict[str, Any]) -> ForceMap:

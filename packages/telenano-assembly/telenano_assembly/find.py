@@ -18,16 +18,21 @@ from telenano_assembly.particles.tip_shape import TipShape
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# A peak is what rises above this number of deviations of the noise, and above this share of the usual height of peaks.
-_DEVIATIONS, _SHARE = 3.0, 0.3
+# A peak rises above this number of standard deviations of the noise.
+_DEVIATIONS = 3.0
+# A peak rises above this share of the usual height of peaks.
+_SHARE = 0.3
 # Two tops are nearer than this share of the radius only where they are one.
 _LEAST_APART = 0.7
 # A fit that leaves more than this share of the height is one of several particles that touch.
 _CLUSTER = 0.05
 _FEWEST_PIXELS = 6
-# What rises so far and is not beside a particle, within this multiple of what its image reaches, is fixed to the
-# sample.
-_STANDS_DEVIATIONS, _STANDS_SHARE, _BESIDE = 6.0, 0.05, 1.4
+# An object beside the particles is fixed to the sample if it rises above this number of deviations of the noise.
+_STANDS_DEVIATIONS = 6.0
+# It also rises above this share of the usual height of peaks.
+_STANDS_SHARE = 0.05
+# What is nearer to a particle than this multiple of the reach of its image belongs to that image.
+_BESIDE = 1.4
 # this many heights around the part that is high belong to the flanks of a particle
 _AROUND = 0.25
 _EIGHT = np.ones((3, 3))

@@ -32,8 +32,9 @@ Array = npt.NDArray[np.float64]
 
 # c for a lever that is read by its angle, the usual one
 BY_ANGLE = 0.971 / 1.09**2
-# air at 20 degrees Celsius and 1013 hPa
-AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
+# Density and viscosity are those of air at 20 degrees Celsius and 1013 hPa.
+AIR_DENSITY_KG_PER_M3 = 1.204
+AIR_VISCOSITY_PA_S = 1.825e-5
 # Units of a density, as columns are named: of a power or of its root, in volts or in metres.
 DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
 _NO_DECIBELS = "decibels are not taken, so write the density itself, in"

@@ -7,8 +7,12 @@ from typing import Any, Literal
 from telenano_conformance.rules import Account
 
 _MS = 1_000_000
-# For this time a command is not answered, and then again each answer is waited for.
-SILENT_NS, QUOTED_NS, ENDED_NS = 500 * _MS, 1500 * _MS, 300 * _MS
+# The first copies of a command are not answered for this time, so that it has to be repeated.
+SILENT_NS = 500 * _MS
+# The client has this time to quote a refusal in the next copy of its command.
+QUOTED_NS = 1500 * _MS
+# The client has this time to stop repeating a command after its acknowledgement.
+ENDED_NS = 300 * _MS
 # A person gives some tens of commands; a client that gives more fills no memory.
 _MOST_COMMANDS = 1000
 LATCH = "0a1b2c3d4e5f-1"

@@ -15,8 +15,12 @@ from telenano.wire import ConfigError
 Row = dict[str, Any]
 Describe = Callable[[str], Mapping[str, tuple[str, str]]]
 
-CONDITION, ANSWER = "condition.", "answer."
-TRIALS, QUESTIONNAIRES = "trials", "questionnaires"
+# The names of the columns of factors and of answers begin with these.
+CONDITION = "condition."
+ANSWER = "answer."
+# The names of the tables.
+TRIALS = "trials"
+QUESTIONNAIRES = "questionnaires"
 # the columns that every table of trials has: unit and description
 FIXED = {
     "participant": ("", "Pseudonym of the participant"),

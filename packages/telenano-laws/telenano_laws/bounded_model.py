@@ -77,9 +77,14 @@ Drift = drift.Drift
 drifted = drift.drifted
 error_of = drift.error_of
 no_drift = drift.no_drift
-_FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
-# the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
-_LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
+_FARTHEST_M = virtual_mass.FARTHEST_M
+_FASTEST_M_PER_S = virtual_mass.FASTEST_M_PER_S
+# A longer lag holds the hand back no more than this one.
+_LONGEST_LAG_S = 1.0
+# The time constant of the mean of the lag.
+_LAG_S = 1.0
+# The time constant of fading.
+_FADE_S = 0.1
 # the model agrees with what came back where their forces at the hand differ by less than this [N]
 _AGREES_N = 0.5
 # A device that follows is behind its reference by less than this [m].

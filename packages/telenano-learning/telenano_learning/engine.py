@@ -28,15 +28,25 @@ from telenano.numerics import always_compiled
 
 Array = npt.NDArray[np.float64]
 
-PHYSICS_S, CONTROL_S = 1e-3, 20e-3
+# The step of the simulation.
+PHYSICS_S = 1e-3
+# The period at which an agent acts.
+CONTROL_S = 20e-3
+# An action of 1 moves the tip across at this speed.
 SPEED_M_PER_S = 2e-6
 TIP_RADIUS_M = 10e-9
+# The tip pushes at this height.
 LOW_M = 5e-9
+# The tip is lifted and lowered at this speed.
 _LIFT_M_PER_S = 20e-6
-_K_N_PER_M, _K_LATERAL_N_PER_M = 1.0, 100.0
+# The stiffness of the cantilever for deflection, and the one across.
+_K_N_PER_M = 1.0
+_K_LATERAL_N_PER_M = 100.0
 _REST_S = 10e-3
-# A particle has arrived within this share of its diameter while the tip goes no faster than this share of its speed.
-ARRIVED_SHARE, AT_REST = 0.1, 0.05
+# A particle has arrived within this share of its diameter of its goal.
+ARRIVED_SHARE = 0.1
+# It counts while the tip goes no faster than this share of its speed.
+AT_REST = 0.05
 # A lateral force above this share of the usual friction is a contact.
 _CONTACT_SHARE = 0.15
 

@@ -12,7 +12,10 @@ from typing import Any, NamedTuple
 
 from rosbags import typesys
 
-POSE, TWIST, WRENCH = "PoseStamped", "TwistStamped", "WrenchStamped"
+# The types of messages, of the package geometry_msgs.
+POSE = "PoseStamped"
+TWIST = "TwistStamped"
+WRENCH = "WrenchStamped"
 # The definitions of the messages that are used, as ROS 2 has had them since its first release.
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",

@@ -34,8 +34,9 @@ from telenano.extend.programs import (
 from telenano.extend.stage import LateralParams, Place, moved
 from telenano.wire.errors import RefusedError
 
-# the phases after the way to the surface
-FEEL, DONE = ARRIVED, ARRIVED + 1
+# These phases come after the way to the surface.
+FEEL = ARRIVED
+DONE = ARRIVED + 1
 # The names of the gains as the user knows them.
 _GAINS = ("tactile.gain_per_s", "")
 
@@ -103,7 +104,8 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
     """A path along which the tip touches the sample."""
 
     settings = TactileSettings
-    title, about = "Tactile", "The path that a hand feels."
+    title = "Tactile"
+    about = "The path that a hand feels."
     moves_across = True
     label = "tactile path"
 

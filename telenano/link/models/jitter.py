@@ -12,10 +12,14 @@ from telenano.link.random_streams import CorrelatedUniform, Draw, share_below
 normal_quantile = NormalDist().inv_cdf
 # the random part of the delay [ns] of a message that arrives at a time [ns]
 RandomDelay = Callable[[int], float]
-# Newton's steps end where they change the root by less than this share, and there are never more.
-_SMALLEST_STEP, _MOST_STEPS = 1e-13, 100
-# What lasts in time is drawn so often in its correlation time, and a pause of more draws than these is jumped over.
-DRAWS_IN_CORRELATION_TIME, LONGEST_WALK = 8, 10_000
+# Newton's method ends with a step that changes the root by less than this share.
+_SMALLEST_STEP = 1e-13
+# Newton's method ends after at most this number of steps.
+_MOST_STEPS = 100
+# A delay that lasts is drawn this many times in its correlation time.
+DRAWS_IN_CORRELATION_TIME = 8
+# A pause of more draws than this is jumped over.
+LONGEST_WALK = 10_000
 
 
 def uniform_quantile(u: float) -> float:

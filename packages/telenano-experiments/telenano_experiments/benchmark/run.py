@@ -24,8 +24,10 @@ from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
 # Every figure of the result has this many digits: those after them are beyond what a model means.
 DIGITS = 9
-# Signals that are warped onto one another are sampled at this step, and may lag by so much.
-ETVO_STEP_S, ETVO_LONGEST_S = 0.005, 1.0
+# Signals that are warped onto one another are sampled at this interval.
+ETVO_STEP_S = 0.005
+# A signal may lag behind the other one by this.
+ETVO_LONGEST_S = 1.0
 
 
 class Measure(NamedTuple):

@@ -30,8 +30,11 @@ from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_r
 from telenano_experiments.benchmark.results import HELD, digest_of
 from telenano_experiments.benchmark.run import course_of
 
-# Ages are those of this long a draw of the line for each of the benchmark's seeds, after its beginning [s].
-_LINE_S, _BEGINNING_S = 20.0, 3.0
+# The line is drawn over this time for each of the benchmark's seeds.
+_LINE_S = 20.0
+# Ages in this time after the beginning of a draw are left out.
+_BEGINNING_S = 3.0
+# The period of the loop.
 _PERIOD_S = 1e-3
 # Unevenness: by how much this share of the ages is at most above their median.
 UNEVEN_SHARE = 0.95

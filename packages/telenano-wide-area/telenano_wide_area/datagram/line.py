@@ -17,11 +17,17 @@ from telenano.timing import STEP_NS, Bound, Exchange, fitted
 
 # A queue stands if it does for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
-# Of this many of them that had this number of delays, the calmest quarter says how much the delay varies by itself.
-_VARIATIONS, _FEWEST_SEEN = 16, 3
-# Least delays are kept for spans of equal length, of which there are this many; a span grows from the first to the last
-# length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
-_SPANS, _FIRST_SPAN_NS, _LAST_SPAN_NS = 64, 250_000_000, 16_000_000_000
+# The variation of the delay by itself is the calmest quarter of this number of half windows.
+_VARIATIONS = 16
+# A half window counts if it had this number of delays.
+_FEWEST_SEEN = 3
+# Least delays are kept for this number of spans of equal length. What is older than all of them (ten minutes) is
+# forgotten, because routes change.
+_SPANS = 64
+# The length of a span doubles from _FIRST_SPAN_NS to _LAST_SPAN_NS.
+_FIRST_SPAN_NS = 250_000_000
+_LAST_SPAN_NS = 16_000_000_000
+# Older spans are forgotten only while there are this number at least.
 _FEWEST_SPANS = 4
 
 
