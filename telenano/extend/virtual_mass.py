@@ -13,10 +13,8 @@ exact energy.
 import math
 from typing import Any, NamedTuple
 
-from pydantic import Field
-
 from telenano.extend.laws import HandSample, PortSignal, TipMeasurement
-from telenano.extend.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
+from telenano.extend.ranges import parameter
 from telenano.numerics.compiler import compiled
 from telenano.numerics.discretisation import exact_discretisation
 from telenano.settings.config import Settings, filled
@@ -74,21 +72,20 @@ class HandPort(NamedTuple):
 class ScaledConfig(Settings):
     """The parameters that every law has."""
 
-    position_scale: PositionScale = Field(
-        default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand"
-    )
-    force_scale: ForceScale = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip")
-    silence_limit_s: TimeS = Field(
-        default=deadline_of("teleop/backward"),
-        description="Time without a signal from the other half after which the hand is let go [s]",
+    position_scale: float = parameter(1.5e-6, "m/m", "alpha_p, metres at the tip per metre at the hand")
+    force_scale: float = parameter(1e8, "N/N", "alpha_f, newtons at the hand per newton at the tip")
+    silence_limit_s: float = parameter(
+        deadline_of("teleop/backward"),
+        "s",
+        "Time without a signal from the other half after which the hand is let go [s]",
     )
 
 
 class MassConfig(ScaledConfig):
     """The virtual mass; the defaults move in free space like the paper's impedance divided by its force gain of 20."""
 
-    mass_kg: MassKg = Field(default=0.5, description="Virtual mass M_v [kg]")
-    damping_n_s_per_m: DampingNSPerM = Field(default=100.0, description="Virtual damping B_v [N s/m]")
+    mass_kg: float = parameter(0.5, "kg", "Virtual mass M_v [kg]")
+    damping_n_s_per_m: float = parameter(100.0, "N s/m", "Virtual damping B_v [N s/m]")
 
     def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
         """Return the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""

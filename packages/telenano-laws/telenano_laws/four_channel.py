@@ -18,9 +18,7 @@ inertia; and the stiffness felt, 3000 N/m for 20 N/m, needs more damping between
 
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges, virtual_mass
+from telenano.extend import virtual_mass
 from telenano.extend.laws import (
     HandSample,
     MasterReference,
@@ -31,6 +29,7 @@ from telenano.extend.laws import (
     port_signal,
     the_hands_force,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -65,15 +64,11 @@ class FourChannelParams(NamedTuple):
 class FourChannelConfig(MassConfig):
     """Section `controller.four_channel`; all at the hand's scale."""
 
-    coupling_stiffness_n_per_m: ranges.StiffnessOrNoneNPerM = Field(
-        default=100.0, description="Spring between the sides K_c [N/m]"
-    )
-    coupling_damping_n_s_per_m: ranges.DampingOrNoneNSPerM = Field(
-        default=100.0, description="Damper between the sides B_c [N s/m]"
-    )
-    hand_force_loop: ranges.Gain = Field(default=0.5, description="Gain of the force loop at the hand C_mf")
-    tip_force_loop: ranges.Gain = Field(default=0.5, description="Gain of the force loop at the tip C_sf")
-    tip_mass_kg: ranges.MassKg = Field(default=0.5, description="Virtual mass of the tip M_s [kg]")
+    coupling_stiffness_n_per_m: float = parameter(100.0, "N/m", "Spring between the sides K_c [N/m]", zero=True)
+    coupling_damping_n_s_per_m: float = parameter(100.0, "N s/m", "Damper between the sides B_c [N s/m]", zero=True)
+    hand_force_loop: float = parameter(0.5, "1", "Gain of the force loop at the hand C_mf")
+    tip_force_loop: float = parameter(0.5, "1", "Gain of the force loop at the tip C_sf")
+    tip_mass_kg: float = parameter(0.5, "kg", "Virtual mass of the tip M_s [kg]")
 
     def to_params(self, period_s: float) -> FourChannelParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""

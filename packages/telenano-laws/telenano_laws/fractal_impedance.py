@@ -19,9 +19,7 @@ chain and decides what is felt; and the base is a position source, so the tip's 
 import math
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges, virtual_mass
+from telenano.extend import virtual_mass
 from telenano.extend.laws import (
     HandSample,
     MasterReference,
@@ -33,6 +31,7 @@ from telenano.extend.laws import (
     the_hands_force,
     tip_signal,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -81,12 +80,12 @@ class FractalImpedanceParams(NamedTuple):
 class FractalImpedanceConfig(MassConfig):
     """Section `controller.fractal_impedance`; all at the hand's scale."""
 
-    silence_limit_s: ranges.TimeS = Field(
-        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    silence_limit_s: float = parameter(
+        0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
-    stiffness_n_per_m: ranges.StiffnessNPerM = Field(default=1500.0, description="Stiffness of the spring K_0 [N/m]")
-    greatest_force_n: ranges.ForceOrNoneN = Field(default=10.0, description="Greatest force of the spring W [N]")
-    base_damping_n_s_per_m: ranges.DampingNSPerM = Field(default=30.0, description="Damper of the base b_s [N s/m]")
+    stiffness_n_per_m: float = parameter(1500.0, "N/m", "Stiffness of the spring K_0 [N/m]")
+    greatest_force_n: float = parameter(10.0, "N", "Greatest force of the spring W [N]")
+    base_damping_n_s_per_m: float = parameter(30.0, "N s/m", "Damper of the base b_s [N s/m]")
 
     def to_params(self, period_s: float) -> FractalImpedanceParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""

@@ -29,9 +29,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.extend import pass_through, ranges, virtual_mass
+from telenano.extend import pass_through, virtual_mass
 from telenano.extend import virtual_impedance as impedance
 from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import periods_in
 from telenano.numerics import compiled, decay
 
@@ -60,20 +61,16 @@ class SmithParams(NamedTuple):
 class SmithConfig(impedance.ImpedanceConfig):
     """Section `controller.smith`: the virtual impedance's parameters, and the model's."""
 
-    environment_stiffness_n_per_m: ranges.StiffnessOrNoneNPerM = Field(
-        default=10.0, description="Stiffness of the environment at the tip K_e, or first estimate of it [N/m]"
+    environment_stiffness_n_per_m: float = parameter(
+        10.0, "N/m", "Stiffness of the environment at the tip K_e, or first estimate of it [N/m]", zero=True
     )
-    environment_stiffness_max_n_per_m: ranges.StiffnessNPerM = Field(
-        default=60.0, description="Largest estimate of K_e [N/m]"
-    )
+    environment_stiffness_max_n_per_m: float = parameter(60.0, "N/m", "Largest estimate of K_e [N/m]")
     estimate: bool = Field(default=True, description="Whether K_e is estimated from what comes back")
-    memory_s: ranges.TimeS = Field(default=0.2, description="Time constant of forgetting in the estimate [s]")
-    least_motion_m: ranges.LengthM = Field(
-        default=5e-11, description="Motion of the tip in memory (standard deviation) below which K_e is kept [m]"
+    memory_s: float = parameter(0.2, "s", "Time constant of forgetting in the estimate [s]")
+    least_motion_m: float = parameter(
+        5e-11, "m", "Motion of the tip in memory (standard deviation) below which K_e is kept [m]"
     )
-    stiffness_rate_n_per_m_s: ranges.StiffnessRateNPerMS = Field(
-        default=200.0, description="Fastest change of the K_e in use [N/(m s)]"
-    )
+    stiffness_rate_n_per_m_s: float = parameter(200.0, "N/(m s)", "Fastest change of the K_e in use [N/(m s)]")
 
     def to_params(self, period_s: float) -> SmithParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
