@@ -7,14 +7,7 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.analysis.conditions import described as described
     from telenano.analysis.fig12 import SessionSeries as SessionSeries
-    from telenano.analysis.figure_style import COLUMN_IN as COLUMN_IN
-    from telenano.analysis.figure_style import ON_SCREEN as ON_SCREEN
-    from telenano.analysis.figure_style import REFERENCE as REFERENCE
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
-    from telenano.analysis.figure_style import drawn as drawn
-    from telenano.analysis.figure_style import figure_options as figure_options
-    from telenano.analysis.figure_style import lettered as lettered
-    from telenano.analysis.figure_style import styled as styled
     from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
     from telenano.analysis.holds import FactKind as FactKind
     from telenano.analysis.holds import judge_holds as judge_holds

@@ -80,6 +80,20 @@ class ScaledConfig(Settings):
         "Time without a signal from the other half after which the hand is let go [s]",
     )
 
+    def limit_of_damper(self, damping_n_s_per_m: float, period_s: float, most_periods: int = 1) -> float:
+        """Return the stiffest sample K [N/m] for a base that goes against the measured force through a damper.
+
+        The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
+        1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond
+        more.
+
+        Args:
+            damping_n_s_per_m: The damping B at the hand's scale [N s/m].
+            period_s: The period Ts [s].
+            most_periods: The longest step n [periods].
+        """
+        return 2.0 * damping_n_s_per_m / (self.force_scale * self.position_scale * most_periods * period_s)
+
 
 class MassConfig(ScaledConfig):
     """The virtual mass; the defaults move in free space like the paper's impedance divided by its force gain of 20."""
@@ -100,23 +114,6 @@ class MassConfig(ScaledConfig):
             gamma_x_m_per_n=step.gamma_x,
             gamma_v_m_per_n_s=step.gamma_v,
         )
-
-
-def stiffness_limit_n_per_m(
-    config: ScaledConfig, damping_n_s_per_m: float, period_s: float, most_periods: int = 1
-) -> float:
-    """Return the stiffest sample K [N/m] that a base tolerates which goes against the measured force through a damper.
-
-    The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
-    1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond more.
-
-    Args:
-        config: The section of the law, which has the scales.
-        damping_n_s_per_m: The damping B at the hand's scale [N s/m].
-        period_s: The period Ts [s].
-        most_periods: The longest step n [periods].
-    """
-    return 2.0 * damping_n_s_per_m / (config.force_scale * config.position_scale * most_periods * period_s)
 
 
 @compiled

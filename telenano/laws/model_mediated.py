@@ -69,7 +69,6 @@ from telenano.extend.virtual_mass import (
     port_at,
     rescaled,
     resumed,
-    stiffness_limit_n_per_m,
     tip_reference,
     worked,
 )
@@ -166,7 +165,7 @@ class ModelMediatedConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the guard of the slave tolerates."""
-        return stiffness_limit_n_per_m(self, self.guard_damping_n_s_per_m, period_s)
+        return self.limit_of_damper(self.guard_damping_n_s_per_m, period_s)
 
 
 class MasterState(NamedTuple):

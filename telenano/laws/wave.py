@@ -80,7 +80,6 @@ from telenano.extend.virtual_mass import (
     put_in,
     rescaled,
     resumed,
-    stiffness_limit_n_per_m,
     tip_reference,
     worked,
 )
@@ -130,7 +129,7 @@ class WaveConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the slave half tolerates, which makes long steps after late signals."""
-        return stiffness_limit_n_per_m(self, self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
+        return self.limit_of_damper(self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
 
 
 class Inbox(NamedTuple):

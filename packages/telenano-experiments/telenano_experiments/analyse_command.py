@@ -58,13 +58,13 @@ def analyse(
     may be given while an experiment continues, and as often as one likes: everything is made from the journal again.
     """
     with report_errors(as_json):
-        from telenano.analysis import figure_options
+        from telenano.analysis import FigureOptions
         from telenano_experiments.analyse import Choice, analyse, check_choice
         from telenano_experiments.analysis_page import NAME, write_analysis
         from telenano_experiments.folder_tables import about_experiment, adaptive_factors, tables_of
         from telenano_experiments.table import write_tables
 
-        options = figure_options(formats, style)
+        options = FigureOptions.of(formats, style)
         tables = tables_of(folder)
         choice = Choice(tuple(measure or ()), correction, confidence, tuple(category or ()), within)
         check_choice(tables, choice)

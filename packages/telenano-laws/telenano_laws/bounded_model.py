@@ -24,7 +24,7 @@ G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derive
 import math
 from typing import NamedTuple
 
-from telenano.extend import drift, virtual_mass
+from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
@@ -54,6 +54,7 @@ from telenano.numerics import compiled
 from telenano_laws.ports import (
     Store,
     account_of,
+    bounded,
     continues,
     credited,
     followed,
@@ -71,12 +72,9 @@ from telenano_laws.ports import (
     tank,
 )
 
-bounded = virtual_mass.bounded
-Drift = drift.Drift
-drifted = drift.drifted
-error_of = drift.error_of
-no_drift = drift.no_drift
-_FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
+# In an unstable loop a reference stays finite here [m, m/s].
+_FARTHEST_M = 1e6
+_FASTEST_M_PER_S = 1e9
 # the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
 _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
 # the model agrees with what came back where their forces at the hand differ by less than this [N]
@@ -178,7 +176,7 @@ class BoundedModelConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the tip may meet: it comes to it through the damper B_a."""
-        return virtual_mass.stiffness_limit_n_per_m(self, self.approach_damping_n_s_per_m, period_s)
+        return self.limit_of_damper(self.approach_damping_n_s_per_m, period_s)
 
 
 class Contact(NamedTuple):

@@ -19,7 +19,6 @@ chain and decides what is felt; and the base is a position source, so the tip's 
 import math
 from typing import NamedTuple
 
-from telenano.extend import virtual_mass
 from telenano.extend.laws import (
     HandSample,
     MasterReference,
@@ -100,7 +99,7 @@ class FractalImpedanceConfig(MassConfig):
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the base tolerates, which also goes against its spring."""
         felt = self.force_scale * self.position_scale
-        limit = virtual_mass.stiffness_limit_n_per_m(self, self.base_damping_n_s_per_m, period_s)
+        limit = self.limit_of_damper(self.base_damping_n_s_per_m, period_s)
         return max(limit - 2.0 * self.stiffness_n_per_m / felt, 0.0)
 
 

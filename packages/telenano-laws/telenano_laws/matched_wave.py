@@ -25,7 +25,6 @@ the base's speed, which tolerates samples up to 4 b / (alpha_f alpha_p n Ts); an
 import math
 from typing import NamedTuple
 
-from telenano.extend import virtual_mass
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
@@ -104,7 +103,7 @@ class MatchedWaveConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the base tolerates against 2 b, over the longest step."""
-        return virtual_mass.stiffness_limit_n_per_m(self, 2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
+        return self.limit_of_damper(2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
 
 
 class Inbox(NamedTuple):

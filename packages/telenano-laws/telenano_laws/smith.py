@@ -29,15 +29,20 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.extend import pass_through, virtual_mass
-from telenano.extend import virtual_impedance as impedance
+from telenano.extend import pass_through
 from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
 from telenano.extend.ranges import parameter
-from telenano.extend.virtual_mass import periods_in
+from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, ImpedanceConfig, VirtualImpedanceParams
+from telenano.extend.virtual_impedance import MasterState as ImpedanceState
+from telenano.extend.virtual_mass import is_retracted, periods_in
 from telenano.numerics import compiled, decay
 
-VirtualImpedanceParams = impedance.VirtualImpedanceParams
-is_retracted = virtual_mass.is_retracted
+# numba compiles what a module names itself
+_start = VIRTUAL_IMPEDANCE.master_start
+_resume = VIRTUAL_IMPEDANCE.master_resume
+_send = VIRTUAL_IMPEDANCE.master_send
+_receive = VIRTUAL_IMPEDANCE.master_receive
+_retune = VIRTUAL_IMPEDANCE.retune
 
 # This number of references are kept, one a period. The oldest represents still older ones, so longer delays are bridged
 # in part.
@@ -58,7 +63,7 @@ class SmithParams(NamedTuple):
     motion_m: float
 
 
-class SmithConfig(impedance.ImpedanceConfig):
+class SmithConfig(ImpedanceConfig):
     """Section `controller.smith`: the virtual impedance's parameters, and the model's."""
 
     environment_stiffness_n_per_m: float = parameter(
@@ -102,7 +107,7 @@ class MasterState(NamedTuple):
     sent_m: the ring without the block of the newest, shape (HISTORY,); block_m: that block, shape (32,).
     """
 
-    impedance: impedance.MasterState
+    impedance: ImpedanceState
     sent_m: npt.NDArray[np.float64]
     block_m: npt.NDArray[np.float64]
     newest: int
@@ -118,7 +123,7 @@ def _without_memory(stiffness_n_per_m: float) -> Estimate:
 
 
 @compiled
-def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
+def _fresh(params: SmithParams, state: ImpedanceState) -> MasterState:
     reference = params.impedance.position_scale * state.position_m + state.tip_offset_m
     sent, estimate = np.full(HISTORY, reference), _without_memory(params.stiffness_n_per_m)
     return MasterState(state, sent, np.full(_BLOCK, reference), 0, estimate, 0.0)
@@ -127,19 +132,19 @@ def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
 @compiled
 def master_start(params: SmithParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position, as if it had always been there."""
-    return _fresh(params, impedance.master_start(params.impedance, hand))
+    return _fresh(params, _start(params.impedance, hand))
 
 
 @compiled
 def master_resume(params: SmithParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return _fresh(params, impedance.master_resume(params.impedance, hand, tip_reference_m))
+    return _fresh(params, _resume(params.impedance, hand, tip_reference_m))
 
 
 @compiled
 def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference and store it for every period in dt [s]."""
-    inner, signal = impedance.master_send(params.impedance, state.impedance, hand, dt)
+    inner, signal = _send(params.impedance, state.impedance, hand, dt)
     sent, block, newest = state.sent_m, state.block_m.copy(), state.newest
     for _ in range(periods_in(dt, params.impedance.period_s)):
         if newest % _BLOCK == _BLOCK - 1:
@@ -220,20 +225,21 @@ def master_receive(
         silence_s=signal.silence_s,
         round_trip_s=signal.round_trip_s,
     )
-    inner, reference = impedance.master_receive(p, state.impedance, hand, predicted, dt)
+    inner, reference = _receive(p, state.impedance, hand, predicted, dt)
     return MasterState(inner, state.sent_m, state.block_m, state.newest, estimate, in_use), reference
 
 
 @compiled
 def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes."""
-    inner = impedance.retune(old.impedance, new.impedance, state.impedance)
+    inner = _retune(old.impedance, new.impedance, state.impedance)
     return MasterState(inner, state.sent_m, state.block_m, state.newest, state.estimate, state.in_use_n_per_m)
 
 
 def rest_force(params: SmithParams, force_n: float) -> float:
     """Return the force at the tip that the virtual impedance rests at [N]: the prediction ends with the motion."""
-    return impedance.rest_force(params.impedance, force_n)
+    assert VIRTUAL_IMPEDANCE.rest_force is not None
+    return float(VIRTUAL_IMPEDANCE.rest_force(params.impedance, force_n))
 
 
 SMITH = law_of(__name__, SmithConfig, slave=pass_through)

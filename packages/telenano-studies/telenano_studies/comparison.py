@@ -5,22 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from telenano.analysis import (
-    COLUMN_IN,
-    ON_SCREEN,
-    REFERENCE,
-    FigureOptions,
-    Session,
-    SessionSeries,
-    lettered,
-    read_session,
-    scenario_in,
-    styled,
-    summarise,
-)
+from telenano.analysis import FigureOptions, Session, SessionSeries, read_session, scenario_in, summarise
 from telenano.recording import open_recordings
 from telenano.wire import ConfigError
-from telenano_studies.figure_colours import LINES
+from telenano_studies.figure_colours import LINES, ON_SCREEN, REFERENCE
 from telenano_studies.published import PANELS, Published, nearest
 
 if TYPE_CHECKING:
@@ -155,8 +143,8 @@ def compare_figure(
     from matplotlib.figure import Figure
 
     paper = options.style == "paper"
-    with styled(options):
-        figure = Figure(figsize=(COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
+    with options.styled():
+        figure = Figure(figsize=(FigureOptions.COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
         panels = figure.subplots(3, 1)
         first = sessions[0].session.series()
         panels[0].plot(
@@ -173,7 +161,7 @@ def compare_figure(
                                           ("tip-sample distance h (nm)", r"$F_s$ (nN)")), strict=True):  # fmt: skip
             panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
             panel.set(xlabel=x, ylabel=y)
-        lettered(list(panels), options)
+        options.lettered(list(panels))
         named: dict[str, Any] = {}
         for panel in panels:
             handles, labels = panel.get_legend_handles_labels()

@@ -11,7 +11,7 @@ from figure_layout import arrows, faults
 from matplotlib.text import Text
 
 from telenano.analysis.fig12 import SessionSeries, TipStates, draw_fig12, retracting
-from telenano.analysis.figure_style import figure_options, styled
+from telenano.analysis.figure_style import FigureOptions
 from telenano.analysis.report import read_session
 from telenano.recording.multi_file import open_recordings
 
@@ -93,7 +93,7 @@ def made(seed: int) -> Made:
 @pytest.mark.parametrize("seed", range(8))
 def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_does(seed: int) -> None:
     session = made(seed)
-    options = figure_options("png", "paper" if seed % 2 else "screen")
+    options = FigureOptions.of("png", "paper" if seed % 2 else "screen")
     figure = draw_fig12(session.series, "title " * 40, options)
     path = figure.axes[2]
     expected = {
@@ -114,7 +114,7 @@ def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_
     if session.both_ways is not None:
         assert named == (["approach", "retraction"] if session.both_ways else ["approach"])
     # a label of an axis is made when it is drawn, in the style of the figure
-    with styled(options):
+    with options.styled():
         assert faults(figure) == []
     frame = path.get_window_extent()
     boxes = [Text.get_window_extent(text) for text in path.texts]
