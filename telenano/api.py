@@ -81,9 +81,8 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the force profile never ran."""
-        from telenano.analysis.report import summarise
-
-        return summarise(self._session, self._source)
+        summary: dict[str, Any] = self._session.summary(self._source)
+        return summary
 
     @cached_property
     def start_ns(self) -> int | None:
@@ -95,9 +94,9 @@ class RecordedSession:
 
     @cached_property
     def _session(self) -> Any:
-        from telenano.analysis.report import read_session
+        from telenano.analysis.report import Session
 
-        return read_session(self._source)
+        return Session.of(self._source)
 
     @cached_property
     def _timeline(self) -> Timeline:

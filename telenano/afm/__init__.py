@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import pull_off as pull_off
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.contact.tip_sample import branch_force as branch_force
-    from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbed import noisy_params as noisy_params
     from telenano.afm.dynamic import NO_NOISE as NO_NOISE
     from telenano.afm.dynamic import advance as advance
@@ -60,14 +59,8 @@ if TYPE_CHECKING:
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
-    from telenano.afm.section_config import CantileverConfig as CantileverConfig
-    from telenano.afm.section_config import SafetyConfig as SafetyConfig
-    from telenano.afm.section_config import TipSampleConfig as TipSampleConfig
     from telenano.afm.sim import SimulatedInstrument as SimulatedInstrument
     from telenano.afm.sim import simulated_afm as simulated_afm
-    from telenano.afm.spring import spring_params as spring_params
-    from telenano.afm.step import AfmParams as AfmParams
-    from telenano.afm.step import initial_afm_state as initial_afm_state
     from telenano.afm.tip_guard import TipGuard as TipGuard
 else:
     __getattr__, __dir__ = face(__name__)

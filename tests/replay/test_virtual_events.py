@@ -30,8 +30,8 @@ from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep import link
-from telenano.lockstep.link import Schedule, fresh, last_together, schedule_from
-from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.lockstep.link import Schedule, last_together, schedule_from
+from telenano.lockstep.lockstep import Trajectory
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message
 from telenano.wire.messages import TeleopForward
@@ -101,7 +101,7 @@ def schedule_in(arrivals: Arrivals) -> Schedule:
 def _in_order(times: dict[int, list[int]]) -> tuple[link.Times, link.Times]:
     pairs = sorted((time_ns, number) for number, several in times.items() for time_ns in several)
     table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return fresh(table[:, 0], table[:, 1])
+    return Schedule.newest(table[:, 0], table[:, 1])
 
 
 class WeatherRig(ConstantRig):
@@ -176,7 +176,7 @@ def worst(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree_in_any_weather(tmp_path: Path, law: str, seed: int) -> None:
     cell, arrivals = cell_of(law, "spring", 4.0), drawn(seed)
-    expected = simulate(rig_of(cell, HAND_POINTS), schedule_in(arrivals), SETTLE_TICKS)
+    expected = rig_of(cell, HAND_POINTS).run(schedule_in(arrivals), SETTLE_TICKS)
     found = worst(on_bus(cell, arrivals, tmp_path), expected)
     assert all(share <= TOLERANCE for share in found.values()), found
     # the hand felt the tip

@@ -43,8 +43,8 @@ from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
-from telenano.lockstep.link import schedule_of
-from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.lockstep.link import Schedule
+from telenano.lockstep.lockstep import Trajectory
 from telenano.wire import Message, encode
 from telenano.wire.messages import AfmCommand, SessionControl, TeleopForward
 
@@ -157,7 +157,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Cell], Tr
 def in_lockstep(cell: Cell, lost: Lost = (), **guard: float) -> Trajectory:
     """Run the same cell in lockstep; `guard`: limits of the instrument that are not the cell's."""
     ticks = SETTLE_TICKS + round(SESSION_S / PERIOD_S)
-    schedule = schedule_of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, cell.seed), ticks, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, cell.seed), ticks, PERIOD_S)
     kept = np.ones(len(schedule.forward_of), dtype=bool)
     for first, count in lost:
         kept &= (schedule.forward_of < first) | (schedule.forward_of >= first + count)
@@ -170,7 +170,7 @@ def in_lockstep(cell: Cell, lost: Lost = (), **guard: float) -> Trajectory:
     )
     rig = rig_of(cell, HAND_POINTS)
     instrument = rig.instrument._replace(safety=rig.instrument.safety._replace(**guard))
-    return simulate(dataclasses.replace(rig, instrument=instrument), schedule, SETTLE_TICKS)
+    return dataclasses.replace(rig, instrument=instrument).run(schedule, SETTLE_TICKS)
 
 
 def common(bus: Trajectory, expected: Trajectory, name: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

@@ -30,7 +30,7 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from telenano.analysis import read_session, summarise
+        from telenano.analysis import Session
         from telenano.cli import results_in
         from telenano.devices import read_handle_calibration, read_stage_calibration
         from telenano.recording import open_recordings
@@ -41,10 +41,10 @@ def budget(
             None if stage is None else read_stage_calibration(stage),
         )
         recording = open_recordings(recordings)
-        session = read_session(recording)
-        summary = summarise(session, recording)
+        session = Session.of(recording)
+        summary = session.summary(recording)
         figures = figure_budgets(summary, shares)
-        stages = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+        stages = delay_budget(recording, session)
         document: dict[str, Any] = {
             "verdict": summary["verdict"],
             "link_round_trip_ms": summary.get("link_round_trip_ms"),

@@ -3,6 +3,7 @@
 import json
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 from typer.testing import CliRunner
 
-from telenano.analysis.report import read_session
+from telenano.analysis.report import Session
 from telenano.cli.root import app
 from telenano.devices.afm.converter_calibration import read_stage_calibration
 from telenano.devices.hand.calibration import read_handle_calibration
@@ -86,8 +87,8 @@ def test_the_interval_of_all_sources_covers_what_that_of_the_scatter_does_not() 
 
 def test_the_stages_add_up_to_the_loop_and_the_link_has_its_delay(recording_of: Callable[[str], Path]) -> None:
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
-    session = read_session(recording)
-    *stages, loop = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    session = Session.of(recording)
+    *stages, loop = delay_budget(recording, session)
     assert sum(stage.mean_ms for stage in stages) == pytest.approx(loop.mean_ms, rel=1e-12)
     assert sum(stage.share for stage in stages) == pytest.approx(1.0, rel=1e-12)
     assert min(stage.mean_ms for stage in stages) > 0.0
@@ -103,15 +104,15 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
     recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
-    session = read_session(recording)
-    before = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    session = Session.of(recording)
+    before = delay_budget(recording, session)
     times_ns = Timeline.times_ns
 
     def shifted(self: Any, src: str, stamps_ns: Any) -> Any:
         return times_ns(self, src, stamps_ns) + 1_000_000 * src.endswith("@slave")
 
     monkeypatch.setattr(Timeline, "times_ns", shifted)
-    after = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    after = delay_budget(recording, session)
     changes = {new.stage: new.mean_ms - old.mean_ms for new, old in zip(after, before, strict=True)}
     moved = {name: change for name, change in changes.items() if abs(change) > 1e-9}
     # The rest of the way back is never below zero, so that its part on purpose gives way.
@@ -127,14 +128,15 @@ def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
     assert found.exit_code != 0
     assert "fewer than 50 samples of the hand can be followed" in found.stderr
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
+    session = Session.of(recording)
     with pytest.raises(TelenanoError, match="fewer than 50 samples of the hand can be followed"):
-        delay_budget(recording, Timeline(recording), 0, 1)
+        delay_budget(recording, replace(session, start_ns=0, end_ns=1))
     intruders = [
         recording.channels[0]._replace(channel_topic="afm/command", src=f"made_up_{n}@slave") for n in range(9)
     ]
     monkeypatch.setattr(recording, "channels", [*recording.channels, *intruders])
     with pytest.raises(TelenanoError, match=r"afm/command has 10 publishers, .* and made_up_0@slave among them"):
-        delay_budget(recording, Timeline(recording), 0, 2**62)
+        delay_budget(recording, replace(session, start_ns=0, end_ns=2**62))
 
 
 def test_the_command_prints_and_writes_both_tables(

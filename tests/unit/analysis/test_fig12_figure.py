@@ -12,7 +12,7 @@ from matplotlib.text import Text
 
 from telenano.analysis.fig12 import SessionSeries, TipStates, draw_fig12, retracting
 from telenano.analysis.figure_style import FigureOptions
-from telenano.analysis.report import read_session
+from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 
 Series = npt.NDArray[np.float64]
@@ -124,7 +124,7 @@ def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_
 
 
 def test_the_recorded_demonstration_has_its_meniscus_at_2_4_nm_and_both_ways() -> None:
-    series = read_session(open_recordings([DEMO])).series()
+    series = Session.of(open_recordings([DEMO])).series()
     figure = draw_fig12(series, "title")
     path = figure.axes[2]
     found = arrows(figure.axes[2])

@@ -61,7 +61,7 @@ def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
         code, table, err = run("report", session, "--out", out)
         assert (code, err) == (1, f"telenano: {out}: cannot be written: {reason}\n")
         assert "scenario" in table
-    monkeypatch.setattr("telenano.analysis.report.write_files", no_space)
+    monkeypatch.setattr("telenano.analysis.report.whole_results", no_space)
     code, table, err = run("report", session, "--out", in_the_way.with_name("out"))
     assert code == 1 and "cannot be written: No space left on device" in err and "scenario" in table
     assert in_the_way.read_text() == "kept"

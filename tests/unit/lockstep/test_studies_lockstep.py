@@ -14,7 +14,7 @@ from telenano.extend.laws import NO_SIGNAL, HandSample
 from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep import lockstep
-from telenano.lockstep.link import schedule_of
+from telenano.lockstep.link import Schedule
 
 PERIOD_S = 1e-3
 FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))
@@ -113,7 +113,7 @@ def test_same_seed_same_course_other_seed_other_course() -> None:
 
 def test_silent_link_lets_the_hand_go_and_retracts_the_tip() -> None:
     settings = symmetric_link(0.0, 0.0, 0.0, 0)
-    schedule = schedule_of(settings, 1500, PERIOD_S)
+    schedule = Schedule.of(settings, 1500, PERIOD_S)
     cut = schedule.forward_ns < 800_000_000
     dead = schedule._replace(
         forward_ns=schedule.forward_ns[cut],
@@ -142,6 +142,6 @@ def test_energies_are_the_work_at_the_device_and_at_the_base() -> None:
 
 def test_session_needs_ticks() -> None:
     example = cell()
-    schedule = schedule_of(symmetric_link(0.0, 0.0, 0.0, 0), 10, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(0.0, 0.0, 0.0, 0), 10, PERIOD_S)
     with pytest.raises(ValueError, match="tick 10 of 10"):
         lockstep.simulate(rig_of(example, example.hand_points()), schedule, 10)

@@ -31,7 +31,7 @@ import numpy as np
 from scipy import special
 
 from telenano.link import Outage, Outages, parse_settings, profile_named, stream
-from telenano.lockstep import Schedule, schedule_of, simulate
+from telenano.lockstep import Schedule
 from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, rig_of, run_cell, settle_s, settle_ticks
 from telenano_studies.loops.network import CONTACT_N_PER_M
@@ -236,10 +236,10 @@ def _results(
                 rig = rig_of(cell, cell.hand_points())
                 settle = settle_ticks(cell, rig.period_s)
                 if schedule is None:
-                    schedule = schedule_of(settings, settle + round(end_s / rig.period_s), rig.period_s, folder)
+                    schedule = Schedule.of(settings, settle + round(end_s / rig.period_s), rig.period_s, folder)
                 yield (
                     (one.group, one.name, cell.law),
-                    run_cell(cell, functools.partial(simulate, rig, schedule, settle)),
+                    run_cell(cell, functools.partial(rig.run, schedule, settle)),
                 )
 
 

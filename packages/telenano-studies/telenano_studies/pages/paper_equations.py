@@ -13,7 +13,6 @@ from telenano import SimulatedSession, simulate
 from telenano.afm import (
     AfmConfig,
     MaugisDugdale,
-    TipSampleConfig,
     damping_at,
     felt_speed_m_per_s,
     meniscus_force,
@@ -52,14 +51,16 @@ def device_rows() -> list[Row]:
 def cantilever_rows() -> list[Row]:
     """Return mass and damping of the cantilever (Eq. 4), the Hamaker constant, and the meniscus both ways (Eq. 6)."""
     # a viscosity of 1 Pa s makes the coefficient visible; Table 2 has none
-    wet = AfmConfig(tip_sample=TipSampleConfig(liquid_viscosity_pa_s=1.0, sample_viscosity_pa_s=1.0)).to_dynamic()
+    wet = AfmConfig.model_validate(
+        {"tip_sample": {"liquid_viscosity_pa_s": 1.0, "sample_viscosity_pa_s": 1.0}}
+    ).to_dynamic()
     tip = AfmConfig().to_params().plant.tip
     width, a0 = tip.meniscus_width_m, tip.contact_distance_m
     forming = meniscus_force(width, tip.capillary_force_n, width, a0)[0]
     printed = printed_meniscus_force(a0, True, tip.capillary_force_n, width, a0, 4e-9)[0]
     return [
         # expected of silica, water and mica, with 4, 0.37 and 1.35e-19 J
-        Row("Hamaker constant across water", "Eq. 5", TipSampleConfig().hamaker_j * 1e20, 18.861, "1e-20 J"),
+        Row("Hamaker constant across water", "Eq. 5", AfmConfig().tip_sample.hamaker_j * 1e20, 18.861, "1e-20 J"),
         Row("effective mass m", "Eq. 4", wet.mass_kg * 1e12, 45.032, "ng"),
         Row("damping 2 m b in air", "Eq. 4", wet.damping_kg_per_s * 1e9, 424.41, "nN s/m"),
         Row("damping in the middle of the liquid layer, for 1 Pa s", "Eq. 4, E2",
