@@ -11,20 +11,12 @@ if TYPE_CHECKING:
     from telenano.hand.config import HapticConfig as HapticConfig
     from telenano.hand.config import LimitsConfig as LimitsConfig
     from telenano.hand.coupled import arm_step as arm_step
-    from telenano.hand.coupling import FAULTS as FAULTS
-    from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE
-    from telenano.hand.coupling import GATE_DEADMAN as GATE_DEADMAN
-    from telenano.hand.coupling import GATE_FROZEN as GATE_FROZEN
-    from telenano.hand.coupling import GATE_JUMP as GATE_JUMP
-    from telenano.hand.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
-    from telenano.hand.coupling import GATE_REST as GATE_REST
-    from telenano.hand.coupling import GATE_RUNAWAY as GATE_RUNAWAY
-    from telenano.hand.coupling import GATES as GATES
     from telenano.hand.coupling import STABLE_MARGIN as STABLE_MARGIN
     from telenano.hand.coupling import ZERO as ZERO
     from telenano.hand.coupling import CouplingReading as CouplingReading
     from telenano.hand.coupling import CouplingReference as CouplingReference
     from telenano.hand.coupling import CouplingSettings as CouplingSettings
+    from telenano.hand.coupling import Gate as Gate
     from telenano.hand.coupling import Vector as Vector
     from telenano.hand.coupling import coupling_at_start as coupling_at_start
     from telenano.hand.coupling import coupling_step as coupling_step

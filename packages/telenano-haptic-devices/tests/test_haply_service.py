@@ -24,7 +24,7 @@ from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import GATE_ACTIVE
+from telenano.hand import Gate
 
 # The coupling takes so much for silence.
 SILENCE_S = 0.05
@@ -222,7 +222,7 @@ def test_grip_buttons_come_at_50_hz_and_a_sleeping_grip_is_not_a_loss(tmp_path: 
     bench.run(0.5)
     pressed = [sample.taken_ns * 1e-9 - 1.0 for sample in bench.samples if sample.buttons == 0b010]
     assert 0.30 <= pressed[0] <= 0.33
-    assert bench.newest.gate == GATE_ACTIVE
+    assert bench.newest.gate == Gate.ACTIVE
     assert not bench.errors
 
 
