@@ -14,7 +14,7 @@ from telenano.recording.channel_filter import Selection
 from telenano.recording.indexed import open_indexed
 from telenano.recording.messages import RecordedChannel
 from telenano.recording.multi_file import RecordingSource
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.realtime import on_time, shallow_idle
 from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
 from telenano.settings.included import DEFAULT_SITE_FILE
@@ -63,7 +63,7 @@ def run_replay(
     """
     # By its index an hour plays at once. Messages that stand behind later ones are put in order by their times.
     recording = open_indexed(request.files)
-    book = load_site(request.site_file)
+    book = AddressBook.load(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
     plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes))

@@ -12,7 +12,7 @@ import zmq
 
 from telenano.console.lease import FREE_COMMANDS, MOST_LETTERS
 from telenano.console.lease_register import NAME_VARIABLE, Hold, acting
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher, publish_end
 from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
@@ -106,7 +106,7 @@ def arm_devices(
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
     """Arm hand and tip, as far as this site reaches them, and wait until the tip is placed; as `send_controls`."""
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     steps = [step for step in ARM if site == "master" or set(step.expected) <= set(addressed(book, "*", site))]
     return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
 
@@ -128,7 +128,7 @@ def send_control(
         ConfigError: No node is meant, or this site has no console.
         RigError, EndpointError, RefusedError: As of `send_controls`.
     """
-    meant = addressed(load_site(site_file), command.target, site)
+    meant = addressed(AddressBook.load(site_file), command.target, site)
     wanted = replace(command, expected=() if is_pattern(command.target) else tuple(meant))
     return send_controls([wanted], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, retry_ns=retry_ns, by=by)
 
@@ -178,7 +178,7 @@ def send_controls(
                 commands, site_file, site, on_answer, still, issued_ns=issued_ns, retry_ns=retry_ns, by=by
             )
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     try:
         console = console_of(book, site)
     except ConfigError as error:

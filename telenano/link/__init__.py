@@ -9,10 +9,6 @@ if TYPE_CHECKING:
     from telenano.link.config import Jitter as Jitter
     from telenano.link.config import LinkSettings as LinkSettings
     from telenano.link.config import Outage as Outage
-    from telenano.link.config import changed as changed
-    from telenano.link.config import flattened as flattened
-    from telenano.link.config import network_name as network_name
-    from telenano.link.config import parse_settings as parse_settings
     from telenano.link.engine import fates_of as fates_of
     from telenano.link.fate import Direction as Direction
     from telenano.link.fate import Fate as Fate

@@ -37,7 +37,7 @@ from telenano.analysis.interruptions import ModeReport, in_words, interruptions_
 from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.link.config import EVEN, LinkSettings, network_name
+from telenano.link.config import EVEN, LinkSettings
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule
 from telenano.lockstep.lockstep import Rig, Trajectory, time_to_place_s
@@ -374,7 +374,7 @@ def simulate_document(
     if steers is not None and (path is None or controller.lateral.mode != "rate"):
         text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
         raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
-    if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=network_name(link) in EVEN):
+    if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=link.network_name in EVEN):
         warnings.warn(text, stacklevel=3)
     course = rig.run(schedule, settle, hand, path, at_once=at_once)
     section = controller.law_config()
@@ -384,7 +384,7 @@ def simulate_document(
         parameters=section.model_dump(mode="json"),
         environment=afm.environment,
         round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
-        link_profile=network_name(link),
+        link_profile=link.network_name,
         link_seed=link.seed,
         instrument=instrument_name(loaded.scenario.instrument, loaded.scenario.afm_node),
     )

@@ -6,7 +6,6 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
-    from telenano.runtime.bus.address_book import load_site as load_site
     from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
     from telenano.runtime.bus.bus import Subscriber as Subscriber
     from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher

@@ -34,7 +34,6 @@ from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.devices import read_controller
 from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of
@@ -272,7 +271,7 @@ def test_calibration_of_the_document_is_valid(
     page = (Path(__file__).parents[1] / "README.md").read_text()
     (block,) = re.findall(rf"```yaml\n(schema: 1\ncontroller: {controller}\n.*?)```", page, re.DOTALL)
     (tmp_path / "controller.yaml").write_text(block)
-    found = read_controller(tmp_path / "controller.yaml", model)
+    found = model.from_file(tmp_path / "controller.yaml")
     assert found.check(PARAMS.safety) == []
 
 

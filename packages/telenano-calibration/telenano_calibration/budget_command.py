@@ -32,13 +32,13 @@ def budget(
 
         from telenano.analysis import Session
         from telenano.cli import results_in
-        from telenano.devices import read_handle_calibration, read_stage_calibration
+        from telenano.devices import HandleCalibration, InstrumentCalibration
         from telenano.recording import open_recordings
         from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 
         shares = scale_errors(
-            None if handle is None else read_handle_calibration(handle),
-            None if stage is None else read_stage_calibration(stage),
+            None if handle is None else HandleCalibration.from_file(handle),
+            None if stage is None else InstrumentCalibration.from_file(stage),
         )
         recording = open_recordings(recordings)
         session = Session.of(recording)

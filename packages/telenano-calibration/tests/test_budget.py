@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 
 from telenano.analysis.report import Session
 from telenano.cli.root import app
-from telenano.devices.afm.converter_calibration import read_stage_calibration
-from telenano.devices.hand.calibration import read_handle_calibration
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.hand.calibration import HandleCalibration
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.site_clock import Timeline
 from telenano.wire import TelenanoError
@@ -52,7 +52,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_the_sources_of_a_figure_are_those_of_its_formula(files: tuple[Path, Path]) -> None:
-    shares = scale_errors(read_handle_calibration(files[0]), read_stage_calibration(files[1]))
+    shares = scale_errors(HandleCalibration.from_file(files[0]), InstrumentCalibration.from_file(files[1]))
     assert list(shares.values()) == pytest.approx([0.01, 0.002, 0.04, 0.03])
     hold, release = figure_budgets(SUMMARY, shares)
     assert [part.standard for part in hold.sources] == pytest.approx([0.02 / 1.96, 0.0105, 0.042, 0.0315], rel=1e-4)
@@ -64,7 +64,7 @@ def test_the_sources_of_a_figure_are_those_of_its_formula(files: tuple[Path, Pat
 
 def test_what_states_no_error_is_left_out_by_name(files: tuple[Path, Path]) -> None:
     files[1].write_text(yaml.safe_dump({**STAGE, "cantilever": {"stiffness_n_per_m": 40.0}}))
-    _, release = figure_budgets(SUMMARY, scale_errors(None, read_stage_calibration(files[1])))
+    _, release = figure_budgets(SUMMARY, scale_errors(None, InstrumentCalibration.from_file(files[1])))
     assert [part.source for part in release.sources] == ["scatter in the session", "deflection for a volt"]
     assert release.without == ("stiffness of the cantilever",)
     assert [one.half_width for one in figure_budgets(SUMMARY, {})] == pytest.approx([0.02, 0.0])

@@ -15,7 +15,7 @@ from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
 
 from telenano.console import RigHand
-from telenano.runtime import Observer, load_site
+from telenano.runtime import AddressBook, Observer
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError
 from telenano.wire.errors import EndpointError
@@ -70,7 +70,7 @@ def connected(bus: ExperimentBus, page: RigHand) -> None:
 def test_a_cue_and_a_trial_are_told_and_the_cue_again_to_who_comes_later(bus: ExperimentBus) -> None:
     course = Course(np.array([0.0, 1.0]), np.array([1e-9, 2e-9]), "force")
     cue = bus.cue("trial", "Track", course=course, band=1e-10, remaining_s=60.0, done=1, total=6, questions=(CONSENT,))
-    with closing(Observer(load_site(DEFAULT_SITE_FILE), ["experiment/cue", "experiment/trial"])) as observer:
+    with closing(Observer(AddressBook.load(DEFAULT_SITE_FILE), ["experiment/cue", "experiment/trial"])) as observer:
         seen: dict[str, Any] = {}
 
         def both() -> bool:

@@ -103,7 +103,7 @@ class Told(Sweep):
 def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cells, "judge_holds", lambda *course: [])
+    monkeypatch.setattr(cells, "holds_of", lambda *course, **known: [])
     result = run_cell(cell("force", session_s=2.0))
     assert (result.verdict, result.outcome) == ("stable", "nothing_moved")
     assert result.reason == "the hand does not press, and the tip does not touch"

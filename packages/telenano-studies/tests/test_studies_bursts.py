@@ -21,7 +21,7 @@ from telenano_studies.loops.cells import (
 
 from telenano.extend.virtual_mass import FOLLOWED_M
 from telenano.laws.model_mediated import ModelMediatedConfig
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.lockstep.link import Schedule, schedule_from
 
 PERIOD_NS = 1_000_000
@@ -34,7 +34,7 @@ def held(law: str, stiffness: float, direction: dict[str, Any], hand: str = "for
     cell = Cell(
         law=law, environment="spring", hand=hand, round_trip_ms=20.0, stiffness_n_per_m=stiffness, jitter_ms=1e-3
     )
-    link = parse_settings({"seed": 1, "forward": {"delay_s": 0.01, **direction}, "backward": {"delay_s": 0.01}})
+    link = LinkSettings.of({"seed": 1, "forward": {"delay_s": 0.01, **direction}, "backward": {"delay_s": 0.01}})
     return judged(cell, course_of(cell, cell.hand_points(), cell.hold_s()[1], measured=(link, Path())))
 
 

@@ -12,7 +12,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
@@ -180,7 +180,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         os.environ[RIG_VARIABLE] = check_rig_name(given.rig)
     site_file = site_file_named(given.site_file) or DEFAULT_SITE_FILE
     scenario_file = find_scenario(str(given.scenario))
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     loaded = load_scenario(scenario_file, given.set)
     config = loaded.section(kind.name, kind.config)
     wanted = (

@@ -22,7 +22,7 @@ from telenano.launcher.rig_status import (
     stalled_inputs,
 )
 from telenano.launcher.rigs import RigFacts
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.observer import ObservedMessage, Observer
@@ -130,14 +130,14 @@ def run(monkeypatch: pytest.MonkeyPatch, *messages: Message, arguments: tuple[st
 
 
 def test_the_nodes_that_report_while_a_rig_runs() -> None:
-    nodes = list(load_site(DEFAULT_SITE_FILE).nodes)
+    nodes = list(AddressBook.load(DEFAULT_SITE_FILE).nodes)
     assert expected_nodes(nodes, nodes) == RIG
     assert "recorder@master" not in expected_nodes([node for node in nodes if node != "recorder@master"], nodes)
     assert expected_nodes([*nodes, "recorder@slave", "launcher@slave"], [*nodes, "recorder@slave"]) == RIG
 
 
 def test_what_a_machine_cannot_reach_is_not_expected_of_it() -> None:
-    nodes = load_site(DEFAULT_SITE_FILE).nodes
+    nodes = AddressBook.load(DEFAULT_SITE_FILE).nodes
     assert expected_nodes(nodes, ["delay_node@slave", "afm_node@slave"]) == ["afm_node@slave"]
     # the link brings the health of the slave's nodes to the master
     at_master = ["haptic_node@master", "delay_node@master"]

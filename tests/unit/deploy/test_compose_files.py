@@ -14,7 +14,7 @@ import yaml
 from makefile import makefile_words
 
 from telenano.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import TWO_SITES_FILE
 from telenano.settings.config import environment_overrides, validate
@@ -254,7 +254,7 @@ def test_every_service_has_limits_of_memory_and_processes_with_room_above_what_w
 
 @pytest.mark.parametrize(("path", "machine"), [(MASTER, "master"), (SLAVE, "slave")])
 def test_published_ports_are_those_of_the_site_file(path: Path, machine: str) -> None:
-    book = load_site(TWO_SITES_FILE)
+    book = AddressBook.load(TWO_SITES_FILE)
     published = {}
     for node, service in nodes(path).items():
         faces = ["delay_node@slave"] if node == "delay_node@master" else [node]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule
 from telenano.wire.errors import ConfigError
@@ -28,7 +28,7 @@ def test_constant_delay_is_what_the_engine_says() -> None:
     quick = Schedule.of(settings, 50, PERIOD_S)
     # a jitter of no width changes nothing but the path taken
     slow = {"delay_s": 0.5 * 33.3e-3, "jitter": {"scale_s": 0.0, "distribution": "uniform"}}
-    engine = Schedule.of(parse_settings({"forward": slow, "backward": slow}), 50, PERIOD_S)
+    engine = Schedule.of(LinkSettings.of({"forward": slow, "backward": slow}), 50, PERIOD_S)
     for name in ("forward_ns", "forward_of", "backward_ns", "backward_of"):
         assert (getattr(quick, name) == getattr(engine, name)).all()
 
@@ -40,7 +40,7 @@ def test_losses_over_a_constant_delay_are_what_the_engine_says(burst: float | No
     document = settings.model_dump(exclude_unset=True)
     for way in ("forward", "backward"):
         document[way]["jitter"] = {"scale_s": 0.0, "distribution": "uniform"}
-    engine = Schedule.of(parse_settings(document), 600, PERIOD_S)
+    engine = Schedule.of(LinkSettings.of(document), 600, PERIOD_S)
     assert 200 < len(quick.backward_ns) < 500
     for name in ("forward_ns", "forward_of", "backward_ns", "backward_of", "window"):
         assert np.array_equal(getattr(quick, name), getattr(engine, name))
@@ -86,7 +86,7 @@ def test_link_that_loses_all_has_no_arrivals() -> None:
 
 
 def test_corrupted_messages_are_refused_by_their_reader() -> None:
-    settings = parse_settings({"forward": {"corruption": {"probability": 0.5}}})
+    settings = LinkSettings.of({"forward": {"corruption": {"probability": 0.5}}})
     assert 300 < len(Schedule.of(settings, 1000, PERIOD_S).forward_ns) < 700
     assert link.FORWARD_TOPIC == "teleop/forward"
 
@@ -103,7 +103,7 @@ HELD = {"outage": {"mode": "hold", "schedule": [[0.05, 0.04]], "period_s": 0.1}}
 
 @pytest.mark.parametrize("settings", [SLOTS, HELD], ids=["slots", "held outage"])
 def test_what_the_link_lets_out_together_has_one_answer(settings: dict[str, Any]) -> None:
-    schedule = Schedule.of(parse_settings({"forward": settings}), 1000, PERIOD_S)
+    schedule = Schedule.of(LinkSettings.of({"forward": settings}), 1000, PERIOD_S)
     times_ns = schedule.forward_ns
     together = np.flatnonzero(np.diff(times_ns) == 0)
     assert len(together) > 200

@@ -13,7 +13,6 @@ from telenano.afm.safety import MODE_FOLLOW
 from telenano.extend.laws import NO_SIGNAL, HandSample
 from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.lockstep import lockstep
 from telenano.lockstep.link import Schedule
 
 PERIOD_S = 1e-3
@@ -122,7 +121,7 @@ def test_silent_link_lets_the_hand_go_and_retracts_the_tip() -> None:
         backward_of=schedule.backward_of[cut],
     )
     example = cell(environment="tip_sample")
-    course = lockstep.simulate(rig_of(example, example.hand_points()), dead, 300)
+    course = rig_of(example, example.hand_points()).run(dead, 300)
     assert course.hand_following[400]
     # 50 ms of silence, and the tick in which the hand learns of it
     assert not course.hand_following[553:].any()
@@ -144,4 +143,4 @@ def test_session_needs_ticks() -> None:
     example = cell()
     schedule = Schedule.of(symmetric_link(0.0, 0.0, 0.0, 0), 10, PERIOD_S)
     with pytest.raises(ValueError, match="tick 10 of 10"):
-        lockstep.simulate(rig_of(example, example.hand_points()), schedule, 10)
+        rig_of(example, example.hand_points()).run(schedule, 10)

@@ -13,7 +13,7 @@ from telenano.console import RigHand
 from telenano.hand import LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.lockstep import steering_force_n
-from telenano.runtime import OBSERVER, Participant, load_site, open_participant
+from telenano.runtime import OBSERVER, AddressBook, Participant, open_participant
 from telenano.wire import LINK, HapticState, RigError, TeleopBackward
 from telenano_experiments.nodes import HAND
 from telenano_experiments.operators import PRESSES
@@ -33,7 +33,7 @@ class PageHand:
     """
 
     def __init__(self, site_file: Path) -> None:
-        self._hand, self._book = RigHand(site_file), load_site(site_file)
+        self._hand, self._book = RigHand(site_file), AddressBook.load(site_file)
 
     def close(self) -> None:
         """Give the place up."""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from telenano.afm import AfmConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings, flattened
+from telenano.link import LinkSettings
 from telenano.settings import flatten, scenario_of
 from telenano.timing import DELAY_STEP_NS
 from telenano.wire import Scalar
@@ -49,8 +49,8 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
     """
     law = flatten(section_of(document, "controller", ControllerConfig).model_dump(mode="json"))
     section = document.get("delay_node", {})
-    link = flattened(
-        section_of({**document, "delay_node": {"seed": seed, **section}}, "delay_node", LinkSettings), only_set=True
+    link = section_of({**document, "delay_node": {"seed": seed, **section}}, "delay_node", LinkSettings).flattened(
+        only_set=True
     )
     hand = document.get("haptic_node", {})
     operator = hand.get("operator", {})

@@ -15,7 +15,6 @@ from telenano_studies.loops.sweep import Kind
 
 from telenano.afm import MODE_FOLLOW, MODE_HOLD
 from telenano.hand import HapticConfig
-from telenano.link import network_name
 from telenano.lockstep import Rig, Schedule, Series, Trajectory
 from telenano.settings import validate
 from telenano.wire import RigError
@@ -228,7 +227,7 @@ def _check(run: Run) -> None:
 
 
 def _doubts(run: Run) -> str:
-    even = network_name(run.link) in _EVEN
+    even = run.link.network_name in _EVEN
     return run.cell.controller().stiffness_doubts(run.cell.felt_stiffness_n_per_m, even=even)
 
 

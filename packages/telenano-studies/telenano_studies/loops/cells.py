@@ -21,7 +21,7 @@ from telenano.afm import MODE_FOLLOW, MODE_HOLD, SAMPLES, AfmConfig, noisy_param
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
 from telenano.hand import ARMS, HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
-from telenano.link import LinkSettings, parse_settings
+from telenano.link import LinkSettings
 from telenano.lockstep import Rig, Schedule, Series, Trajectory, holds_of, time_to_place_s
 from telenano.numerics import source_digest
 from telenano.settings import Option, Settings, merge, nested, validate
@@ -398,7 +398,7 @@ def _schedule(
 @functools.lru_cache(maxsize=16)
 def _network_schedule(network: str, seed: int, ticks: int, period_s: float, *, play_out: bool) -> Schedule:
     """Return the arrivals over a named network, with the draws of a seed."""
-    return Schedule.of(parse_settings({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
+    return Schedule.of(LinkSettings.of({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:

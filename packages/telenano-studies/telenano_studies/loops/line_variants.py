@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from telenano.link import Outage, Outages, parse_settings, profile_named, stream
+from telenano.link import LinkSettings, Outage, Outages, profile_named, stream
 from telenano.lockstep import Schedule
 from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, rig_of, run_cell, settle_s, settle_ticks
@@ -230,7 +230,7 @@ def _results(
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         for one in variants(half_of(profile.link), period_s, seed, settle_s(cells[0]) + end_s + 1.0, folder):
-            settings = parse_settings({"seed": seed, "forward": one.forward, "backward": one.backward})
+            settings = LinkSettings.of({"seed": seed, "forward": one.forward, "backward": one.backward})
             schedule: Schedule | None = None
             for cell in cells:
                 rig = rig_of(cell, cell.hand_points())

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from telenano.link import LinkSettings, parse_settings
+from telenano.link import LinkSettings
 from telenano.lockstep import Schedule
 
 Times = npt.NDArray[np.int64]
@@ -76,4 +76,4 @@ def symmetric_link(
         ConfigError: A value is out of range; the message names its key.
     """
     direction = direction_of(0.5 * round_trip_s, jitter_s, loss, burst)
-    return parse_settings({"seed": seed, "forward": direction, "backward": direction})
+    return LinkSettings.of({"seed": seed, "forward": direction, "backward": direction})
