@@ -29,7 +29,7 @@ from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.loop.realtime import behind_others
 from telenano.runtime.wiring.main import EXIT_DIED
 from telenano.runtime.wiring.observer import runs_no_node
-from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.serving.access import Access
 from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Listener
@@ -181,6 +181,6 @@ def _serve_rig(site_file: Path, page: Served) -> None:
     book = AddressBook.load(site_file)
     # A machine that may only observe has no other key, and a page on no network needs none.
     is_public = PAGE in book.nodes and book.network_endpoint(PAGE) is not None
-    with open_participant(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
+    with Participant.open(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
         node, bus = page_of_rig(participant, site_file, page.bound, page.access, page.tls)
-        run_loop(node, bus, page.signals, freeze=False)
+        page.signals.run(node, bus, freeze=False)

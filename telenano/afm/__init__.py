@@ -8,25 +8,17 @@ if TYPE_CHECKING:
     from telenano.afm.cantilever import deflection_m as deflection_m
     from telenano.afm.cantilever import equilibrium as equilibrium
     from telenano.afm.cantilever import initial_state as initial_state
-    from telenano.afm.cantilever import volts_per_m as volts_per_m
     from telenano.afm.config import DRIVERS as DRIVERS
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
-    from telenano.afm.contact.capillary import meniscus_force as meniscus_force
-    from telenano.afm.contact.capillary import meniscus_radius_m as meniscus_radius_m
     from telenano.afm.contact.capillary import printed_meniscus_force as printed_meniscus_force
-    from telenano.afm.contact.contact_table import table_force as table_force
     from telenano.afm.contact.lennard_jones import contact_distance_m as contact_distance_m
-    from telenano.afm.contact.lennard_jones import lennard_jones_force as lennard_jones_force
-    from telenano.afm.contact.lennard_jones import minimum_distance_m as minimum_distance_m
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import indentation_m as indentation_m
-    from telenano.afm.contact.maugis_dugdale import maugis_dugdale as maugis_dugdale
     from telenano.afm.contact.maugis_dugdale import pull_off as pull_off
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
-    from telenano.afm.contact.tip_sample import branch_force as branch_force
     from telenano.afm.disturbed import noisy_params as noisy_params
     from telenano.afm.dynamic import NO_NOISE as NO_NOISE
     from telenano.afm.dynamic import advance as advance
@@ -54,7 +46,6 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.sample.surface import Surface as Surface
-    from telenano.afm.sample.surface import dilated as dilated
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface

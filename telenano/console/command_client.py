@@ -18,7 +18,7 @@ from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 from telenano.runtime.wiring.observer import RIG_HINT, require_rig
-from telenano.runtime.wiring.participant import Participant, open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.messages import Message, NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
@@ -185,7 +185,7 @@ def send_controls(
         raise ConfigError(f"{site_file}: {error}") from error
     require_rig(book, site_file)
     answers: dict[str, SessionEvent] = {}
-    with open_participant(console, book) as participant:
+    with Participant.open(console, book) as participant:
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
         wanted = [replace(command, by=by) for command in commands]

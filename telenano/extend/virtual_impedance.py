@@ -10,7 +10,7 @@ the loop gain (K_f + 1) alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s + K_v), and
 from typing import NamedTuple
 
 from telenano.extend import pass_through
-from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
 from telenano.numerics.compiler import compiled
@@ -130,4 +130,4 @@ def rest_force(params: VirtualImpedanceParams, force_n: float) -> float:
     return gain / (1.0 + gain) * force_n if abs(params.impedance.phi_xx - 1.0) < 1e-12 else float("nan")
 
 
-VIRTUAL_IMPEDANCE = law_of(__name__, VirtualImpedanceConfig, slave=pass_through)
+VIRTUAL_IMPEDANCE = Law.of(__name__, VirtualImpedanceConfig, slave=pass_through)

@@ -7,7 +7,6 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.hand.config import DRIVERS as DRIVERS
     from telenano.hand.config import SIMULATED_IMPEDANCE as SIMULATED_IMPEDANCE
-    from telenano.hand.config import DeviceConfig as DeviceConfig
     from telenano.hand.config import HapticConfig as HapticConfig
     from telenano.hand.config import LimitsConfig as LimitsConfig
     from telenano.hand.coupled import arm_step as arm_step
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.motor import MotorState as MotorState
-    from telenano.hand.motor import closed_loop_coefficients as closed_loop_coefficients
     from telenano.hand.operator_config import ARMS as ARMS
     from telenano.hand.operator_models import operator_at_rest as operator_at_rest
     from telenano.hand.operator_models import operator_step as operator_step

@@ -41,11 +41,11 @@ from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
 )
@@ -477,7 +477,7 @@ def sample_drift(params: ModelMediatedParams, state: MasterState) -> tuple[float
     return state.drift.speed * NANO, error_of(state.drift) * NANO
 
 
-MODEL_MEDIATED = law_of(
+MODEL_MEDIATED = Law.of(
     __name__,
     ModelMediatedConfig,
     uses_energy=True,

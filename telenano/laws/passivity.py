@@ -70,11 +70,11 @@ from typing import NamedTuple
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
@@ -550,6 +550,6 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = law_of(
+PASSIVITY = Law.of(
     __name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True, rest_force=the_hands_force
 )

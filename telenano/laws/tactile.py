@@ -21,11 +21,11 @@ from pydantic import Field
 
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     tip_signal,
 )
@@ -193,4 +193,4 @@ def retune(old: TactileParams, new: TactileParams, state: MasterState) -> Master
     return state
 
 
-TACTILE = law_of(__name__, TactileConfig, link_loop=False, must_know=("cantilever_stiffness_n_per_m",))
+TACTILE = Law.of(__name__, TactileConfig, link_loop=False, must_know=("cantilever_stiffness_n_per_m",))

@@ -52,11 +52,11 @@ from telenano.extend.laws import (
     MOST_PERIODS_A_STEP,
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
@@ -494,7 +494,7 @@ def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
-WAVE = law_of(
+WAVE = Law.of(
     __name__,
     WaveConfig,
     uses_waves=True,

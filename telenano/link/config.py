@@ -7,7 +7,7 @@ inherits the others from its direction, so relations between keys are checked on
 
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -52,6 +52,11 @@ def _pairs(value: object) -> object:
 
 class Jitter(Settings):
     """Random part of the delay: scale_s times a standardised random number."""
+
+    # What lasts in time is drawn this number of times in its correlation time.
+    DRAWS_IN_CORRELATION_TIME: ClassVar[int] = 8
+    # A pause of more draws than these is jumped over.
+    LONGEST_WALK: ClassVar[int] = 10_000
 
     scale_s: Seconds = Field(
         default=0.0,

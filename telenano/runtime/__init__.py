@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from telenano.runtime.wiring.participant import LinkEnds as LinkEnds
     from telenano.runtime.wiring.participant import Participant as Participant
     from telenano.runtime.wiring.participant import StopSignals as StopSignals
-    from telenano.runtime.wiring.participant import open_participant as open_participant
-    from telenano.runtime.wiring.participant import run_loop as run_loop
     from telenano.runtime.wiring.transport import Transport as Transport
 else:
     __getattr__, __dir__ = face(__name__)

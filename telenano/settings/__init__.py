@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from telenano.settings.config import section_of as section_of
     from telenano.settings.config import validate as validate
     from telenano.settings.device_drivers import DeviceDriver as DeviceDriver
-    from telenano.settings.device_drivers import haptic_driver as haptic_driver
     from telenano.settings.file_readers import FileReader as FileReader
     from telenano.settings.file_readers import read_by_package as read_by_package
     from telenano.settings.included import DEFAULT_SITE_FILE as DEFAULT_SITE_FILE

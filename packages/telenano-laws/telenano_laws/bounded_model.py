@@ -28,11 +28,11 @@ from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
@@ -671,7 +671,7 @@ def sample_drift(params: BoundedModelParams, state: MasterState) -> tuple[float,
     return scale * state.seen.drift.speed, scale * error_of(state.seen.drift)
 
 
-BOUNDED_MODEL = law_of(
+BOUNDED_MODEL = Law.of(
     __name__,
     BoundedModelConfig,
     uses_energy=True,

@@ -20,11 +20,11 @@ from typing import NamedTuple
 
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
 )
@@ -204,4 +204,4 @@ def retune(old: FourChannelParams, new: FourChannelParams, state: MasterState) -
     return MasterState(rescaled(old.mass, new.mass, state.mass))
 
 
-FOUR_CHANNEL = law_of(__name__, FourChannelConfig, local_loop=True, rest_force=the_hands_force)
+FOUR_CHANNEL = Law.of(__name__, FourChannelConfig, local_loop=True, rest_force=the_hands_force)

@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
@@ -267,7 +267,7 @@ def slave_retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state
     return SlaveState(state.position_m, _longer_turn(state.turn, longer))
 
 
-FRACTAL_IMPEDANCE = law_of(
+FRACTAL_IMPEDANCE = Law.of(
     __name__,
     FractalImpedanceConfig,
     local_loop=True,

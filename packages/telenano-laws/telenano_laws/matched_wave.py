@@ -28,11 +28,11 @@ from typing import NamedTuple
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
@@ -406,7 +406,7 @@ def slave_energy_account(params: MatchedWaveParams, state: SlaveState) -> Energy
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, 0.0)
 
 
-MATCHED_WAVE = law_of(
+MATCHED_WAVE = Law.of(
     __name__,
     MatchedWaveConfig,
     uses_waves=True,

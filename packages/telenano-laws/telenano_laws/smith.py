@@ -30,7 +30,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from telenano.extend import pass_through
-from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
+from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, ImpedanceConfig, VirtualImpedanceParams
 from telenano.extend.virtual_impedance import MasterState as ImpedanceState
@@ -242,4 +242,4 @@ def rest_force(params: SmithParams, force_n: float) -> float:
     return float(VIRTUAL_IMPEDANCE.rest_force(params.impedance, force_n))
 
 
-SMITH = law_of(__name__, SmithConfig, slave=pass_through)
+SMITH = Law.of(__name__, SmithConfig, slave=pass_through)

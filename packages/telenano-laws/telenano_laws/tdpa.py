@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
@@ -315,4 +315,4 @@ def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount
     return account_of(state.store)
 
 
-TDPA = law_of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)
+TDPA = Law.of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

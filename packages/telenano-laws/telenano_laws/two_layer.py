@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     the_hands_force,
 )
 from telenano.extend.ranges import parameter
@@ -182,4 +182,4 @@ def slave_receive(
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
-TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)
+TWO_LAYER = Law.of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

@@ -22,11 +22,11 @@ import numpy.typing as npt
 
 from telenano.afm import (
     AfmConfig,
+    MaugisDugdale,
     cohesive_stress_pa,
     contact_distance_m,
     force_n,
     indentation_m,
-    maugis_dugdale,
     pull_off,
     reduced_modulus_pa,
 )
@@ -222,7 +222,7 @@ def _model(config: AfmConfig, reduced_modulus: float | None) -> _Model:
 
 
 def _contact(model: _Model, radius_m: float, work: float) -> Any:
-    return maugis_dugdale(radius_m, work, model.modulus_pa, cohesive_stress_pa(work, model.contact_distance_m))
+    return MaugisDugdale.of(radius_m, work, model.modulus_pa, cohesive_stress_pa(work, model.contact_distance_m))
 
 
 class _Part(NamedTuple):

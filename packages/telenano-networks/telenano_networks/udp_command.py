@@ -66,7 +66,7 @@ def udp(
     with report_errors(as_json):
         from telenano.console import parse_parameters
         from telenano.link import LinkSettings
-        from telenano.runtime import AddressBook, StopSignals, StructuredLog, apply_realtime, open_participant, run_loop
+        from telenano.runtime import AddressBook, Participant, StopSignals, StructuredLog, apply_realtime
         from telenano.settings import RealtimeConfig, nested
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
@@ -78,7 +78,7 @@ def udp(
         # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
         realtime = apply_realtime(RealtimeConfig(), StructuredLog(_KEY), _KEY)
         with contextlib.ExitStack() as stack:
-            participant = stack.enter_context(open_participant(_KEY, book, signals.descriptor))
+            participant = stack.enter_context(Participant.open(_KEY, book, signals.descriptor))
             try:
                 outlets = participant.bind("delay_node@slave"), participant.bind(_KEY)
             except TelenanoError as error:
@@ -100,7 +100,7 @@ def udp(
                 "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
                 err=as_json,
             )
-            run_loop(link, bus, signals, realtime, guarded=True)
+            signals.run(link, bus, realtime, guarded=True)
             document = {
                 **link.summary(),
                 "clients_refused": ports.refused,

@@ -25,13 +25,7 @@ from telenano.runtime.loop.realtime import (
     use_huge_pages,
 )
 from telenano.runtime.security.private_files import check_rig_name
-from telenano.runtime.wiring.participant import (
-    SITES,
-    Participant,
-    StopSignals,
-    open_participant,
-    run_loop,
-)
+from telenano.runtime.wiring.participant import SITES, Participant, StopSignals
 from telenano.settings.included import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from telenano.settings.plugins import fault_of_package
 from telenano.settings.scenario import RealtimeConfig, load_scenario
@@ -193,7 +187,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     raise_file_limit()
-    with open_participant(key, book, signals.descriptor) as participant:
+    with Participant.open(key, book, signals.descriptor) as participant:
         values = {**vars(participant), "period_s": loaded.scenario.period_s}
         wiring = Wiring(**values, site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
@@ -201,5 +195,5 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
-        run_loop(node, bus, signals, status, freeze=not kind.observer, guarded=kind.realtime)
+        signals.run(node, bus, status, freeze=not kind.observer, guarded=kind.realtime)
     log.info("stopped")

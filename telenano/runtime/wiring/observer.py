@@ -14,7 +14,7 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.local_endpoint import local_endpoint
-from telenano.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.runtime.wiring.participant import OBSERVER, Participant
 from telenano.settings.package_topics import installed_topics, problem_with, row_of
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RigError, probably_meant
@@ -66,7 +66,7 @@ class Observer:
         """
         self.notices: list[ConnectionEvent] = []
         self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        participant = self._open.enter_context(Participant.open(OBSERVER, book, publisher=False))
         self._network = participant.network
         self.subscribers = participant.observe(lambda topic, node: wanted is None or topic in wanted, shared=shared)
         self._poller = zmq.Poller()

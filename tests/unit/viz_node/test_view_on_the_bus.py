@@ -22,7 +22,7 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import Command
 from telenano.runtime.wiring.observer import Observer
-from telenano.runtime.wiring.participant import open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.serving.access import Role
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.codec import fields_of
@@ -41,7 +41,7 @@ def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def instrument() -> Iterator[ZmqPublisher]:
-    with open_participant(TIP, AddressBook.load(DEFAULT_SITE_FILE)) as participant:
+    with Participant.open(TIP, AddressBook.load(DEFAULT_SITE_FILE)) as participant:
         yield participant.bind(TIP)
 
 

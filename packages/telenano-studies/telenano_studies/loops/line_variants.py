@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from telenano.link import LinkSettings, Outage, Outages, profile_named, stream
+from telenano.link import LinkSettings, Outages, profile_named, stream
 from telenano.lockstep import Schedule
 from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, rig_of, run_cell, settle_s, settle_ticks
@@ -134,7 +134,8 @@ def _time_of_neighbours_s(jitter: Way, period_s: float) -> float:
 
 def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]:
     """Return the stalls of both ways together, (begin, length) [s], as the link's model of outages draws them."""
-    settings = Outage.model_validate({**outage, "mean_up_s": 0.5 * outage["mean_up_s"]})
+    forward = {"outage": {**outage, "mean_up_s": 0.5 * outage["mean_up_s"]}}
+    settings = LinkSettings.of({"forward": forward}).forward.outage
     model = Outages(settings, 0, stream(seed, "both ways", "outage"))
     stalls, end_ns = [], 0
     while end_ns < 1e9 * length_s:

@@ -15,11 +15,10 @@ from telenano.afm import (
     MaugisDugdale,
     damping_at,
     felt_speed_m_per_s,
-    meniscus_force,
     printed_meniscus_force,
     pull_off,
 )
-from telenano.hand import DeviceConfig
+from telenano.hand import HapticConfig
 from telenano.laws import LAWS, impedance_scaled
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
@@ -37,8 +36,8 @@ class Row(NamedTuple):
 
 def device_rows() -> list[Row]:
     """Return poles and bandwidth of the haptic device (Eq. 1-2)."""
-    printed = DeviceConfig(preset="paper_gain").to_params()
-    ours = DeviceConfig().to_params()
+    printed = HapticConfig.model_validate({"device": {"preset": "paper_gain"}}).device.to_params()
+    ours = HapticConfig().device.to_params()
     slow, fast = (pole.real for pole in closed_loop_poles(printed))
     return [
         Row("slower pole with the printed G = 10 000", "Eq. 1-2, E1", slow, -8.281, "rad/s"),
@@ -56,7 +55,7 @@ def cantilever_rows() -> list[Row]:
     ).to_dynamic()
     tip = AfmConfig().to_params().plant.tip
     width, a0 = tip.meniscus_width_m, tip.contact_distance_m
-    forming = meniscus_force(width, tip.capillary_force_n, width, a0)[0]
+    forming = tip.bridge(width)[0]
     printed = printed_meniscus_force(a0, True, tip.capillary_force_n, width, a0, 4e-9)[0]
     return [
         # expected of silica, water and mica, with 4, 0.37 and 1.35e-19 J
@@ -85,7 +84,7 @@ def contact_rows() -> list[Row]:
 
 def _servo_gain(frequency_hz: float) -> float:
     """Return |M| of the haptic device at a frequency (Eq. 2), from its poles."""
-    slow, fast = closed_loop_poles(DeviceConfig().to_params())
+    slow, fast = closed_loop_poles(HapticConfig().device.to_params())
     s = 2j * math.pi * frequency_hz
     return abs(slow * fast / ((s - slow) * (s - fast)))
 
