@@ -204,14 +204,11 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
         ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
         RigError: No rig of the site file runs.
     """
-    from telenano.runtime.bus.address_book import AddressBook
-    from telenano.runtime.wiring.observer import Observer, require_rig
+    from telenano.runtime.wiring.observer import Observer
     from telenano.settings.included import DEFAULT_SITE_FILE
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
-    book = AddressBook.load(path)
-    require_rig(book, path)
-    with closing(Observer(book)) as observer:
+    with closing(Observer.of_rig(path)) as observer:
         yield LiveRig(observer)
 
 

@@ -45,7 +45,7 @@ def run_record(
     The process has no endpoint: it sends nothing, and no site file lists it. `observe` is called at each flush.
     """
     book, signals = AddressBook.load(site_file), StopSignals()
-    with Participant.open(OBSERVER, book, signals.descriptor, publisher=False) as participant:
+    with Participant.observing(book, signals.descriptor) as participant:
         clock = participant.clock
         listeners = connect(
             participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)), unknown=True

@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.afm.cantilever import deflection_m as deflection_m
-    from telenano.afm.cantilever import equilibrium as equilibrium
-    from telenano.afm.cantilever import initial_state as initial_state
     from telenano.afm.config import DRIVERS as DRIVERS
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
@@ -16,8 +13,6 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
-    from telenano.afm.contact.maugis_dugdale import indentation_m as indentation_m
-    from telenano.afm.contact.maugis_dugdale import pull_off as pull_off
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.disturbed import noisy_params as noisy_params
     from telenano.afm.dynamic import NO_NOISE as NO_NOISE

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from telenano.files.limited_child import Limits as Limits
     from telenano.files.limited_child import read_in_child as read_in_child
     from telenano.files.regular_files import is_own as is_own
-    from telenano.files.regular_files import is_own_path as is_own_path
     from telenano.files.regular_files import open_regular as open_regular
     from telenano.files.regular_files import read_regular as read_regular
     from telenano.files.text_tables import Column as Column

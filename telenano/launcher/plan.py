@@ -32,7 +32,7 @@ from telenano.settings.included import (
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.option import Option
-from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
+from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
 from telenano.wire.errors import ConfigError, RigError, known_names
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.nodes import (
@@ -381,7 +381,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         # Both halves refuse a law that is asked for later by the same words as a plan does.
         flags["controller"] = {"refused_laws": refused}
     document = merge(document, flags)
-    return scenario_of(document, origin)
+    return LoadedScenario.of(document, origin)
 
 
 def refused_laws(driver: str) -> dict[str, str]:

@@ -46,7 +46,7 @@ from telenano.recording.column_table import ColumnTable
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
 from telenano.settings.named_instruments import IDEAL
-from telenano.settings.scenario import scenario_of
+from telenano.settings.scenario import LoadedScenario
 from telenano.wire.errors import ConfigError
 
 _COLUMNS = {
@@ -344,7 +344,7 @@ def simulate_document(
     """
     from telenano.analysis.report import planned_holds
 
-    loaded = scenario_of(document, origin)
+    loaded = LoadedScenario.of(document, origin)
     controller = loaded.section("controller", ControllerConfig)
     haptic = loaded.section("haptic_node", HapticConfig)
     afm = loaded.section("afm_node", AfmConfig)

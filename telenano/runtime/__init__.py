@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from telenano.runtime.wiring.observer import RIG_HINT as RIG_HINT
     from telenano.runtime.wiring.observer import Observer as Observer
     from telenano.runtime.wiring.observer import known_name as known_name
-    from telenano.runtime.wiring.observer import require_rig as require_rig
-    from telenano.runtime.wiring.participant import OBSERVER as OBSERVER
     from telenano.runtime.wiring.participant import LinkEnds as LinkEnds
     from telenano.runtime.wiring.participant import Participant as Participant
     from telenano.runtime.wiring.participant import StopSignals as StopSignals

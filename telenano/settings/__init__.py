@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from telenano.settings.plugins import all_installed as all_installed
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import load as load
+    from telenano.settings.scenario import LoadedScenario as LoadedScenario
     from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
-    from telenano.settings.scenario import load_scenario as load_scenario
-    from telenano.settings.scenario import scenario_of as scenario_of
 else:
     __getattr__, __dir__ = face(__name__)

@@ -20,16 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import (
-    AfmConfig,
-    MaugisDugdale,
-    cohesive_stress_pa,
-    contact_distance_m,
-    force_n,
-    indentation_m,
-    pull_off,
-    reduced_modulus_pa,
-)
+from telenano.afm import AfmConfig, MaugisDugdale, cohesive_stress_pa, contact_distance_m, force_n, reduced_modulus_pa
 from telenano.numerics import compiled, compiled_form
 from telenano.wire import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
@@ -267,8 +258,8 @@ def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float)
     radius, work = math.exp(free[0]), math.exp(free[1])
     contact = _contact(model, radius, work)
     dry_n = max(load_n - model.capillary_n_per_m * radius, 0.0)
-    deepest = indentation_m(contact, 1.2 * dry_n + 0.1 * contact.force_unit_n)
-    _, first = pull_off(contact)
+    deepest = contact.indentation_m(1.2 * dry_n + 0.1 * contact.force_unit_n)
+    _, first = contact.pull_off()
     # fine where the contact ends
     depths = first + (deepest - first) * np.linspace(0.0, 1.0, _GRID) ** 2
     forces = np.empty(_GRID)

@@ -69,6 +69,14 @@ class MaugisDugdale(NamedTuple):
             radius_unit_m=(math.pi * w * R**2 / K) ** (1.0 / 3.0),
         )
 
+    def pull_off(self) -> tuple[float, float]:
+        """Return the most attractive force [N] and its indentation [m], as the function of this module."""
+        return pull_off(self)
+
+    def indentation_m(self, force_n: float) -> float:
+        """Return the indentation [m] at a force [N], as the function of this module."""
+        return indentation_m(self, force_n)
+
 
 class Contact(NamedTuple):
     """One point of the contact branch, nondimensional; the slopes are d/ds divided by cos s, finite on (0, pi/2]."""

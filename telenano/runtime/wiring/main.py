@@ -28,7 +28,7 @@ from telenano.runtime.security.private_files import check_rig_name
 from telenano.runtime.wiring.participant import SITES, Participant, StopSignals
 from telenano.settings.included import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from telenano.settings.plugins import fault_of_package
-from telenano.settings.scenario import RealtimeConfig, load_scenario
+from telenano.settings.scenario import LoadedScenario, RealtimeConfig
 from telenano.signals.children import die_with_parent
 from telenano.wire.errors import TelenanoError
 from telenano.wire.nodes import module_of, sites_of
@@ -175,7 +175,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     site_file = site_file_named(given.site_file) or DEFAULT_SITE_FILE
     scenario_file = find_scenario(str(given.scenario))
     book = AddressBook.load(site_file)
-    loaded = load_scenario(scenario_file, given.set)
+    loaded = LoadedScenario.load(scenario_file, given.set)
     config = loaded.section(kind.name, kind.config)
     wanted = (
         loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")

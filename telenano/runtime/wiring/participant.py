@@ -190,6 +190,13 @@ class Participant:
                 resources=resources,
             )
 
+    @classmethod
+    def observing(
+        cls, book: AddressBook, wake_descriptor: int = -1
+    ) -> contextlib.AbstractContextManager["Participant"]:
+        """Open a part that only listens, or publishes what it binds itself, on any machine of a rig."""
+        return cls.open(OBSERVER, book, wake_descriptor, publisher=False)
+
 
 def _machine_of(book: AddressBook, key: str) -> str:
     try:

@@ -18,7 +18,7 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import TWO_SITES_FILE
 from telenano.settings.config import environment_overrides, validate
-from telenano.settings.scenario import RealtimeConfig, Scenario, load_scenario
+from telenano.settings.scenario import LoadedScenario, RealtimeConfig, Scenario
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import PAGE, START_ORDER, site_of
 
@@ -365,7 +365,7 @@ def test_scenario_in_force_is_one_file_and_the_environment_is_spent(
     assert command[1:3] == ["-m", "services.controller"]
     assert command[-2:] == ["--site", "slave"]
     assert [name for name in os.environ if name.startswith("TELENANO__")] == []
-    loaded = load_scenario(Path(command[command.index("--scenario") + 1])).scenario
+    loaded = LoadedScenario.load(Path(command[command.index("--scenario") + 1])).scenario
     assert loaded.controller == {"law": "wave"}
     assert loaded.duration_s == 2.5
     assert loaded.delay_node == {"trace": {"file": str(tmp_path / "t.csv")}}

@@ -96,7 +96,7 @@ def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: Addres
     with pytest.raises(EndpointError, match="afm_node@slave is not in the site file"), \
             Participant.open("afm_node@slave", book):  # fmt: skip
         pass
-    with Participant.open(OBSERVER, book, publisher=False) as observer:
+    with Participant.observing(book) as observer:
         readers = observer.observe(lambda topic, node: topic == "haptic/state" and node.endswith("@master"))
         assert {node: reader.topics for node, reader in readers.items()} == {HAND: ["haptic/state"]}
         assert observer.observe(lambda topic, node: True, ["slave"]) == {}
@@ -190,7 +190,7 @@ def refusal_of(book: AddressBook, *, publisher: bool) -> str:
 
 
 def test_the_folder_of_sockets_is_made_for_this_user_alone(folder: Path, private_book: AddressBook) -> None:
-    with Participant.open(OBSERVER, private_book, publisher=False):
+    with Participant.observing(private_book):
         assert not folder.exists()
     before = os.umask(0)
     try:

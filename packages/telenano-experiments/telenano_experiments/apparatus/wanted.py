@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from telenano.afm import AfmConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
-from telenano.settings import flatten, scenario_of
+from telenano.settings import LoadedScenario, flatten
 from telenano.timing import DELAY_STEP_NS
 from telenano.wire import Scalar
 from telenano_experiments.plan import changes_while_running
@@ -28,7 +28,7 @@ class Wanted(NamedTuple):
 
 def section_of(document: Mapping[str, Any], name: str, model: Any) -> Any:
     """Return a section of a scenario as its model."""
-    loaded = scenario_of(document, "a trial")
+    loaded = LoadedScenario.of(document, "a trial")
     return loaded.section(name, model)
 
 

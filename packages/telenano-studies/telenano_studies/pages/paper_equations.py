@@ -10,14 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from telenano import SimulatedSession, simulate
-from telenano.afm import (
-    AfmConfig,
-    MaugisDugdale,
-    damping_at,
-    felt_speed_m_per_s,
-    printed_meniscus_force,
-    pull_off,
-)
+from telenano.afm import AfmConfig, MaugisDugdale, damping_at, felt_speed_m_per_s, printed_meniscus_force
 from telenano.hand import HapticConfig
 from telenano.laws import LAWS, impedance_scaled
 from telenano_studies.loops.theory import critical_delay_s, loop_model
@@ -77,7 +70,7 @@ def contact_rows() -> list[Row]:
     published = ((0.1, -1.9506), (0.5, -1.7182), (1.0, -1.6007), (5.0, -1.5063))
     return [
         Row(f"pull-off for lambda = {value:g}, in pi omega R", "Eq. 7-11, E6",
-            pull_off(MaugisDugdale(value, 1.0, 1.0, 1.0))[0], expected, "")
+            MaugisDugdale(value, 1.0, 1.0, 1.0).pull_off()[0], expected, "")
         for value, expected in published
     ]  # fmt: skip
 

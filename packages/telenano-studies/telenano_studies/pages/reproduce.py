@@ -11,7 +11,7 @@ from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
-from telenano.afm import AfmConfig, cohesive_stress_pa, pull_off, reduced_modulus_pa
+from telenano.afm import AfmConfig, cohesive_stress_pa, reduced_modulus_pa
 from telenano.files import atomic_file
 from telenano.settings import instrument_named
 from telenano.wire import RigError
@@ -73,7 +73,7 @@ def equations() -> list[Value]:
     volts = config.to_params().plant.volts_per_m
     modulus = reduced_modulus_pa(t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson)
 
-    most_attractive_n, _ = pull_off(tip.table.contact)
+    most_attractive_n, _ = tip.table.contact.pull_off()
     rows = [
         ("read-out of the bridge", "Eq. 3", volts * 1e-6, 6.25, "mV/nm"),
         ("contact distance a0", "Eq. 5", a0 * 1e9, 0.197988, "nm"),
