@@ -15,11 +15,8 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.disturbed import noisy_params as noisy_params
-    from telenano.afm.dynamic import NO_NOISE as NO_NOISE
-    from telenano.afm.dynamic import advance as advance
     from telenano.afm.dynamic import damping_at as damping_at
-    from telenano.afm.dynamic import steady_state as steady_state
-    from telenano.afm.dynamic_sim import require_steps as require_steps
+    from telenano.afm.dynamic_sim import settled_tip as settled_tip
     from telenano.afm.felt import ChannelName as ChannelName
     from telenano.afm.layers import Ground as Ground
     from telenano.afm.layers import Height as Height

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.analysis.fig12 import SessionSeries as SessionSeries
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
     from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
     from telenano.analysis.intervals import DEVIATIONS as DEVIATIONS

@@ -270,6 +270,6 @@ def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoRet
     fail(f"{error}{also}", as_json=as_json, summary=error.summary)
 
 
-def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+def print_rows(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> None:
     """Print rows that have the same keys as a table."""
-    console().print(rows_table(rows))
+    console().print(rows_table(rows, title=title))

@@ -19,11 +19,8 @@ if TYPE_CHECKING:
     from telenano.devices.afm.modbus_frames import FeedbackAnswer as FeedbackAnswer
     from telenano.devices.afm.modbus_frames import FeedbackRequest as FeedbackRequest
     from telenano.devices.afm.modbus_frames import Operation as Operation
-    from telenano.devices.afm.modbus_line import LOST_NS as LOST_NS
-    from telenano.devices.afm.modbus_line import STEP_NS as STEP_NS
     from telenano.devices.afm.modbus_line import Line as Line
     from telenano.devices.afm.register_map import read_map as read_map
-    from telenano.devices.afm.tcp_driver import STALE_CYCLES as STALE_CYCLES
     from telenano.devices.afm.tcp_driver import TcpDriver as TcpDriver
     from telenano.devices.afm.virtual_instrument import VirtualInstrument as VirtualInstrument
     from telenano.devices.hand.calibration import HandleCalibration as HandleCalibration

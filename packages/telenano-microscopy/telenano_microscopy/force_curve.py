@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import NO_NOISE, AfmConfig, advance, require_steps, simulated_afm, steady_state
+from telenano.afm import AfmConfig, settled_tip, simulated_afm
 from telenano.settings import read_by_package
 from telenano.wire import ConfigError, RigError
 
@@ -177,20 +177,11 @@ def _disturbed(config: AfmConfig, step_s: float) -> Callable[[float], float]:
 def _dynamic(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
     try:
         plant = config.to_dynamic()
-        require_steps(plant)
+        # after Q periods a motion is e^-pi of what it was
+        settle = max(1, round(config.cantilever.quality / 2.0)) * plant.drive.shape[0]
+        return settled_tip(plant, begin_m, settle)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    state = steady_state(plant, begin_m, 0.0)
-    # after Q periods a motion is e^-pi of what it was
-    settle = max(1, round(config.cantilever.quality / 2.0)) * plant.drive.shape[0]
-
-    def measure(base_m: float) -> float:
-        nonlocal state
-        state, _ = advance(plant, state, base_m, 0.0, 0.0, settle, NO_NOISE)
-        state, reading = advance(plant, state, base_m, 0.0, 0.0, plant.drive.shape[0], NO_NOISE)
-        return reading.mean_deflection_m
-
-    return measure
 
 
 def _turning_point(config: AfmConfig, load_n: float) -> float:

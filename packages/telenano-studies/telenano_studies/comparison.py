@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from telenano.analysis import FigureOptions, Session, SessionSeries, scenario_in
+from telenano.analysis import FigureOptions, Session, scenario_in
 from telenano.recording import open_recordings
 from telenano.wire import ConfigError
 from telenano_studies.figure_colours import LINES, ON_SCREEN, REFERENCE
@@ -119,10 +119,7 @@ def beside(sessions: Sequence[Compared], published: Published) -> dict[str, Any]
     """Return published points with the nearest point of each session, for JSON; None for a number that is not known."""
     rows = []
     for point in published.points:
-        own = {
-            name: dict(zip("xy", _known(nearest(session.series(), point)), strict=True))
-            for name, session, *_ in sessions
-        }
+        own = {name: dict(zip("xy", _known(nearest(session, point)), strict=True)) for name, session, *_ in sessions}
         x_error, y_error = _known((point.x_error, point.y_error))
         facts = {"x": point.x, "y": point.y, "x_error": x_error, "y_error": y_error, "note": point.note}
         rows.append({"curve": PANELS[point.panel], **facts, "nearest": own})
@@ -153,7 +150,7 @@ def compare_figure(
         for number, (name, session, summary, _) in enumerate(sessions):
             colour, style = LINES[number % len(LINES)]
             look = {"color": colour, "ls": style, "lw": 1.0}
-            _draw(panels, session.series(), look, f"{name}: {summary['verdict'].replace('_', ' ')}")
+            _draw(panels, session, look, f"{name}: {summary['verdict'].replace('_', ' ')}")
         for number, found in enumerate(published, start=1):
             label = "published" if len(published) == 1 else f"published {number}"
             _draw_published(panels, found, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
@@ -183,7 +180,8 @@ def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[s
             )
 
 
-def _draw(panels: "Sequence[Axes]", series: SessionSeries, look: Mapping[str, Any], label: str) -> None:
+def _draw(panels: "Sequence[Axes]", session: Session, look: Mapping[str, Any], label: str) -> None:
+    series = session.series()
     panels[0].plot(series.tip_time_s, series.force_scale * series.tip_force_n, label=label, **look)
     panels[1].plot(series.hand_time_s, 100.0 * series.hand_position_m, **look)
     path = series.tip_path()
