@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
     from telenano.afm.contact.capillary import printed_meniscus_force as printed_meniscus_force
-    from telenano.afm.contact.lennard_jones import contact_distance_m as contact_distance_m
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.devices.afm.capabilities import TABLE as TABLE
     from telenano.devices.afm.capabilities import AfmCapabilities as AfmCapabilities
     from telenano.devices.afm.converter_calibration import CantileverCalibration as CantileverCalibration
     from telenano.devices.afm.converter_calibration import InstrumentCalibration as InstrumentCalibration

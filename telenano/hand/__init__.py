@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from telenano.hand.config import HapticConfig as HapticConfig
     from telenano.hand.config import LimitsConfig as LimitsConfig
     from telenano.hand.coupled import arm_step as arm_step
-    from telenano.hand.coupling import STABLE_MARGIN as STABLE_MARGIN
     from telenano.hand.coupling import ZERO as ZERO
     from telenano.hand.coupling import CouplingReading as CouplingReading
     from telenano.hand.coupling import CouplingReference as CouplingReference

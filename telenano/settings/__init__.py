@@ -30,6 +30,5 @@ if TYPE_CHECKING:
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import load as load
     from telenano.settings.scenario import LoadedScenario as LoadedScenario
-    from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
 else:
     __getattr__, __dir__ = face(__name__)

@@ -160,9 +160,7 @@ def test_a_take_without_a_guard_and_one_of_a_soft_sample_cannot_say(good: Take[F
 
 def test_a_driver_of_a_package_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     other = AfmConfig().model_copy(update={"driver": "somebodys_afm"})
-    with pytest.raises(
-        ConfigError, match="somebodys_afm is not one of simulated, modbus, and declares no capabilities"
-    ):
+    with pytest.raises(ConfigError, match="somebodys_afm declares no capabilities"):
         make_take(other)
 
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, MaugisDugdale, cohesive_stress_pa, contact_distance_m, force_n, reduced_modulus_pa
+from telenano.afm import AfmConfig, MaugisDugdale, cohesive_stress_pa, force_n, reduced_modulus_pa
 from telenano.numerics import compiled, compiled_form
 from telenano.wire import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
@@ -209,7 +209,7 @@ def _model(config: AfmConfig, reduced_modulus: float | None) -> _Model:
         t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson
     )
     capillary = 4.0 * math.pi * t.liquid_energy_j_per_m2 if config.meniscus else 0.0
-    return _Model(modulus, contact_distance_m(t.sigma_m), -capillary)
+    return _Model(modulus, config.to_params().plant.tip.contact_distance_m, -capillary)
 
 
 def _contact(model: _Model, radius_m: float, work: float) -> Any:

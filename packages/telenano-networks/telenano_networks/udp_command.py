@@ -67,7 +67,7 @@ def udp(
         from telenano.console import parse_parameters
         from telenano.link import LinkSettings
         from telenano.runtime import AddressBook, Participant, StopSignals, StructuredLog, apply_realtime
-        from telenano.settings import RealtimeConfig, nested
+        from telenano.settings import nested
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
 
@@ -76,7 +76,7 @@ def udp(
         settings = LinkSettings.of({"profile": profile, **nested(flat, "--set")}, "the network")
         book, signals = AddressBook.load(site_file), StopSignals()
         # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
-        realtime = apply_realtime(RealtimeConfig(), StructuredLog(_KEY), _KEY)
+        realtime = apply_realtime(None, StructuredLog(_KEY), _KEY)
         with contextlib.ExitStack() as stack:
             participant = stack.enter_context(Participant.open(_KEY, book, signals.descriptor))
             try:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
 from telenano.extend.hands import Capabilities
-from telenano.hand import STABLE_MARGIN, ZERO, CouplingSettings, Gate, Vector, bounds_of
+from telenano.hand import ZERO, CouplingSettings, Gate, Vector, bounds_of
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
@@ -79,7 +79,7 @@ class Facts(NamedTuple):
         return self.device.identity
 
     def tables(self) -> list[Table]:
-        sentence = bounds_of(self.settings, self.device, STABLE_MARGIN).sentence()
+        sentence = bounds_of(self.settings, self.device).sentence()
         text = (
             f"{sentence}. What the check of the rendering stiffness found is a K for"
             " haptic_node.coupling.stiffness_n_per_m, with a margin of your own."
