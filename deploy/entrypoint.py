@@ -27,7 +27,10 @@ IN_FORCE = Path("/tmp/scenario.yaml")
 LOOPBACK = "127.0.0.1"
 LAST_PORT = 65535
 PAGE_PORT = "TELENANO__VIZ_NODE__PORT"
-NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCENARIO"
+# The node to run is given as node@site.
+NODE = "TELENANO_NODE"
+SITE_FILE = "TELENANO_SITE_FILE"
+SCENARIO = "TELENANO_SCENARIO"
 
 
 def main(command: list[str]) -> None:

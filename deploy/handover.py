@@ -22,8 +22,10 @@ from telenano.signals import children
 
 ENTRYPOINT = Path("/opt/entrypoint.py")
 RECORDINGS = Path("/recordings")
-# ./out of the machine, and a file of the project that its user has made
-OUT, PROJECT_FILE = Path("/out"), Path("/project/compose.yaml")
+# The folder ./out of the machine is mounted here.
+OUT = Path("/out")
+# The user of the machine has made this file, so that its owner is the owner of the results.
+PROJECT_FILE = Path("/project/compose.yaml")
 RUNTIME = Path("/run/telenano")
 ROOT = 0
 # that of the Dockerfile

@@ -335,10 +335,10 @@ class PlayerNode(Node):
 
     def _send(self, message: RecordedMessage) -> bool:
         channel = message[0]
-        found = self._known.get(id(channel))
-        if found is None:
-            found = self._known[id(channel)] = channel, self._routes[channel]
-        route = found[1]
+        route_of_channel = self._known.get(id(channel))
+        if route_of_channel is None:
+            route_of_channel = self._known[id(channel)] = channel, self._routes[channel]
+        route = route_of_channel[1]
         payload = message.payload if route.as_recorded else route.payload(message, self.clock)
         self.blocked = not route.publisher.send(route.topic, payload)
         if self.blocked:

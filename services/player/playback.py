@@ -72,10 +72,10 @@ class Playback:
         sent = ready[0] if ready else self._order.peek()
         return None if sent is None or sent[0] >= self.end_ns else sent
 
-    def advance(self, found: Sent) -> None:
-        """Move past the next message, which is `found`."""
-        if found[0] > self.position_ns:
-            self.position_ns = found[0]
+    def advance(self, message: Sent) -> None:
+        """Move past the next message, which is `message`."""
+        if message[0] > self.position_ns:
+            self.position_ns = message[0]
         self._order.ready.popleft()
 
     def read_ahead(self, count: int | None = None) -> bool:

@@ -26,8 +26,14 @@ _DRAIN_TIMEOUT_NS = 20_000_000_000
 _REPORT_PERIOD_NS = 1_000_000_000
 # a count on the wire holds no more, and a peer may have made up the numbers
 _GREATEST_COUNT = 2**63 - 1
-# this number of passes in a row with less than a backlog are the end of it; nodes of another site may continue sending
-_CALM_PASSES, _PASS_NS, _BACKLOG = 30, 5_000_000, 256
+# The end is reached after this number of passes in a row with less than a backlog; nodes of another site may continue
+# sending.
+_CALM_PASSES = 30
+# A pass waits for messages for this time at most.
+_PASS_NS = 5_000_000
+# This number of messages in a pass is a backlog.
+_BACKLOG = 256
+# The rate of recording is measured over this time.
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _PERIOD_NS = 1_000_000

@@ -20,13 +20,20 @@ _RAW_S = 3.0
 # the longest part that is given sample by sample, for a file of its own [s]
 _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
-# Of a longer recording an outline is read first [s]: this number of looks into it, each of this number of messages.
-_LONG_S, _LOOKS, _LOOK = 120.0, 240, 200
-# It is read in pieces [s]; this many of them are read at once for a page that waits for them.
-_PIECE_S, _AT_ONCE = 2.0, 16
-# A message is received a little after it was sent [s]. The losses of the link are counted from one of its reports to
-# the next, of which there are ten a second [ns].
-_MARGIN_S, _BEFORE_NS = 0.1, 300_000_000
+# An outline of a recording that is longer than this is read first.
+_LONG_S = 120.0
+# The outline is made of this number of looks into the recording.
+_LOOKS = 240
+# A look takes this number of messages.
+_LOOK = 200
+# The recording is read in pieces of this length.
+_PIECE_S = 2.0
+# At most this number of pieces are read at once for a page that waits for them.
+_AT_ONCE = 16
+# A message is received up to this long after it was sent.
+_MARGIN_S = 0.1
+# The losses of the link are counted from one of its reports to the next, of which one comes within this time.
+_BEFORE_NS = 300_000_000
 # A part that has fewer spans than this is given sample by sample.
 _LEAST_SPANS = 300
 # the reader gives way to what plays, after each piece [s]

@@ -20,8 +20,12 @@ _EVENTS_KEPT = 60
 _MOST_LINES = 4096
 _MOST_NODES = 64
 _MOST_STATES = 64
-# Of what is kept of one message [bytes]; a line of an image has a bound of its own, as have all lines that are kept.
-_MOST_BYTES, _MOST_LINE_BYTES, _MOST_IMAGE_BYTES = 1 << 16, 1 << 20, 1 << 26
+# A message is kept up to this size.
+_MOST_BYTES = 1 << 16
+# A line of an image is kept up to this size.
+_MOST_LINE_BYTES = 1 << 20
+# All lines together are kept up to this size.
+_MOST_IMAGE_BYTES = 1 << 26
 HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),

@@ -6,11 +6,17 @@ time that it waited, in a queue before a line or on a machine that is busy.
 
 from collections import deque
 
-# The quickest frame is sought among those of this number of spans of this length [s].
-_SPAN_S, _SPANS = 10.0, 6
-# A page whose clock stood still, as that of a machine that slept, seems late by that for ever. It is not where a
-# question went there and back within the first time, at most the second time ago, and it seems late by the third [s].
-_QUICK_S, _LATELY_S, _STEPPED_S = 0.1, 2.5, 1.0
+# The quickest frame is sought in the newest spans of this length.
+_SPAN_S = 10.0
+# The number of those spans.
+_SPANS = 6
+# A page whose clock stood still, as that of a machine that slept, seems late by that for ever. It is not late where a
+# question went there and back within this time.
+_QUICK_S = 0.1
+# The question was asked at most this long ago.
+_LATELY_S = 2.5
+# The page seems late by more than this.
+_STEPPED_S = 1.0
 
 
 class HandAge:

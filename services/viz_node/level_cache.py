@@ -19,8 +19,10 @@ from telenano.files.atomic_files import atomic_file
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16
-# A file of the cache has this size at most, and all of them together that one [bytes].
-_MOST_BYTES, _MOST_TOGETHER = 256 << 20, 512 << 20
+# A file of the cache has this size at most, unpacked.
+_MOST_BYTES = 256 << 20
+# All files of the cache have this size at most, together.
+_MOST_TOGETHER = 512 << 20
 _UNUSABLE = (OSError, RuntimeError, zstandard.ZstdError, TypeError, ValueError, MemoryError)
 _ROOT = Path(__file__).resolve().parents[2]
 _SOURCES = ("services/viz_node", "telenano")

@@ -17,8 +17,10 @@ from telenano.recording.site_clock import Timeline
 
 Floats = npt.NDArray[np.float64]
 
-# as fine as the smallest level is [s], and as many spans as it may have: 35 MB for all curves
-_LEAST_WIDTH_S, _MOST_SPANS = 0.005, 200_000
+# A span of the finest level is this long at least.
+_LEAST_WIDTH_S = 0.005
+# The finest level has this number of spans at most: 35 MB for all curves.
+_MOST_SPANS = 200_000
 # this number of messages of a stream are put into numbers at once
 _AT_ONCE = 4000
 _NS = 1_000_000_000

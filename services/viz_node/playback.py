@@ -10,7 +10,9 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
 from telenano.wire.errors import RecordingError, RefusedError
 
-_LEAST_RATE, _MOST_RATE = 0.01, 100.0
+# The bounds of the rate of play.
+_LEAST_RATE = 0.01
+_MOST_RATE = 100.0
 _IMAGE_TOPIC = "afm/scanline"
 # how far back from its last line the beginning of an image is looked for first [ns]
 _LOOK_BACK_NS = 60_000_000_000

@@ -29,8 +29,9 @@ MOST_PAGES = 32
 _HELLO_S = SILENCE_S
 # a token is tried once a connection, and a connection takes this long
 _WRONG_TOKEN_S = 0.5
-# close codes of RFC 6455
-_TRY_LATER, _UNSUPPORTED = 1013, 1003
+# Close codes of RFC 6455.
+_TRY_LATER = 1013
+_UNSUPPORTED = 1003
 
 
 class _PageSocket:

@@ -408,7 +408,9 @@ class _OwnSections(Settings):
         return AfmParams(self.to_guard(), plant)
 
 
-_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
+# The drivers and the environments that need no package.
+_OWN_DRIVERS = ("simulated", "modbus")
+_OWN_ENVIRONMENTS = ("tip_sample", "spring")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields})
 SAMPLES = load("samples", checked_sample, TAKEN)

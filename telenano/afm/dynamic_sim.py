@@ -21,9 +21,10 @@ from telenano.afm.part import Motion, Part, register_part
 from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
 from telenano.numerics.compiler import always_compiled
 
-# the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
-# some 100 us: what shares the processor has to come in between
-_AHEAD_S, _SLICE_STEPS = 0.9e-3, 4500
+# The motion of this time, of the millisecond between two exchanges, is simulated while nothing waits for it.
+_AHEAD_S = 0.9e-3
+# It is simulated in slices of this number of steps, some 100 us, so that what shares the processor can come in between.
+_SLICE_STEPS = 4500
 # simulated at once, however late the process is: a machine that is too slow falls behind, and continues
 _MOST_S = 2e-3
 _LEAST_PERIODS = 8

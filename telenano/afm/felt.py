@@ -21,7 +21,10 @@ from telenano.settings.config import Settings
 
 ChannelName = Literal["frequency_shift", "current", "amplitude", "phase"]
 # These names say what has changed or ended the force of the table.
-SATURATED, BOUNDS, RATE, LEFT = "saturated", "bounds", "rate", "left"
+SATURATED = "saturated"
+BOUNDS = "bounds"
+RATE = "rate"
+LEFT = "left"
 
 
 class FeelConfig(Settings):

@@ -19,8 +19,9 @@ from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import LAUNCHER, LINK, name_of
 
 _MASTER = "controller@master"
-# A round trip that varies by more than this, and by more than this share of its median, was changed, or jitters.
-_CHANGED_MS, _CHANGED_SHARE = 10.0, 0.5
+# A round trip was changed, or jitters, if it varies by more than this, and by more than _CHANGED_SHARE of its median.
+_CHANGED_MS = 10.0
+_CHANGED_SHARE = 0.5
 
 
 def conditions(
@@ -75,34 +76,37 @@ def conditions(
     }
 
 
-def title(found: dict[str, Any]) -> str:
+def title(conditions: dict[str, Any]) -> str:
     """Return the conditions as the words of a title: law, round trip, and the network where it is more than a delay."""
-    words = [" then ".join(found["law"])]
-    least_ms, greatest_ms = found.get("link_round_trip_range_ms") or (0.0, 0.0)
+    words = [" then ".join(conditions["law"])]
+    least_ms, greatest_ms = conditions.get("link_round_trip_range_ms") or (0.0, 0.0)
     for key, name in (
         ("link_round_trip_ms", "round trip of the link"),
         ("loop_round_trip_ms", "round trip of the loop"),
     ):
-        if found[key] is None:
+        if conditions[key] is None:
             continue
         # The median says nothing of a delay that was changed in the session.
-        is_changed = name.endswith("link") and greatest_ms - least_ms > max(_CHANGED_MS, _CHANGED_SHARE * found[key])
-        words.append(f"{name} {least_ms:g} to {greatest_ms:g} ms" if is_changed else f"{name} {found[key]:g} ms")
+        is_changed = name.endswith("link") and greatest_ms - least_ms > max(
+            _CHANGED_MS, _CHANGED_SHARE * conditions[key]
+        )
+        words.append(f"{name} {least_ms:g} to {greatest_ms:g} ms" if is_changed else f"{name} {conditions[key]:g} ms")
         break
-    if found["link_profile"] not in EVEN:
-        words.append(f"link {found['link_profile']}")
-    if found.get("instrument", IDEAL) != IDEAL:
-        words.append(f"instrument {found['instrument']}")
+    if conditions["link_profile"] not in EVEN:
+        words.append(f"link {conditions['link_profile']}")
+    if conditions.get("instrument", IDEAL) != IDEAL:
+        words.append(f"instrument {conditions['instrument']}")
     return ", ".join(words)
 
 
-def described(scenario: str, found: dict[str, Any]) -> str:
+def described(scenario: str, conditions: dict[str, Any]) -> str:
     """Return all conditions in words, for the inside of a file: a figure for a paper has no title."""
-    parameters = ", ".join(f"{key}={value}" for key, value in found["parameters"].items())
+    parameters = ", ".join(f"{key}={value}" for key, value in conditions["parameters"].items())
     return (
-        f"{scenario}, {title(found)}; parameters: {parameters}; changed: {', '.join(found['changed']) or 'nothing'}; "
-        f"network {found['link_profile']}, seed {found['link_seed']}; "
-        f"telenano {found['version']}, commit {found['commit']}"
+        f"{scenario}, {title(conditions)}; parameters: {parameters}; "
+        f"changed: {', '.join(conditions['changed']) or 'nothing'}; "
+        f"network {conditions['link_profile']}, seed {conditions['link_seed']}; "
+        f"telenano {conditions['version']}, commit {conditions['commit']}"
     )
 
 
@@ -155,7 +159,7 @@ def _outside(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
         lambda channel: channel.topic == "session/event" and name_of(channel.src) == name_of(LAUNCHER)
     )
     # One of the other site may be recorded where it was sent and where it arrived.
-    found: dict[tuple[str, int], dict[str, Any]] = {}
+    by_key: dict[tuple[str, int], dict[str, Any]] = {}
     for event, fields in readable(events, recording.left_out):
         axis, law = fields["data"].get("outside"), fields["data"].get("law")
         if not isinstance(axis, str) or not isinstance(law, str):
@@ -164,5 +168,5 @@ def _outside(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
         if start_ns <= at_ns <= end_ns:
             time_s = round(1e-9 * (at_ns - start_ns), 3)
             row = {"time_s": time_s, "law": law, "axis": axis, "text": fields["text"]}
-            found.setdefault((event.src, event.publish_ns), row)
-    return sorted(found.values(), key=lambda row: row["time_s"])
+            by_key.setdefault((event.src, event.publish_ns), row)
+    return sorted(by_key.values(), key=lambda row: row["time_s"])

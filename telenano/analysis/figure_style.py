@@ -34,7 +34,10 @@ _PAPER: Mapping[str, Any] = {
 # text of a PDF or SVG stays text, which an editor of the journal can search and set
 _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "telenano"}
 
-HAND, TIP, REFERENCE = "#0b3d66", "#d55e00", "#9a9a9a"
+# The colours of curves.
+HAND = "#0b3d66"
+TIP = "#d55e00"
+REFERENCE = "#9a9a9a"
 
 
 @dataclass(frozen=True)

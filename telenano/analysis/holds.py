@@ -65,7 +65,10 @@ PARTED_M = 1e-3
 # what is late by more than this [s] is the machine's: a fifth of the deadline of both devices
 LATE_S = 0.01
 
-HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
+# The topics whose samples have to come.
+HAND = "haptic/state"
+TIP = "afm/state"
+ANSWERS = "haptic/command"
 # samples come every millisecond; at this distance [s] the deadline of the loop has passed
 LONGEST_STEP_S = 0.05
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
@@ -73,8 +76,10 @@ _STARVED = (DEADLINE, "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
 # It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
 _ASKED = ("retract_requested", "estop")
-# an incident is the cause of what ends this long after it [s], or is reported this long after what it caused
-_CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
+# An incident is the cause of what begins up to this long after it.
+_CAUSED_WITHIN_S = 3.0
+# An incident may be reported this long after what it caused.
+_NOTICED_WITHIN_S = 2.0
 GUARD_ACTED = "the instrument's guard acted"
 # a session that swings and has lost its contact swings: what a person meets first, and what does not end by itself
 _WORST_FIRST: tuple[Kind, ...] = (
@@ -306,7 +311,7 @@ def judge_holds(
     late = _late(context)
     session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, context, greatest, step_n, late)
     if spans is not None:
-        return [found for hold in spans if (found := _judge_hold(session, hold, spans)) is not None]
+        return [hold_judged for hold in spans if (hold_judged := _judge_hold(session, hold, spans)) is not None]
     away = absences(tip_time_s, tip, context)
     stretches = constant_stretches(hand_time_s, hand_force_n, STEADY_SHARE * greatest)
     holds = []
@@ -331,20 +336,20 @@ def judge_holds(
     swings = [swing for swing in swings if not _covered(swing, [*holds, *away])]
     # between its stops a hand that swings stands still now and then
     holds = sorted(hold for hold in holds if not _covered(hold, swings))
-    judged = [found for hold in holds if (found := _judge_hold(session, hold, holds)) is not None]
+    judged = [hold_judged for hold in holds if (hold_judged := _judge_hold(session, hold, holds)) is not None]
     judged += [_judge_swing(session, swing) for swing in swings]
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
-def _late(known: SessionContext) -> list[Late]:
+def _late(context: SessionContext) -> list[Late]:
     """Return when machine or link were late in a session, in the order of time."""
-    late = list(known.late)
-    if known.answered_s is not None and len(known.answered_s) > 1:
-        steps_s = np.diff(known.answered_s)
+    late = list(context.late)
+    if context.answered_s is not None and len(context.answered_s) > 1:
+        steps_s = np.diff(context.answered_s)
         # over a link that is uneven anyway what is usual is not late
         places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
         # what did not come had been due at the tip for up to the transit before
-        since_s = known.answered_s[places] - known.transit_s
+        since_s = context.answered_s[places] - context.transit_s
         late += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
     return sorted(late)
 
@@ -372,8 +377,8 @@ class _Session(NamedTuple):
 
     def rest_n(self, force_n: float) -> float | None:
         """Return what the law rests at under a force of the hand [N]; None where it does not say."""
-        found = self.known.rest_force(force_n) if self.known.rest_force is not None else np.nan
-        return found if np.isfinite(found) else None
+        rest_n = self.known.rest_force(force_n) if self.known.rest_force is not None else np.nan
+        return rest_n if np.isfinite(rest_n) else None
 
     def late_in(self, start_s: float, end_s: float) -> list[Late]:
         """Return when machine or link were late in a span, in the order of time."""
@@ -488,16 +493,16 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
         if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
             words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
             verdict = verdict._replace(kind="contact_lost", reason=words)
-    found = Hold(start, end, force, *verdict[:5])
+    judged = Hold(start, end, force, *verdict[:5])
     if first is not None:
         rests = verdict.kind == "stable" and verdict.rest_from_s is not None
         rest_s = max(verdict.rest_from_s or 0.0, first.start_s) if rests else None
-        found = found._replace(judged_from_s=first.start_s, judged_to_s=first.end_s, rest_from_s=rest_s)
-    hand_n, tip_n = hold_forces(found, *session[:4])
+        judged = judged._replace(judged_from_s=first.start_s, judged_to_s=first.end_s, rest_from_s=rest_s)
+    hand_n, tip_n = hold_forces(judged, *session[:4])
     if len(tip_n) and (tip_n > session.small_n).all():
-        found = found._replace(hold_ratio=float((hand_n / tip_n).mean()))
+        judged = judged._replace(hold_ratio=float((hand_n / tip_n).mean()))
     before_s = max((one[1] for one in holds if one[1] <= start), default=float(session.hand_s[0]))
-    return found._replace(facts=tuple(_facts(session, found, episodes, before_s, tip_n)))
+    return judged._replace(facts=tuple(_facts(session, judged, episodes, before_s, tip_n)))
 
 
 def hold_forces(

@@ -85,16 +85,16 @@ def in_words(interruptions: Sequence[Interruption]) -> str:
     return "; ".join(clauses)
 
 
-def _clause(kind: str, found: Sequence[Interruption]) -> str:
-    first, times = found[0], "once" if len(found) == 1 else f"{len(found)} times"
+def _clause(kind: str, interruptions: Sequence[Interruption]) -> str:
+    first, times = interruptions[0], "once" if len(interruptions) == 1 else f"{len(interruptions)} times"
     if kind == "process_ended":
-        more = f", and {len(found) - 1} more processes of the rig ended" if len(found) > 1 else ""
+        more = f", and {len(interruptions) - 1} more processes of the rig ended" if len(interruptions) > 1 else ""
         return f"at {first.start_s:.3f} s {first.reason}{more}"
-    longest_ms = 1e3 * max(one.end_s - one.start_s for one in found)
-    when = f"{'' if len(found) == 1 else 'first '}at {first.start_s:.3f} s, for {longest_ms:.0f} ms" + (
-        " at the longest" if len(found) > 1 else ""
+    longest_ms = 1e3 * max(one.end_s - one.start_s for one in interruptions)
+    when = f"{'' if len(interruptions) == 1 else 'first '}at {first.start_s:.3f} s, for {longest_ms:.0f} ms" + (
+        " at the longest" if len(interruptions) > 1 else ""
     )
     if kind == "tip_held":
         return f"the tip was held {times} because no command came ({DEADLINE}), {when}"
-    why = Counter(one.reason for one in found).most_common(1)[0][0]
+    why = Counter(one.reason for one in interruptions).most_common(1)[0][0]
     return f"the hand was let go {times}, {when}" + (f" ({why})" if why else "")

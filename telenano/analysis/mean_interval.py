@@ -45,21 +45,39 @@ from telenano.analysis.intervals import DEVIATIONS, student
 
 Series = npt.NDArray[np.float64]
 CONFIDENCE = 0.95
-# The parts of a window; below the fewest nothing can be told from anything.
-MOST_PARTS, FEWEST_PARTS = 128, 24
+# A window is divided into at most this number of parts.
+MOST_PARTS = 128
+# With fewer parts than this no model can be distinguished from another.
+FEWEST_PARTS = 24
 # The most probability of the models that leave the mean open with which there is an interval.
 MOST_OPEN = 0.13
-# Weights of the priors: white noise alone, slow parts that leave the mean open, slow parts that do not, bands.
-_WHITE, _OPEN, _SETTLED, _BAND = 10.0, 1.2, 3.0, 0.5
-# Corners of the slow parts [cycles a window], exponents of their spectra, and the white noise beside them, as a part of
-# their variance.
+# The weight of the prior of white noise alone.
+_WHITE = 10.0
+# The weight of the priors with slow parts that leave the mean open.
+_OPEN = 1.2
+# The weight of the priors with slow parts that do not leave it open.
+_SETTLED = 3.0
+# The weight of the priors with bands.
+_BAND = 0.5
+# The corners of the slow parts [cycles a window].
 _OPEN_CORNERS = (0.03, 0.1, 0.3, 1.0, 2.0, 3.5, 5.5)
 _SETTLED_CORNERS = (8.0, 11.0, 16.0, 23.0, 32.0, 45.0)
-_OPEN_EXPONENTS, _SETTLED_EXPONENTS = (1.0, 1.5, 2.0, 4.0), (2.0, 4.0)
+# The exponents of their spectra.
+_OPEN_EXPONENTS = (1.0, 1.5, 2.0, 4.0)
+_SETTLED_EXPONENTS = (2.0, 4.0)
+# The white noise beside them, as a part of their variance.
 _WHITE_PARTS = (0.0, 0.1, 0.5, 3.0)
-# Bands: their middles [cycles a window], how many times their width that is, and the white noise beside them.
-_FIRST_BAND, _NEXT_BAND, _BANDS = 1.3, 1.17, 26
-_QUALITIES, _BAND_WHITE_PARTS = (4.0, 15.0, 100.0), (0.003, 0.1, 1.0)
+# The middle of the lowest band [cycles a window].
+_FIRST_BAND = 1.3
+# The middle of a band is this multiple of that of the band below it.
+_NEXT_BAND = 1.17
+# The number of middles of bands.
+_BANDS = 26
+# The middle of a band is one of these multiples of its width.
+_QUALITIES = (4.0, 15.0, 100.0)
+# The white noise beside a band, as a part of its variance.
+_BAND_WHITE_PARTS = (0.003, 0.1, 1.0)
+# A variance is taken to be no less than this, so that it can be divided by.
 _LEAST_VARIANCE = 1e-12
 
 

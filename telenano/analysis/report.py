@@ -70,14 +70,21 @@ RELEASE_WINDOW_S = 1.0
 _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
-_RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
-# The percentiles of the loop's age are taken of this number of parts of a session, of this number of answers each.
-_AGE_PARTS, _LEAST_AGES = 10, 100
+# A program of the instrument runs in these states.
+_RUNS = ("running", "paused")
+# The first step of a program is reported this long after it.
+_FIRST_STEP_S = 0.01
+# The percentiles of the loop's age are taken of this number of parts of a session.
+_AGE_PARTS = 10
+# A part needs this number of answers.
+_LEAST_AGES = 100
 # Below this number of samples a share of a stage says nothing.
 _LEAST_FOLLOWED = 50
 _ALARMS = ("warning", "error")
-# part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
-_LEAST_SHARE, _LEAST_N = 0.1, 0.1
+# A press rises and falls by more than this part of the greatest force: less is a tremor or noise.
+_LEAST_SHARE = 0.1
+# A press also rises and falls by more than this.
+_LEAST_N = 0.1
 # A launcher that is busy reports the end of a process this long after it [s].
 _EXIT_WITHIN_S = 2.0
 _NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
@@ -398,12 +405,12 @@ def _transit_s(hand: Mapping[str, Series]) -> float:
     return 1e-9 * float(np.percentile(ages_ns, 99.0)) if ages_ns.size else LONGEST_STEP_S
 
 
-def _rest_force(document: Scenario, found: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
+def _rest_force(document: Scenario, facts: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
     """Return what the law rests at; None where it does not say, or was changed while the session ran."""
-    if len(found["law"]) != 1 or any("controller" in change for change in found["changed"]):
+    if len(facts["law"]) != 1 or any("controller" in change for change in facts["changed"]):
         return None
-    rest_force = KNOWN_LAWS[found["law"][0]].rest_force
-    section = {**document.controller_in_force, "law": found["law"][0]}
+    rest_force = KNOWN_LAWS[facts["law"][0]].rest_force
+    section = {**document.controller_in_force, "law": facts["law"][0]}
     params = validate(ControllerConfig, section, origin, "controller").params()
     return None if rest_force is None else partial(rest_force, params)
 
@@ -705,15 +712,15 @@ def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: floa
 
 def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:
     """Return by direction when each datagram that arrived had left, rising, and how long it took [ns]."""
-    found: dict[str, list[Series]] = {}
+    by_name: dict[str, list[Series]] = {}
     for message, _ in readable(recording.messages(("link/network",)), LeftOut()):
         report: Any = message.decode()
         arrived = report.lost_flag.to_numpy() == 0
         if report.clock.valid and arrived.any():
             took_ns, at_ns = (each.to_numpy()[arrived] for each in (report.delay_ns, report.arrived_ns))
             left_ns = timeline.times_ns(message.src, at_ns) - took_ns
-            found.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
-    rows = {way: np.concatenate(parts) for way, parts in found.items()}
+            by_name.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
+    rows = {way: np.concatenate(parts) for way, parts in by_name.items()}
     return {way: tuple(each[np.argsort(each[:, 0])].T) for way, each in rows.items()}
 
 

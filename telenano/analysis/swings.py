@@ -21,7 +21,10 @@ Series = npt.NDArray[np.float64]
 # at the hand: below this a swing of the force is not felt [N]
 FELT_N = 0.3
 TURNS = 3
-_EVENNESS, _LIKENESS = 1.5, 4.0
+# A turn of an even swing is longer or shorter than the one before by this factor at most.
+_EVENNESS = 1.5
+# The longest of three ways between turning points is at most this multiple of the shortest.
+_LIKENESS = 4.0
 # the page looks at 15 s, in which three slower turns have no room
 _LONGEST_TURN_S = 5.0
 # The force is looked at so often [1/s]; one sample alone, as where an answer is missing, does not count.

@@ -141,10 +141,10 @@ def judge(
     return _by_windows(values, period_s, noise, small, float(time_s[-1]))
 
 
-def _is_at_rest(found: Verdict, doubt: Verdict, fit: Fit) -> bool:
+def _is_at_rest(verdict: Verdict, doubt: Verdict, fit: Fit) -> bool:
     """Return whether a last part is at rest that would show a motion of the size that was in doubt."""
     shown_n = 2.0 * SURE_ERRORS * math.sqrt(2.0 / len(fit.left)) * rms(fit.left)
-    return found.kind == "stable" and found.rest_from_s is not None and doubt.peak_to_peak_n > shown_n
+    return verdict.kind == "stable" and verdict.rest_from_s is not None and doubt.peak_to_peak_n > shown_n
 
 
 def _explains(fit: Fit, hand_force_n: float) -> bool:
@@ -329,13 +329,13 @@ def rounding_of(values: Series) -> float:
     return float(moved.min()) if len(moved) and len(np.unique(values)) < len(values) / 4 else 0.0
 
 
-def _approaching(found: Verdict, values: Series, rest_n: float) -> Verdict:
+def _approaching(verdict: Verdict, values: Series, rest_n: float) -> Verdict:
     """Return a verdict that cannot say where the force goes, which is stable if it goes to the rest of the law."""
     part = max(1, len(values) // 20)
     off_n = [abs(float(np.cumsum(own)[-1]) / part - rest_n) for own in (values[:part], values[-part:])]
-    if not found.reason.startswith(_ON_ITS_WAY) or off_n[1] > off_n[0] * math.exp(-2.0 * LEAST_CHANGE):
-        return found
-    return found._replace(kind="stable", reason=f"the force goes to the rest of the law, {off_n[1]:.2g} N are left")
+    if not verdict.reason.startswith(_ON_ITS_WAY) or off_n[1] > off_n[0] * math.exp(-2.0 * LEAST_CHANGE):
+        return verdict
+    return verdict._replace(kind="stable", reason=f"the force goes to the rest of the law, {off_n[1]:.2g} N are left")
 
 
 def _sizes(values: Series, noise_n: float) -> list[float]:

@@ -12,8 +12,9 @@ from rich.text import Text
 
 from telenano.files.optional_modules import optional_module
 
-# Windows has neither: commands are then ended by Ctrl-C alone
-termios, tty = optional_module("termios"), optional_module("tty")
+# Windows has neither: commands are then ended by Ctrl-C alone.
+termios = optional_module("termios")
+tty = optional_module("tty")
 
 # A terminal sends these bytes for keys that are no character.
 _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B": "down", b" ": "space"}

@@ -12,8 +12,10 @@ from telenano.launcher.child_session import run_session
 from telenano.launcher.plan import UpRequest
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
-# The delay of the link has no single key in a scenario, and an option of its own.
-_DELAY, _DELAY_OPTION = "round_trip_ms", "--round-trip-ms"
+# The key of a sweep for the delay of the link, which has no single key in a scenario.
+_DELAY = "round_trip_ms"
+# The delay has an option of its own.
+_DELAY_OPTION = "--round-trip-ms"
 # A seed of the session is that of everything in it that is random.
 SEED = "seed"
 _SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")

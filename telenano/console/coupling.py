@@ -26,9 +26,18 @@ from telenano.wire.nodes import TIP, name_of
 TOPICS = ("haptic/state", "afm/state", "teleop/backward")
 # A hand that presses harder [N] would be let go of while it presses.
 PRESSING_N = 0.5
-# The hand is at rest when it has stayed within this way [m] for this time.
-_REST_M, _REST_S, _REST_PATIENCE_S = 1e-3, 0.3, 10.0
-_LOOK_S, _PATIENCE_S, _RETRACT_S = 0.1, 5.0, 20.0
+# The hand is at rest while it stays within this way.
+_REST_M = 1e-3
+# The hand has to be at rest for this time.
+_REST_S = 0.3
+# The hand has this time to come to rest.
+_REST_PATIENCE_S = 10.0
+# The states of the rig are judged at this interval.
+_LOOK_S = 0.1
+# The states of the rig have this time to come, and to show that hand and tip follow.
+_PATIENCE_S = 5.0
+# The tip has this time to be withdrawn, and its node to be armed.
+_RETRACT_S = 20.0
 _LATCHED = "emergency stop"
 
 

@@ -29,7 +29,9 @@ _LINGER_MS = 200
 _SUBSCRIBED = b"\x01session/control"
 # The most subscriptions of an inlet that are read in a turn.
 _MOST_SUBSCRIPTIONS = 256
-_TOPIC, _ANSWERS = b"session/control", b"session/event"
+# The topics of commands and of their answers, as frames.
+_TOPIC = b"session/control"
+_ANSWERS = b"session/event"
 # This is the version of a session/control.
 _SCHEMA_VERSION = 1
 _LINK = f"{LINK}@master"

@@ -29,7 +29,10 @@ _NEVER_TAKE = ("observer", "participant", "pupil")
 MOST_LETTERS = 48
 # Commands that only end a motion, or move nothing, need no lease.
 FREE_COMMANDS = ("estop", "stop", "mark")
-PAGE, EXPERIMENT, CONSOLE = "page", "experiment", "console"
+# The kinds of parties.
+PAGE = "page"
+EXPERIMENT = "experiment"
+CONSOLE = "console"
 
 
 class Party(NamedTuple):

@@ -243,19 +243,23 @@ def kernel_clock_of(result: int, status: int, largest_error_us: int) -> KernelCl
 def check_endpoints(endpoints: Mapping[str, str], probe: Callable[[str], Endpoint]) -> list[Finding]:
     """Check which endpoints (keys, with their nodes) can be bound; one of ipc that is held is a running rig."""
     states = {endpoint: probe(endpoint) for endpoint in endpoints}
-    free = sum(found.state == "free" for found in states.values())
-    held = [f"{endpoints[at]} ({found.detail})" for at, found in states.items() if found.state == "rig"]
+    free = sum(endpoint_state.state == "free" for endpoint_state in states.values())
+    held = [
+        f"{endpoints[at]} ({endpoint_state.detail})"
+        for at, endpoint_state in states.items()
+        if endpoint_state.state == "rig"
+    ]
     runs = f"; a rig runs: {', '.join(held)}" if held else ""
-    wrong = [at for at, found in states.items() if found.state in _ENDPOINT_ADVICE]
+    wrong = [at for at, endpoint_state in states.items() if endpoint_state.state in _ENDPOINT_ADVICE]
     return [
         Finding("endpoints", "ok", f"{free} of {len(states)} free{runs}"),
         *(_endpoint_finding(endpoints[endpoint], endpoint, states[endpoint]) for endpoint in wrong),
     ]
 
 
-def _endpoint_finding(node: str, endpoint: str, found: Endpoint) -> Finding:
-    level, advice = _ENDPOINT_ADVICE[found.state]
-    return Finding(f"endpoint of {node}", level, f"{endpoint}: {found.detail}", advice)
+def _endpoint_finding(node: str, endpoint: str, state: Endpoint) -> Finding:
+    level, advice = _ENDPOINT_ADVICE[state.state]
+    return Finding(f"endpoint of {node}", level, f"{endpoint}: {state.detail}", advice)
 
 
 def check_keys(machine: str, others: Iterable[str], keyring: "Keyring") -> list[Finding]:

@@ -39,10 +39,12 @@ import math
 
 from telenano.numerics.compiler import compiled
 
-# Gains are multiplied by these before they are compared with the limit.
-CONTACT_MARGIN, TAPPING_MARGIN = 1.0, 1.5
-# a step that comes late takes the integral no further than this share of the stable limit
-_CONTACT_SHARE, _TAPPING_SHARE = 0.45, 0.5
+# Gains are multiplied by the margin of their mode before they are compared with the limit.
+CONTACT_MARGIN = 1.0
+TAPPING_MARGIN = 1.5
+# A step that comes late takes the integral no further than this share of the stable limit of its mode.
+_CONTACT_SHARE = 0.45
+_TAPPING_SHARE = 0.5
 
 
 @compiled

@@ -20,8 +20,9 @@ from telenano.numerics.discretisation import exact_discretisation
 from telenano.settings.config import Settings, filled
 from telenano.wire.topics import deadline_of
 
-# No hand and no tip comes so far; in an unstable loop a reference stays finite here.
-FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
+# No hand and no tip comes so far, or so fast; in an unstable loop a reference stays finite here.
+FARTHEST_M = 1e6
+FASTEST_M_PER_S = 1e9
 # A base that is off the reference of the command that it has carried out by less than this [m] counts as one that
 # follows it: half a step of a converter of 12 bits over a stage of 0.4 um, with some margin.
 FOLLOWED_M = 6e-11

@@ -31,11 +31,17 @@ except ImportError:
     resource = None  # type: ignore[assignment]
 
 LARGEST_FILE_BYTES = 1 << 30
-# The limit of address space: Python and the libraries need 120 MB of it, and a reader some copies of what it reads.
-_MEMORY_BYTES, _MEMORY_PER_BYTE = 512 << 20, 6
-# The limits of processor time, and of wall time: the machine may be busy with something else.
-_CPU_S, _CPU_S_PER_BYTE = 20.0, 2.5e-7
+# The limit of address space of a child: Python and the libraries need 120 MB of it.
+_MEMORY_BYTES = 512 << 20
+# The limit grows by this for each byte of the file, because a reader needs some copies of what it reads.
+_MEMORY_PER_BYTE = 6
+# The limit of processor time of a child.
+_CPU_S = 20.0
+# The limit grows by this for each byte of the file.
+_CPU_S_PER_BYTE = 2.5e-7
+# The limit of wall time is this multiple of it: the machine may be busy with something else.
 _WALL_FACTOR = 4.0
+# The text of an error is cut to this number of characters.
 _LONGEST_TEXT = 500
 
 
@@ -107,7 +113,7 @@ def read_in_child(
 
 def _watched(
     command: list[str],
-    given: list[Any],
+    arguments: list[Any],
     out: BinaryIO,
     environment: dict[str, str],
     wall_s: float,
@@ -117,7 +123,8 @@ def _watched(
     reader, writer = os.pipe()
     try:
         process = children.start(
-            [*command, json.dumps([*given, writer])], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
+            [*command, json.dumps([*arguments, writer])],
+            stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
             env=environment, pass_fds=(writer,),
         )  # fmt: skip
     except BaseException:

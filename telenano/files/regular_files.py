@@ -52,9 +52,9 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
     return content
 
 
-def _is_own(found: os.stat_result) -> bool:
+def _is_own(status: os.stat_result) -> bool:
     """Return whether a file belongs to this user and no other user can write it, so that what is in it may be run."""
-    return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
+    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
 def is_own(path: Path) -> bool:

@@ -86,11 +86,11 @@ def named(title: str, unit: str) -> tuple[str, str]:
         parts = re.split(mark, title, maxsplit=1)
         if len(parts) == 2 and parts[0] and unit_of(parts[1]):
             return parts[0], parts[1]
-    rest, found = _bracketed(title)
-    while found and _DIRECTIONS.fullmatch(found):
-        rest, found = _bracketed(rest)
-    if found:
-        return rest, found
+    rest, bracketed = _bracketed(title)
+    while bracketed and _DIRECTIONS.fullmatch(bracketed):
+        rest, bracketed = _bracketed(rest)
+    if bracketed:
+        return rest, bracketed
     for parts in (title.split("/", 1), title.rsplit(None, 1)):
         if len(parts) == 2 and parts[0] and unit_of(parts[1]) and not parts[1].isdigit():
             return parts[0], parts[1]

@@ -99,11 +99,11 @@ def _check_size(root: yaml.Node) -> None:
     counts: dict[int, int] = {}
 
     def count(node: yaml.Node) -> int:
-        known = counts.get(id(node))
-        if known == 0:
+        counted = counts.get(id(node))
+        if counted == 0:
             raise YamlError(f"the value in {_line(node)} is part of itself")
-        if known is not None:
-            return known
+        if counted is not None:
+            return counted
         counts[id(node)] = 0
         total = 1
         if isinstance(node, yaml.ScalarNode):

@@ -370,12 +370,12 @@ def _step_of_a_good_reading(
     settings: CouplingSettings,
     reference: CouplingReference,
     reading: CouplingReading,
-    known: tuple[bool, bool, float],
+    checks: tuple[bool, bool, float],
     dt: float,
 ) -> tuple[Vector, CouplingState]:
-    """Set gate, force and accounts; `known`: there was a place before, it was this one, and its `still_s`."""
+    """Set gate, force and accounts; `checks`: there was a place before, it was this one, and its `still_s`."""
     place = reading.position_m
-    started, same, still_s = known
+    started, same, still_s = checks
     moved = _minus(place, state.position_m) if started else ZERO
     velocity = _low_passed(state.velocity_m_per_s, _scaled(moved, 1.0 / dt), settings.velocity_filter_hz, dt)
     near = started and _length(_minus(place, state.rest_place_m)) <= settings.rest_m

@@ -347,12 +347,12 @@ def check_book(book: AddressBook, site_file: Path, request: UpRequest) -> None:
         raise ConfigError(f"{site_file}: nodes: {', '.join(absent)} is missing, the rig needs an endpoint for each")
 
 
-def excluded_nodes(names: Sequence[str], known: Sequence[str] = START_ORDER) -> frozenset[str]:
+def excluded_nodes(names: Sequence[str], nodes: Sequence[str] = START_ORDER) -> frozenset[str]:
     """Return the nodes that `node@site` or `node` names; ConfigError lists the known ones."""
     for name in names:
-        if not any(name in (node, name_of(node)) for node in known):
-            raise ConfigError(f"--without {name}: no such node, {known_names(name, known)}")
-    return frozenset(node for node in known if node in names or name_of(node) in names)
+        if not any(name in (node, name_of(node)) for node in nodes):
+            raise ConfigError(f"--without {name}: no such node, {known_names(name, nodes)}")
+    return frozenset(node for node in nodes if node in names or name_of(node) in names)
 
 
 def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScenario:

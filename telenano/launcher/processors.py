@@ -18,7 +18,10 @@ fcntl = optional_module("fcntl")
 # One for the hand's side and one for the instrument's; they meet at the link.
 FOR_A_RIG = 2
 _SHARED = Path("/run/lock")
-_TURN_WAIT_S, _TURN_LOOK_S = 1.0, 0.005
+# A rig waits for its turn to claim processors for this time at most.
+_TURN_WAIT_S = 1.0
+# The lock of the turn is tried at this interval.
+_TURN_LOOK_S = 0.005
 _OPEN = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 
 

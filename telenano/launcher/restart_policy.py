@@ -10,10 +10,15 @@ from telenano.runtime.wiring.main import EXIT_BAD_START
 from telenano.timing.clock import Clock
 
 _EXITS_KEPT = 8
-# The delay of a restart doubles from the first to the last of these; a life as long as the third resets it [s].
-FIRST_DELAY_S, MAX_DELAY_S, HEALTHY_LIFE_S = 0.1, 5.0, 10.0
-# A node that ends so often within this time [s] is given up, and the rig with it.
-CRASH_LOOP_EXITS, CRASH_LOOP_WINDOW_S = 5, 30.0
+# The delay of a restart doubles from this one on.
+FIRST_DELAY_S = 0.1
+# The delay of a restart grows no longer than this.
+MAX_DELAY_S = 5.0
+# A life of a node that is as long as this resets the delay.
+HEALTHY_LIFE_S = 10.0
+# A node that ends this many times within CRASH_LOOP_WINDOW_S is given up, and the rig with it.
+CRASH_LOOP_EXITS = 5
+CRASH_LOOP_WINDOW_S = 30.0
 
 
 @dataclass(frozen=True)

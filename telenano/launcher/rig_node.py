@@ -142,8 +142,8 @@ class RigNode(Node):
         for change in self.liveness.check():
             self._report_change(change)
         self.advance()
-        if self.shown is not None and (found := self.shown.look(runs=self.phase == "running")):
-            self.report("warning", found.text, **found.facts)
+        if self.shown is not None and (warning := self.shown.look(runs=self.phase == "running")):
+            self.report("warning", warning.text, **warning.facts)
         self.observe(self)
 
     def make_safe(self) -> None:

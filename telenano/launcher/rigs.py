@@ -30,8 +30,12 @@ if TYPE_CHECKING:
 
 fcntl = optional_module("fcntl")
 _NAMES = (FIRST_RIG, *map(str, range(2, 100)))
-# A rig whose launcher was killed has ended when its nodes have made their devices safe.
-_ENDING_S, _GLANCE_S, _LOOK_S = 15.0, 1.0, 0.1
+# A rig whose launcher was killed has this time to end; its nodes make their devices safe.
+_ENDING_S = 15.0
+# A command that only looks at the name of a rig, or tidies up, has this time to end.
+_GLANCE_S = 1.0
+# The lock of a name is tried at this interval.
+_LOOK_S = 0.1
 _LOCK = "rig@"
 _NEEDED = {"slave": 1}
 

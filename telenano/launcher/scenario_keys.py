@@ -86,17 +86,17 @@ def _names(document: Any, prefix: str = "") -> Iterator[str]:
 
 def _keys(schema: Mapping[str, Any], prefix: str, definitions: Mapping[str, Any]) -> Iterator[Key]:
     for name, part in schema.get("properties", {}).items():
-        found = _resolved(part, definitions)
-        if found.get("properties"):
-            yield from _keys(found, f"{prefix}{name}.", definitions)
+        resolved = _resolved(part, definitions)
+        if resolved.get("properties"):
+            yield from _keys(resolved, f"{prefix}{name}.", definitions)
         else:
             yield Key(
                 f"{prefix}{name}",
-                _kind(found),
-                part.get("default", found.get("default")),
-                _bound(found, ("minimum", "exclusiveMinimum")),
-                _bound(found, ("maximum", "exclusiveMaximum")),
-                part.get("description", found.get("description", "")),
+                _kind(resolved),
+                part.get("default", resolved.get("default")),
+                _bound(resolved, ("minimum", "exclusiveMinimum")),
+                _bound(resolved, ("maximum", "exclusiveMaximum")),
+                part.get("description", resolved.get("description", "")),
             )
 
 

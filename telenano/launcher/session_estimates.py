@@ -138,9 +138,9 @@ class ContactEstimate:
         """Return the stiffness [N/m] that the base meets, as it was known last in this contact."""
         if len(self._samples) < 40:
             return self._stiffness or Unknown("the tip has not touched the sample for long enough")
-        found = _stiffness(*np.array(self._samples).T)
-        if found is not None:
-            self._stiffness = found
+        estimate = _stiffness(*np.array(self._samples).T)
+        if estimate is not None:
+            self._stiffness = estimate
         return self._stiffness or Unknown("the hand did not move enough")
 
     def drift(self) -> Known | Unknown:

@@ -134,9 +134,9 @@ def _on_as_hard_a_line(held: Place, place: Place) -> bool:
     return place._replace(stiffness_n_per_m=held.stiffness_n_per_m).is_as_easy_as(held)
 
 
-def _clipped(value: float, known: Known | None, added: float) -> float:
+def _clipped(value: float, estimate: Known | None, added: float) -> float:
     """Return the nearest to a value within what is known, of which so much may be the rig's own."""
-    return value if known is None else max(0.0, known.low - added, min(value, known.high))
+    return value if estimate is None else max(0.0, estimate.low - added, min(value, estimate.high))
 
 
 class _Line(msgspec.Struct):
@@ -220,11 +220,11 @@ def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
 
 
 def _of_stiffness(shown: Shown, law: str, session: Session) -> tuple[str, str]:
-    held, known = [place.stiffness_n_per_m for place in shown.held], session.stiffness_n_per_m
-    if known is None or not held:
+    held, estimate = [place.stiffness_n_per_m for place in shown.held], session.stiffness_n_per_m
+    if estimate is None or not held:
         return f"{law} was shown to hold no sample.", "another law"
-    softer = known.high < min(held)
-    text = f"{known.low:.3g} to {known.high:.3g} N/m, shown from {min(held):g} to {max(held):g} N/m"
+    softer = estimate.high < min(held)
+    text = f"{estimate.low:.3g} to {estimate.high:.3g} N/m, shown from {min(held):g} to {max(held):g} N/m"
     return (
         f"The sample is {'softer' if softer else 'stiffer'} than what {law} was shown to hold: {text}.",
         f"a {'stiffer' if softer else 'softer'} cantilever or sample",
@@ -249,8 +249,8 @@ def _of_all(shown: Shown, law: str, session: Session) -> tuple[str, str]:
 
 
 def _drift(session: Session) -> str:
-    known = session.drift_pm_per_s
-    return "" if known is None else f"{known.value:.0f} ± {0.5 * (known.high - known.low):.0f} pm/s"
+    estimate = session.drift_pm_per_s
+    return "" if estimate is None else f"{estimate.value:.0f} ± {0.5 * (estimate.high - estimate.low):.0f} pm/s"
 
 
 def _up_to(shown: Shown, session: Session) -> str:

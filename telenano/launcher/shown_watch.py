@@ -156,7 +156,7 @@ def laws_as_shown(controller: ControllerConfig) -> list[str]:
 def _facts(session: Session) -> dict[str, Scalar]:
     return {
         f"{part}{name}": round(value, 3)
-        for name, known in zip(_UNITS, session, strict=True)
-        if known is not None
-        for part, value in zip(("", "least_", "most_"), known, strict=True)
+        for name, estimate in zip(_UNITS, session, strict=True)
+        if estimate is not None
+        for part, value in zip(("", "least_", "most_"), estimate, strict=True)
     }

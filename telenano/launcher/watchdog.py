@@ -28,7 +28,9 @@ LOOK_S = 0.25
 # These states of proc(5) mean that a signal or a debugger has stopped the process.
 _STOPPED = ("T", "t")
 # The fields have these places in /proc/PID/stat behind the name in parentheses.
-_STATE, _USER_TICKS, _SYSTEM_TICKS = 0, 11, 12
+_STATE = 0
+_USER_TICKS = 11
+_SYSTEM_TICKS = 12
 
 Kind = Literal["hung", "stopped", "starved", "unknown", "paused", "back"]
 

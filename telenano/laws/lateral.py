@@ -29,21 +29,37 @@ from typing import NamedTuple
 
 from telenano.numerics.compiler import compiled
 
-DIRECT, RATE, POSITION = 0, 1, 2
-# what has happened at a step
-NO_NEWS, MET, LOST = 0, 1, 2
+# The modes in which the hand moves the tip.
+DIRECT = 0
+RATE = 1
+POSITION = 2
+# The results of a step for a particle.
+NO_NEWS = 0
+MET = 1
+LOST = 2
 
 _HAND_ACCELERATION_M_PER_S2 = 20.0
-# The fixtures bring the tip to its place in mode rate with this time constant, by no more than this displacement.
-_GUIDED_S, _MOST_GUIDED_M = 1.0, 5e-3
-# A particle is met after this number of steps above the noise; it is lost below this share of the plateau.
-_MET_STEPS, _LOST_SHARE, _DEVIATIONS = 3, 0.3, 3.0
-# The noise is that of some 50 steps, the plateau that of this way.
-_NOISE_SHARE, _PLATEAU_WAY_M = 0.02, 7e-9
+# The fixtures bring the tip to its place in mode rate with this time constant.
+_GUIDED_S = 1.0
+# The fixtures displace the hand by no more than this.
+_MOST_GUIDED_M = 5e-3
+# A particle is met after this number of steps above the noise.
+_MET_STEPS = 3
+# A particle is lost below this share of the plateau.
+_LOST_SHARE = 0.3
+# A step is above the noise by this number of standard deviations.
+_DEVIATIONS = 3.0
+# The noise is that of some 50 steps: a step enters it with this share.
+_NOISE_SHARE = 0.02
+# The plateau is the mean over this way.
+_PLATEAU_WAY_M = 7e-9
 # The place of the reference over the sample is taken again when the tip has stood for this time.
 _STILL_S = 1.0
-# A signal brings no more way than that of this time, and the stage is asked for no more than that ahead of it.
-_LONGEST_WAY_S, _LEAD_S, _LEAD_M = 0.02, 0.1, 1e-9
+# A signal brings no more way than that of this time.
+_LONGEST_WAY_S = 0.02
+# The stage is asked for no more than the way of this time ahead of it, and _LEAD_M.
+_LEAD_S = 0.1
+_LEAD_M = 1e-9
 # The stage belongs to the hand until it has stood for this time.
 _IDLE_S = 0.2
 

@@ -31,16 +31,37 @@ _PERIOD_S = 1e-3
 # Two positions this close are the same one, after rounding.
 _SAME_PLACE_M = 1e-20
 # The speed of the hand and a force of 10 N take it no further than this in a period.
-_HAND_JUMP_M, _HAND_JUMP_M_PER_S = 2.5e-5, 0.05
+_HAND_JUMP_M = 2.5e-5
+# They change its speed by no more than this in a period.
+_HAND_JUMP_M_PER_S = 0.05
 # A force of 0.7 N at the hand's scale moves a base through a damper of 30 N s/m this far in a period.
 _TIP_JUMP_M = 0.7 / 30.0 * _PERIOD_S * 1.5e-6 * 1.001
-_HOLD_S, _SPRING_N_PER_M, _HOLD_SHARE = 4.0, 20.0, 0.06
-_CORNER_SEED, _CORNER_CASES = 1, 8
-_WALL_M, _NEAR_LIMIT = 3e-9, 0.9
-_SESSION_TICKS, _HOLD_TICKS = 3000, 500
-# By what a setting is multiplied in a held contact, for how long that is watched [periods], and the most that may come
-# of it: a share of the force, and a way of the hand [m].
-_RETUNED_BY, _RETUNED_TICKS, _FORCE_STEP, _HAND_STEP_M = (0.5, 3.0), 300, 0.05, 1e-4
+# A hand holds a spring for this time.
+_HOLD_S = 4.0
+# The stiffness of that spring.
+_SPRING_N_PER_M = 20.0
+# The force that it holds with, and the swing of it, may be off by this share.
+_HOLD_SHARE = 0.06
+# Corners of the settings are drawn from this seed.
+_CORNER_SEED = 1
+# The number of corners that are drawn.
+_CORNER_CASES = 8
+# The hand goes to a wall at this distance of the tip.
+_WALL_M = 3e-9
+# The wall has this share of the stiffness that the law states as its limit.
+_NEAR_LIMIT = 0.9
+# A session on the bench has this number of periods.
+_SESSION_TICKS = 3000
+# The mean and the swing of the force are those of this number of its last periods.
+_HOLD_TICKS = 500
+# A setting is multiplied by these factors in a held contact.
+_RETUNED_BY = (0.5, 3.0)
+# The contact is watched for this number of periods after that.
+_RETUNED_TICKS = 300
+# The force of a hand of 1 N, and that of the tip at its scale, may change by this [N].
+_FORCE_STEP = 0.05
+# The hand may go this far.
+_HAND_STEP_M = 1e-4
 # How late an instrument behind a serial line or a network answers, that a law is tried with as well [periods].
 LATE_PERIODS = 4
 

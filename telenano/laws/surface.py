@@ -32,13 +32,21 @@ NANO = 1e-9
 # The factor is kappa in nN/nm^1.5 for one N/m^1.5.
 KAPPA_UNIT = 10.0**-4.5
 BINS = 32
-# the rows of the samples
-_AT, _FORCE, _WEIGHT, _ROOT = 0, 1, 2, 3
+# The rows of the samples.
+_AT = 0
+_FORCE = 1
+_WEIGHT = 2
+_ROOT = 3
+# Newton's method takes this number of steps at most.
 _ITERATIONS = 30
-# A bin keeps the first weight when the tip goes to another bin; below the second it does not bound the end of the
-# contact.
-_KEEP, _LEAST_BOUNDING = 0.98, 0.3
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-6, 1e6
+# The weights of all bins fall to this share when the tip goes to another bin.
+_KEEP = 0.98
+# A bin below this weight does not bound the end of the contact.
+_LEAST_BOUNDING = 0.3
+# The damping of the fit begins here, and stays between the bounds.
+_FIRST_DAMPING = 1e-2
+_LEAST_DAMPING = 1e-6
+_MOST_DAMPING = 1e6
 
 
 class Surface(NamedTuple):

@@ -131,7 +131,7 @@ def across_sampled(
     path: AcrossPath,
     state: AcrossState,
     hand: HandSample,
-    known: bool,
+    is_known: bool,
     tick: int,
     session_s: float,
     dt: float,
@@ -143,7 +143,7 @@ def across_sampled(
         path: The path.
         state: The state at the sample before.
         hand: The sample along the axis of the law.
-        known: Whether the newest answer still counts.
+        is_known: Whether the newest answer still counts.
         tick: The number of the sample.
         session_s: Time of the force profile of the operator [s].
         dt: The time between two samples [s].
@@ -164,7 +164,7 @@ def across_sampled(
         hand.following,
     )
     was = state.far
-    far = LateralFar(was.force_x_n, was.force_y_n, was.x_m, was.y_m, known)
+    far = LateralFar(was.force_x_n, was.force_y_n, was.x_m, was.y_m, is_known)
     master = lateral_master_step(path.lateral, state.master, sample, far, dt)
     path.forward[tick & (path.forward.shape[0] - 1)] = master.travel.x_m, master.travel.y_m
     row = path.rows[tick]

@@ -247,19 +247,19 @@ class Trajectory:
     begins_s: float = 0.0
 
 
-def _run_as_it_pays(rig: Rig, given: tuple[Any, ...]) -> tuple[int, int]:
+def _run_as_it_pays(rig: Rig, arguments: tuple[Any, ...]) -> tuple[int, int]:
     """Run the loop compiled where that is kept or pays, and as plain Python otherwise, whose ticks are counted."""
-    kind = tuple(map(type, (rig.halves.law, rig.instrument.plant, *given)))
-    if _plain_ticks[kind] >= PLAIN_TICKS or is_compiled(_run, given):
+    kind = tuple(map(type, (rig.halves.law, rig.instrument.plant, *arguments)))
+    if _plain_ticks[kind] >= PLAIN_TICKS or is_compiled(_run, arguments):
         try:
-            found: tuple[int, int] = compiled_call(_run, given)
-            return found
+            counts: tuple[int, int] = compiled_call(_run, arguments)
+            return counts
         # what has run until now as plain Python continues so
         except ConfigError as error:
             logging.getLogger("studies").warning("%s; it runs as plain Python", error)
             _plain_ticks[kind] = -_NEVER_NS
-    _plain_ticks[kind] += given[5].ticks
-    return _run(*given)
+    _plain_ticks[kind] += arguments[5].ticks
+    return _run(*arguments)
 
 
 @inlined

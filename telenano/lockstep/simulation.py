@@ -227,20 +227,20 @@ def instrument_of(course: Trajectory, position_scale: float | None = None, *, kn
     return Instrument((mode == MODE_FOLLOW) | held, course.in_contact, held, apart_m, knows_contact)
 
 
-def context_of(course: Trajectory, safety: SafetyParams | None, known: SessionContext = NO_CONTEXT) -> SessionContext:
+def context_of(course: Trajectory, safety: SafetyParams | None, context: SessionContext = NO_CONTEXT) -> SessionContext:
     """Return what is known of a course besides its series: when the loop was open, and the guard, which acts once."""
     withdrawn = np.flatnonzero(np.isfinite(course.withdrawn_s))[:1].tolist()
     reasons = [REASON_NAMES[int(course.instrument_reason[i])] for i in withdrawn]
     guards = [Guard(float(course.withdrawn_s[i]), why) for i, why in zip(withdrawn, reasons, strict=True)]
     if safety is not None:
-        known = known._replace(limits=Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s))
+        context = context._replace(limits=Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s))
     time_s, held = course.time_s, course.instrument_mode == MODE_HOLD
     begins = np.flatnonzero(np.diff(held, prepend=False) & held)
     reports = [ModeReport(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
     interruptions = interruptions_of("tip_held", time_s, held, reports)
     # a hand is let go for want of commands, or because the law no longer couples it to a tip that is held or away
     interruptions += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
-    return known._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
+    return context._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
 
 
 def holds_of(
@@ -300,20 +300,20 @@ def simulate_scenario(
     """
     if round_trip_ms is not None and (isinstance(round_trip_ms, bool) or not isinstance(round_trip_ms, Real)):
         raise ConfigError(f"round_trip_ms: must be a number of milliseconds, got {round_trip_ms!r}")
-    given: dict[str, Any] = {}
+    overrides: dict[str, Any] = {}
     if law is not None:
-        given["controller"] = {"law": law}
+        overrides["controller"] = {"law": law}
     if round_trip_ms is not None:
         one_way = {"delay_s": 0.5e-3 * round_trip_ms}
-        given["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
+        overrides["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
     if environment is not None:
-        given["afm_node"] = {"environment": environment}
+        overrides["afm_node"] = {"environment": environment}
     if instrument is not None:
-        given["instrument"] = instrument
+        overrides["instrument"] = instrument
     if duration_s is not None:
-        given["duration_s"] = duration_s
+        overrides["duration_s"] = duration_s
     path = find_scenario(scenario)
-    document = merge(read_yaml(path), nested(dict(settings or {}), "settings"), given)
+    document = merge(read_yaml(path), nested(dict(settings or {}), "settings"), overrides)
     if operator is not None:
         # in the place of that of the scenario, and not key by key: it may be of another kind
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}

@@ -82,7 +82,7 @@ def compiled_form(function: F) -> F:
     return _form_of(function)
 
 
-def is_compiled(function: Callable[..., Any], given: tuple[Any, ...]) -> bool:
+def is_compiled(function: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
     """Return whether a call of a marked step compiles nothing: its compiled form is in this process or on the disk.
 
     The compiler is imported only where either has some form of the step, so that a process which never needs it does
@@ -96,17 +96,17 @@ def is_compiled(function: Callable[..., Any], given: tuple[Any, ...]) -> bool:
     form = _form_of(function)
     from telenano.numerics.numba_parts import InterruptibleDispatcher
 
-    return bool(form.is_ready(given)) if isinstance(form, InterruptibleDispatcher) else True
+    return bool(form.is_ready(arguments)) if isinstance(form, InterruptibleDispatcher) else True
 
 
-def compiled_call(function: Callable[..., Any], given: tuple[Any, ...]) -> Any:
+def compiled_call(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """Call a marked step in its compiled form.
 
     Raises:
         ConfigError: It, or a step that it calls, cannot be compiled; nothing of it has run.
     """
     try:
-        return compiled_form(function)(*given)
+        return compiled_form(function)(*arguments)
     # The errors of the compiler can be named only where it is installed.
     except Exception as error:
         if not type(error).__module__.startswith("numba."):

@@ -25,7 +25,8 @@ from telenano.signals import interrupts
 _MAIN_THREAD = main_thread().ident
 # numba declares neither
 _numba: Any = CPUDispatcher
-_call, _compile = _numba.__call__, _numba._compile_for_args
+_call = _numba.__call__
+_compile = _numba._compile_for_args
 # their declarations name only some of their types
 _build: Any = cgutils
 _declare: Any = type_callable
@@ -165,9 +166,9 @@ class InterruptibleDispatcher(CPUDispatcher):
         finally:
             interrupts.computing(False)
 
-    def is_ready(self, given: tuple[Any, ...]) -> bool:
+    def is_ready(self, arguments: tuple[Any, ...]) -> bool:
         """Return whether a call with such arguments compiles nothing."""
-        signature = tuple(map(self.typeof_pyval, given))
+        signature = tuple(map(self.typeof_pyval, arguments))
         return signature in self.overloads or self._cache.has(signature, self.targetctx)
 
     def _compile_for_args(self, *args: Any, **keywords: Any) -> Any:
@@ -195,8 +196,8 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return value
 
 
-def _lowered(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    return _without_owner(context, builder, signature.args[0], given[0])
+def _lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return _without_owner(context, builder, signature.args[0], arguments[0])
 
 
 def register_borrowed(function: Callable[..., object]) -> None:

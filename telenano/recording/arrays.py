@@ -21,11 +21,15 @@ _Path = tuple[str | int, ...]
 _RECORD_FIELDS = ("log_ns", "publish_ns")
 # topics of the loop, by their declared rate [Hz]
 _FAST_HZ = 100.0
-# This many samples in a row that are so much older than the newest come from a player that was set back.
-_REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
+# This number of older samples in a row come from a player that was set back.
+_REWIND_RUN = 8
+# They are older than the newest sample by more than this.
+_REWIND_NS = 1_000_000_000
 # this number of messages are put into arrays at once
 _AT_ONCE = 8192
-_SCALARS, _NUMBERS = frozenset((bool, int, float, str, type(None))), frozenset((int, float))
+# The types of fields that become columns, and of those that become numbers.
+_SCALARS = frozenset((bool, int, float, str, type(None)))
+_NUMBERS = frozenset((int, float))
 # Reasons for which a message is of a model that is not known here.
 _UNKNOWN = frozenset(("topic", "newer_version"))
 # a launcher reports a session when the device has answered that its force profile runs

@@ -10,8 +10,10 @@ from telenano.timing.clock_line import Bound, ClockLine, are_apart
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.
 _LONGEST_NS = 600 * _BLOCK_NS
-# Where two lines are further apart than this [ns], the clock was set in between, and the time is sought to this [ns].
-_SET_NS, _SOUGHT_NS = 2_000_000.0, 200_000_000
+# Where two lines are further apart than this, the clock was set in between.
+_SET_NS = 2_000_000.0
+# The time at which the clock was set is sought to this.
+_SOUGHT_NS = 200_000_000
 
 
 class Bounds(NamedTuple):

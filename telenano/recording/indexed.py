@@ -130,12 +130,12 @@ def _heads_of(
     Raises:
         ValueError: The index is wrong.
     """
-    found = {number: place for number, place in channels_in(indexes).items() if number in selected}
+    channels = {number: place for number, place in channels_in(indexes).items() if number in selected}
     most = len(content) // HEADS.itemsize
-    each = [message_places(data, number, place, most).astype(np.int64) for number, place in found.items()]
+    each = [message_places(data, number, place, most).astype(np.int64) for number, place in channels.items()]
     places = np.concatenate([np.empty(0, dtype=np.int64), *each])
     order = np.argsort(places, kind="stable")
-    numbers = np.repeat(np.array(list(found), dtype=np.int64), [len(part) for part in each])[order]
+    numbers = np.repeat(np.array(list(channels), dtype=np.int64), [len(part) for part in each])[order]
     starts = places[order] + RECORD_HEAD.size
     last = len(content) - HEADS.itemsize
     if places.size and not 0 <= places.min() <= places.max() <= last:

@@ -158,10 +158,10 @@ class MessageWriter:
         crc = zlib.crc32(head, zlib.crc32(offsets, zlib.crc32(summary)))
         self._write(summary + offsets + _packed(records.Footer(start, offsets_start, crc)) + MCAP0_MAGIC)
 
-    def _register(self, known: list[bytes], record: records.McapRecord) -> None:
-        known.append(_packed(record))
+    def _register(self, registered: list[bytes], record: records.McapRecord) -> None:
+        registered.append(_packed(record))
         self._join()
-        self._chunk += known[-1]
+        self._chunk += registered[-1]
         self._size = len(self._chunk)
         if self._size > self._chunk_size:
             self._end_chunk()

@@ -186,19 +186,19 @@ class RawMessage(NamedTuple):
     payload: bytes
 
 
-def raw_channel(found: Channel, schemas: Mapping[int, Schema]) -> RawChannel:
+def raw_channel(channel: Channel, schemas: Mapping[int, Schema]) -> RawChannel:
     """Return a channel of the file together with its schema."""
-    schema = schemas.get(found.schema_id)
+    schema = schemas.get(channel.schema_id)
     described = None if schema is None else (schema.name, schema.encoding, schema.data)
-    return RawChannel(found.topic, found.message_encoding, tuple(sorted(found.metadata.items())), described)
+    return RawChannel(channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), described)
 
 
-def recorded_channel(found: Channel) -> RecordedChannel:
+def recorded_channel(channel: Channel) -> RecordedChannel:
     """Return a channel with the facts in its metadata; empty where it is not one of ours."""
-    facts = found.metadata
+    facts = channel.metadata
     return RecordedChannel(
-        channel_topic=found.topic,
-        topic=facts.get("topic", found.topic),
+        channel_topic=channel.topic,
+        topic=facts.get("topic", channel.topic),
         site=facts.get("site", ""),
         via=facts.get("via", "direct"),
         src=facts.get("src", ""),

@@ -37,14 +37,14 @@ class Dates:
 
     def groups(self) -> list[Dated]:
         """Return the messages between long pauses, in the order of time."""
-        found: list[Dated] = []
+        dated: list[Dated] = []
         for _, (first_ns, last_ns, amount) in sorted(self._days.items()):
-            if found and first_ns - found[-1].last_ns <= LONGEST_PAUSE_NS:
-                before = found[-1]
-                found[-1] = Dated(before.first_ns, max(before.last_ns, last_ns), before.amount + amount)
+            if dated and first_ns - dated[-1].last_ns <= LONGEST_PAUSE_NS:
+                before = dated[-1]
+                dated[-1] = Dated(before.first_ns, max(before.last_ns, last_ns), before.amount + amount)
             else:
-                found.append(Dated(first_ns, last_ns, amount))
-        return found
+                dated.append(Dated(first_ns, last_ns, amount))
+        return dated
 
     def most(self) -> tuple[int, int]:
         """Return first and last time of the group that is most [ns], after 2116 only where there is no other.

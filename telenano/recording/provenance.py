@@ -24,11 +24,11 @@ _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstan
 
 def versions() -> dict[str, str]:
     """Return the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
-    found = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
-    found |= {f"package {name}": _package_version(name) for name in _PACKAGES}
-    found["commit"] = _commit()
-    found |= {f"schema {name}": str(row.model.version) for name, row in OWN_TOPICS.items()}
-    return found
+    texts = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
+    texts |= {f"package {name}": _package_version(name) for name in _PACKAGES}
+    texts["commit"] = _commit()
+    texts |= {f"schema {name}": str(row.model.version) for name, row in OWN_TOPICS.items()}
+    return texts
 
 
 def plugin_facts() -> dict[str, str]:

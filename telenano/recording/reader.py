@@ -48,8 +48,10 @@ from telenano.wire.nodes import site_of
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once.
 _PLANNED_END = "split"
-# A piece has one chunk, or no more than so much in several [bytes]; its lead may have this number where it has one.
-_LARGEST_PIECE, _LEAD = 16 << 20, 2
+# A piece of several chunks has no more bytes than this.
+_LARGEST_PIECE = 16 << 20
+# The lead of a piece may have this number of chunks, even where the piece has one.
+_LEAD = 2
 # groups of messages with odd times that are named
 _MOST_NAMED = 5
 
@@ -127,13 +129,13 @@ class Recording:
             if not first_ns <= message.log_ns <= last_ns:
                 dates.add(message.log_ns, message.log_ns, 1)
                 examples.setdefault(message.log_ns // LONGEST_PAUSE_NS, f"{message.channel_topic}, seq {message.seq}")
-        found = [
+        spans = [
             odd_text(group, examples[group.first_ns // LONGEST_PAUSE_NS], span_ns)
             for group in islice(dates.groups(), _MOST_NAMED)
         ]
         if self._layout.repeated:
-            found.append(f"the index names chunks again, {self._layout.repeated} times: each is read once")
-        return tuple(found)
+            spans.append(f"the index names chunks again, {self._layout.repeated} times: each is read once")
+        return tuple(spans)
 
     @cached_property
     def _dates(self) -> Dates:

@@ -28,8 +28,10 @@ _LEAST_HORIZON_NS = 3 * _NS // 2
 # The link reports the fate of a message within a tenth of a second, and the report may lag as well.
 _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
-# messages that are read and sorted together: a player stands still for it, less where it reads ahead
-_READ_AT_ONCE, _READ_AHEAD = 128, 16
+# This number of messages are read and sorted together, and a player stands still for it.
+_READ_AT_ONCE = 128
+# This number of messages are read and sorted together where the player reads ahead.
+_READ_AHEAD = 16
 # below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
 _FAST_HZ = 100.0
 

@@ -31,13 +31,26 @@ from telenano.wire.nodes import LINK, name_of, site_of
 Ints = npt.NDArray[np.int64]
 
 _NS = 1_000_000_000
-_STATUS, _NETWORK, _ANSWER = "link/status", "link/network", "clock/pong"
-# Of a recording of more than a minute and a half two seconds are read every one and a half minutes, or more seldom.
-_WHOLE_NS, _WINDOW_NS, _STEP_OF_WINDOWS_NS, _MOST_WINDOWS = 90 * _NS, 2 * _NS, 90 * _NS, 64
-# The tip's samples of this length of time are examined in this number of windows.
-_CAUSALITY_NS, _MOST_EXAMINED = 2 * _NS, 8
-# messages on clocks that are kept, of some thousand in a recording, and parts that are read besides the windows
-_MOST_LOOKED, _MOST_SOUGHT = 100_000, 256
+# The topics on clocks.
+_STATUS = "link/status"
+_NETWORK = "link/network"
+_ANSWER = "clock/pong"
+# A recording that is no longer than this is read as a whole.
+_WHOLE_NS = 90 * _NS
+# Windows of this length are read of a longer recording.
+_WINDOW_NS = 2 * _NS
+# The windows are this far apart at least.
+_STEP_OF_WINDOWS_NS = 90 * _NS
+# There are at most this number of windows.
+_MOST_WINDOWS = 64
+# In a window the tip's samples of this length of time are examined.
+_CAUSALITY_NS = 2 * _NS
+# They are examined in this number of windows.
+_MOST_EXAMINED = 8
+# At most this number of messages on clocks are kept, of some thousand in a recording.
+_MOST_LOOKED = 100_000
+# At most this number of parts are read besides the windows.
+_MOST_SOUGHT = 256
 # Of what is read one line is tried for this time at first.
 _PIECE_NS = 4 * _NS
 # A report belongs to the exchange that it agrees with to this [ns], because stamps are whole ns.

@@ -137,19 +137,19 @@ def _flat_columns(name: str, values: Sequence[Any]) -> dict[str, list[Any]]:
     return {column: [row.get(column) for row in rows] for column in dict.fromkeys(chain.from_iterable(rows))}
 
 
-def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
+def _flatten(name: str, value: Any, columns: dict[str, Any]) -> None:
     if isinstance(value, Array):
-        found[name] = value.to_numpy().ravel().tolist()
+        columns[name] = value.to_numpy().ravel().tolist()
     elif isinstance(value, Record):
         for key, inner in msgspec.structs.asdict(value).items():
-            _flatten(f"{name}.{key}", inner, found)
+            _flatten(f"{name}.{key}", inner, columns)
     elif isinstance(value, tuple | list) and all(isinstance(item, _SCALARS) for item in value) and value:
         for number, item in enumerate(value):
-            found[f"{name}.{number}"] = item
+            columns[f"{name}.{number}"] = item
     elif value is None or isinstance(value, _SCALARS):
-        found[name] = value
+        columns[name] = value
     else:
-        found[name] = json.dumps(json_value(value))
+        columns[name] = json.dumps(json_value(value))
 
 
 def uniform(values: Sequence[Any], kinds: Set[type] | None = None) -> list[Any]:

@@ -217,5 +217,5 @@ def _schema_of(model: type[Record]) -> bytes:
     return json.dumps(json_schema(model), sort_keys=True).encode()
 
 
-def _identity(found: os.stat_result) -> tuple[int, int]:
-    return found.st_dev, found.st_ino
+def _identity(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino

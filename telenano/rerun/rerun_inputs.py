@@ -67,16 +67,16 @@ class RecordedNode:
             if channel in forwarded:
                 self._add_forwarded(message)
 
-    def _add_forwarded(self, found: RecordedMessage) -> None:
-        endpoint, topic, payload = f"{LINK}@{found.site}", found.topic, found.payload
+    def _add_forwarded(self, message: RecordedMessage) -> None:
+        endpoint, topic, payload = f"{LINK}@{message.site}", message.topic, message.payload
         if topic == REJECTED_TOPIC:
             # Flipped bits have left this message without a header.
-            rejected = cast(RejectedRecord, found.decode())
+            rejected = cast(RejectedRecord, message.decode())
             if name_of(rejected.publisher) != LINK or len(rejected.frames) != 2:
                 return
             endpoint, (frame, payload) = rejected.publisher, rejected.frames
             topic = frame.decode(errors="replace")
-        self.forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, found.log_ns))
+        self.forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, message.log_ns))
 
     def input(self, turn: Turn) -> RecordedMessage | None:
         """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""

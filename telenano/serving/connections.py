@@ -17,9 +17,10 @@ MOST_CONNECTIONS = 64
 # A request's head, or the hello of a page, that has not come after this time does not come.
 SILENCE_S = 5.0
 _SWEEP_S = 0.5
-# Descriptors left for the bus: nodes that come later, a console, the hand of a page; and for two emergency stops at
-# once, of which one was counted to need 22 at its inlets and 16 at a console.
-_FOR_THE_BUS, _FOR_STOPS = 48, 80
+# This number of descriptors are left for the bus: nodes that come later, a console, the hand of a page.
+_FOR_THE_BUS = 48
+# These are left for two emergency stops at once, of which one was counted to need 22 at its inlets and 16 at a console.
+_FOR_STOPS = 80
 # Dropped connections keep their descriptors until the loop has come round.
 _CLOSING = 16
 
@@ -79,8 +80,8 @@ class Connections:
 
     def admit(self, client: Any) -> None:
         """Record that a connection has shown a token: it gives way to no other."""
-        if found := self._open.get(client):
-            found.is_page = True
+        if connection := self._open.get(client):
+            connection.is_page = True
 
     def drop_silent(self) -> None:
         """Drop what has waited for the head of a request for too long."""

@@ -33,8 +33,10 @@ LARGEST_FRAME = 1 << 16
 _BACKLOG = 64
 _PING_S = 5.0
 _STOP_S = 1
-# the end of the names of the files that have the addresses of servers, and how long is waited for one to answer [s]
-_ADDRESSES, _LOOK_S = ".addresses", 0.5
+# The names of the files that have the addresses of servers end with this.
+_ADDRESSES = ".addresses"
+# A server has this time to answer when its file is found.
+_LOOK_S = 0.5
 
 
 class Tls(NamedTuple):

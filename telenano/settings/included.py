@@ -46,14 +46,14 @@ def find_scenario(name: str) -> Path:
 
     if hint := where_it_is(f"scenario {name}"):
         raise ConfigError(hint)
-    known = known_scenarios()
-    listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
+    names = known_scenarios()
+    listed = f"known are {', '.join(names)}, or give a .yaml file{probably_meant(name, names)}"
     raise ConfigError(f"unknown scenario {name!r}: {listed}")
 
 
-def site_file_named(given: Path | None) -> Path | None:
+def site_file_named(path: Path | None) -> Path | None:
     """Return the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
-    if given is None or given.suffix or given.exists():
-        return given
-    packaged = SITE_DIRECTORY / f"{given}.yaml"
-    return packaged if packaged.is_file() else given
+    if path is None or path.suffix or path.exists():
+        return path
+    packaged = SITE_DIRECTORY / f"{path}.yaml"
+    return packaged if packaged.is_file() else path

@@ -89,9 +89,9 @@ def _installed() -> dict[str, dict[str, Plugin]]:
             if not NAME.fullmatch(entry.name):
                 text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
                 row = row._replace(problem=text)
-            known = rows.get(entry.name)
-            if known is not None and known.package != row.package:
-                row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
+            plugin = rows.get(entry.name)
+            if plugin is not None and plugin.package != row.package:
+                row = row._replace(problem=f"{plugin.package} and {row.package} both have one of this name: remove one")
             rows[entry.name] = row
     return plugins_of
 
@@ -158,7 +158,7 @@ def known_problems() -> list[str]:
     return [_problems[key] for key in sorted(_problems)]
 
 
-def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, T]) -> str:
+def _tried(row: Plugin, check: Callable[[str, Any], T | None], loaded: dict[str, T]) -> str:
     try:
         # What a package prints at its import is no part of what a command prints.
         with contextlib.redirect_stdout(sys.stderr):
@@ -167,7 +167,7 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, 
     except BaseException as error:  # noqa: BLE001
         return fault_of_import(error)
     if value is not None:
-        found[row.name] = value
+        loaded[row.name] = value
     return ""
 
 

@@ -73,5 +73,5 @@ def _safe(command: Sequence[str]) -> list[str]:
     return [words[0], "-P", *words[1:]] if words[0] == sys.executable and "-P" not in words[1:2] else words
 
 
-def _environment(given: Mapping[str, str] | None) -> dict[str, str]:
-    return {**(os.environ if given is None else given), _SAFE_PATH: "1"}
+def _environment(variables: Mapping[str, str] | None) -> dict[str, str]:
+    return {**(os.environ if variables is None else variables), _SAFE_PATH: "1"}

@@ -26,7 +26,10 @@ STAGES = {
     "teleop/backward": "law of the slave",
     "haptic/command": "law of the master",
 }
-DEVICE, QUEUE, TOGETHER = "device of the hand", "queue at the device", "laws and instrument"
+# The names of the parts that are no stages.
+DEVICE = "device of the hand"
+QUEUE = "queue at the device"
+TOGETHER = "laws and instrument"
 WITH_JITTER = f"{TOGETHER}, and jitter of the line"
 # These parts begin at one site and end at the other: the clocks leave open how much belongs to which way.
 ACROSS_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER, WITH_JITTER)
@@ -36,7 +39,10 @@ _SLAVES = ("afm/command", "afm/state", "teleop/backward")
 _CLOCKS_OPEN_NS = 200_000
 # A share of the samples around a percentile, whose parts stand for it.
 _BAND = 0.005
-_LEAST_SAMPLES, _MOST_SAMPLES = 20, 4000
+# The parts of fewer samples than this are not known.
+_LEAST_SAMPLES = 20
+# This number of samples are kept.
+_MOST_SAMPLES = 4000
 
 
 class Part(NamedTuple):
@@ -142,7 +148,7 @@ class LoopAge:
         """Return the parts of the samples that were answered since the last call; none of too few."""
         topics = [topic for topic, sent in self._sent.items() if sent]
         keys = [key for key in self._answered if all(key in self._sent[topic] for topic in topics)]
-        found: list[Part] = []
+        ages: list[Part] = []
         if len(keys) >= _LEAST_SAMPLES and topics:
             rows = [[key, *(self._sent[topic][key] for topic in topics), self._answered[key]] for key in keys]
             delays = {
@@ -150,13 +156,13 @@ class LoopAge:
                 for way, history in self._delays.items()
             }
             device_s = np.array([self._device.get(key, 0.0) for key in keys])
-            found = parts_of(split(np.array(rows, np.int64), topics, delays, device_s))
-        newest = max(keys) if found else 0
+            ages = parts_of(split(np.array(rows, np.int64), topics, delays, device_s))
+        newest = max(keys) if ages else 0
         maps: list[dict[int, Any]] = [*self._sent.values(), self._answered, self._device]
         for kept in maps:
             for key in [key for number, key in enumerate(kept) if key <= newest or number < len(kept) - _MOST_SAMPLES]:
                 del kept[key]
-        return found
+        return ages
 
 
 def in_words(parts: Sequence[Part]) -> str:

@@ -9,8 +9,10 @@ A law that wants a constant delay, such as wave variables, gains what jitter cos
 slowest take longer. The node and the studies use this very code.
 """
 
-# What the target rises by, and falls by: the second is so much less that one sample of a hundred comes too late [ns].
-_UP_NS, _DOWN_NS = 49_500, 500
+# The target rises by this with each sample that is later than it.
+_UP_NS = 49_500
+# The target falls by this with each other sample: so much less that one sample of a hundred comes too late.
+_DOWN_NS = 500
 # A sample is held back by no more beyond the least delay [ns]; readers reject what is older than their deadline.
 _MOST_NS = 40_000_000
 # The least delay may rise by so much with each sample: clocks drift by less, and routes change.

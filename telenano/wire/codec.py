@@ -372,11 +372,11 @@ def _compose_limited(
 ) -> tuple[Message, bytes]:
     limited: list[str] = []
 
-    def nearer_end(found: Beyond) -> float | None:
-        if found.in_array:
+    def nearer_end(beyond: Beyond) -> float | None:
+        if beyond.in_array:
             return None
-        limited.append(f"{found.key} = {found.value!r}")
-        return found.high if found.value > found.high else found.low
+        limited.append(f"{beyond.key} = {beyond.value!r}")
+        return beyond.high if beyond.value > beyond.high else beyond.low
 
     plain = {key: _as_plain(topic, key, value) for key, value in fields.items()}
     message: Message | None = None

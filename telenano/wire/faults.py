@@ -92,11 +92,11 @@ class Reading(NamedTuple):
     report: Callable[[Fault], None] = raise_fault
 
 
-def any_finite(found: Beyond) -> float | None:
+def any_finite(beyond: Beyond) -> float | None:
     """Return a finite quantity as it is; None for a count, and for a negative value of what cannot be negative."""
-    if found.range is None or not math.isfinite(found.value) or (found.range.low == 0.0 and found.value < 0.0):
+    if beyond.range is None or not math.isfinite(beyond.value) or (beyond.range.low == 0.0 and beyond.value < 0.0):
         return None
-    return float(found.value)
+    return float(beyond.value)
 
 
 def faults_of(model: type[Record], fields: object) -> list[Fault]:
@@ -240,10 +240,10 @@ def _read_scalar(base: Any, rules: Sequence[Meta], value: Any, how: Reading, key
     return _WRONG
 
 
-def _decide(found: Beyond, how: Reading) -> Any:
-    taken = how.beyond(found)
+def _decide(beyond: Beyond, how: Reading) -> Any:
+    taken = how.beyond(beyond)
     if taken is None:
-        how.report(found.fault)
+        how.report(beyond.fault)
         return _WRONG
     return taken
 

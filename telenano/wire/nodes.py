@@ -56,7 +56,8 @@ NODES = (
     NodeRow("estop@slave", "visitor", required=False, no_rerun=_BY_HAND),
 )
 
-HAND, TIP = "haptic_node@master", "afm_node@slave"
+HAND = "haptic_node@master"
+TIP = "afm_node@slave"
 # These nodes obey an emergency stop.
 DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
@@ -67,7 +68,8 @@ PAGE = "viz_node@master"
 VIEW = "view@master"
 # an experiment, which tells its cues and trials
 EXPERIMENT = "experiment@master"
-RECORDER, FAR_RECORDER = "recorder@master", "recorder@slave"
+RECORDER = "recorder@master"
+FAR_RECORDER = "recorder@slave"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"
 # The link ends in this node at the slave's site when messages cross as datagrams.

@@ -161,8 +161,8 @@ def _overlap(name: str) -> str:
     )
 
 
-def _is_of_table(publisher: str, known: set[str]) -> bool:
-    return any(fnmatchcase(name, publisher) for name in known) and publisher != "*"
+def _is_of_table(publisher: str, publishers: set[str]) -> bool:
+    return any(fnmatchcase(name, publisher) for name in publishers) and publisher != "*"
 
 
 def _faults_of_fields(model: type[m.Message]) -> Iterator[str]:

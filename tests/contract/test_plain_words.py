@@ -4,6 +4,7 @@ from collections import Counter
 
 import plain_words
 import pytest
+from printed_texts import of_python, of_script, printed_texts
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +62,22 @@ def test_a_word_is_found_where_it_stands(known: list[plain_words.Word], text: st
 )
 def test_a_value_is_counted_whose_name_does_not_say_what_it_is(text: str, names: list[str]) -> None:
     assert [one.word.name for one in plain_words.vague_values(text, "module.py")] == names
+
+
+def test_the_list_of_printed_texts_has_plain_and_formatted_ones_and_no_docstring() -> None:
+    source = (
+        '"""A module that prints what it knows."""\n'
+        "def refuse(port):\n"
+        '    """Refuse a port that another rig has."""\n'
+        '    raise ConfigError(f"port {port} is in use: set VIEW_PORT", "a name")\n'
+        'ADVICE = "start the rig again, and " "arm it"\n'
+    )
+    assert list(of_python(source)) == [
+        (4, "port {port} is in use: set VIEW_PORT"),
+        (5, "start the rig again, and arm it"),
+    ]
+    assert [text for _, text in of_script('say("the arm let go of it"); say("no"); x(`of ${n} the last one`)')] == [
+        "the arm let go of it",
+        "of {n} the last one",
+    ]
+    assert len(list(printed_texts())) > 1000

@@ -160,7 +160,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     },
     "telenano/laws/integration.py": {
         "module: _NEVER_NS = -1 [1 => 2]": "any negative time stands for none",
-        "slave_passes_over: return params.local_ns > 0 and outstanding and now_ns < timing.commands.lasts_ns -"
+        "_passes_over: return params.local_ns > 0 and outstanding and now_ns < timing.commands.lasts_ns -"
         " params.period_ns // 2 [0 => 1]": "no half with a loop of its own has a last signal that counts for a"
         " nanosecond",
         "slave_measured: if held or number <= c.carried_out or not 0 < later < _LAST:"
@@ -195,7 +195,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "_Stream.__init__: self.t_ns = 0 [self.t_ns = 0 => pass]": "read only after the first message set it",
         "_Check.run: log_ns >= last_ns [log_ns >= last_ns => log_ns > last_ns]": "one received at the same time is"
         " looked at more closely, with the same outcome",
-        '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True) [True => False]': "there"
-        " are three of each",
+        '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)'
+        " [True => False]": "there are three of each",
     },
 }

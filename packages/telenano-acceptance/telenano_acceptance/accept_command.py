@@ -98,11 +98,11 @@ def _tell(step: "Step") -> None:
     typer.echo(f"{step.seconds:4.0f} s  {step.name}: {step.prompt}")
 
 
-def section_named(given: dict[str, Any], name: str) -> dict[str, Any]:
+def section_named(document: dict[str, Any], name: str) -> dict[str, Any]:
     """Return the keys of a section; ConfigError names one of another."""
-    if other := sorted(set(given) - {name}):
+    if other := sorted(set(document) - {name}):
         raise ConfigError(f"--set {other[0]}: what is judged here has keys {name}.* only")
-    section: dict[str, Any] = given.get(name, {})
+    section: dict[str, Any] = document.get(name, {})
     return section
 
 

@@ -547,7 +547,7 @@ def test_the_file_names_no_user_machine_folder_or_address(tmp_path: Path, monkey
             HapticConfig.model_validate({"driver": "simulated_impedance"}), 0.0, stop, pace=0.05, guide=guide
         )
         device = take.facts.device._replace(identity=f"simulated, {said}")
-        return take._replace(facts=take.facts._replace(device=device, said=(said,), stopped=said))
+        return take._replace(facts=take.facts._replace(device=device, device_messages=(said,), stopped=said))
 
     def broken(guide: Guide) -> Any:
         raise ValueError(said)

@@ -21,8 +21,10 @@ from telenano_afm_controllers.request_driver import RequestDriver
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
 _FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
-# this number of distinct samples give the server's tick, and this number of reads at most are spent on them
-_TICKS, _READS = 4, 200
+# The server's tick is measured by this number of steps between distinct samples.
+_TICKS = 4
+# At most this number of reads are spent on measuring the tick.
+_READS = 200
 # A server whose samples stand for this time does not run its loop.
 _CLOCK_STANDS_S = 0.05
 _SLOWEST_TICK_S = 1.0
@@ -88,8 +90,8 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
     def _find_guard(self) -> Generator[bytes, bytes, None]:
         if self._attended:
             return
-        found = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
-        answer = _items(found)
+        reply = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
+        answer = _items(reply)
         if answer.get("todo") != GUARD_QUESTION:
             self.refuse_without_guard()
         self.retractions = int(_number(answer, "trips"))

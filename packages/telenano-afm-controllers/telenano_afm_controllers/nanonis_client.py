@@ -12,10 +12,14 @@ from telenano_afm_controllers.request_answer import Incoming, WireError
 
 _READ_BYTES = 65536
 _POLL_S = 0.05
-# An answer is waited for this time [s], and z to come to rest, or the z-controller to be off.
-_ANSWER_S, _REST_WITHIN_S = 5.0, 60.0
-# z that moves by less between this number of looks is at rest: an approach goes faster [m]
-_RESTS, _REST_M = 6, 2e-9
+# The client waits this long for an answer.
+_ANSWER_S = 5.0
+# z must come to rest, and the z-controller be off, within this time.
+_REST_WITHIN_S = 60.0
+# z is at rest when it moves by less than _REST_M between this number of looks.
+_RESTS = 6
+# An approach goes faster than this between the looks.
+_REST_M = 2e-9
 
 
 class NanonisClient:

@@ -24,21 +24,33 @@ from telenano_afm_controllers.request_answer import LARGEST_BYTES, Incoming, Tal
 from telenano_afm_controllers.request_driver import RequestDriver
 
 GUARD_COMMAND = "Telenano.Guard"
-_Z_SIGNAL, _X_SIGNAL, _Y_SIGNAL = "Z (m)", "X (m)", "Y (m)"
-_OFF, _ON, _SAFE_TIP = 1, 2, 5
+# The names of the signals of the scanner.
+_Z_SIGNAL = "Z (m)"
+_X_SIGNAL = "X (m)"
+_Y_SIGNAL = "Y (m)"
+# States of the z-controller that the driver acts on.
+_OFF = 1
+_ON = 2
+_SAFE_TIP = 5
 _STATES = {1: "is off", 2: "is on", 3: "holds", 4: "is being switched off", 6: "withdraws"}
 # a withdrawal takes the range over the rate; more than this many questions about it are not asked
 _MOST_ASKED = 5000
 _STATUS_EVERY = 10
-# After an approach z rests when it moves by less [m] in this number of looks, with the signal this near to the
-# set-point; lines are asked for no more often than that.
-_RESTS, _REST_M, _NEAR_SHARE, _LOOK_NS = 6, 2e-9, 0.25, 50_000_000
+# After an approach z rests when it moves by less than _REST_M in this number of looks.
+_RESTS = 6
+_REST_M = 2e-9
+# The signal of a tip at rest is this near to the set-point, as a share of it.
+_NEAR_SHARE = 0.25
+# Looks, and requests for lines of an image, are no more frequent than one in this time.
+_LOOK_NS = 50_000_000
 # a request and its answer over a network and through the vendor's software
 _LOST_NS = 250_000_000
 _LONGEST_TAP_S = 10.0
 _SHIPPED_TAP_S = 20e-3
 _LOG_HEADER = struct.Struct(">IfQH")
-_LOG_LIST, _LOG_DATA = 2, 4
+# The TCP Logger is in this state with a frame of samples.
+_LOG_DATA = 4
+# A frame of the TCP Logger has at most this number of signals.
 _MOST_CHANNELS = 24
 # this number of reads of a tick find the end of what has come, or it has none
 _MOST_RECEIVED = 64
@@ -286,7 +298,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         """Take values that were old_s [s] old at most when they were asked for; is_own: z is the one that was sent."""
         value, z_m, x_m, y_m, *further = values
         channels = self.calibration.channels.items()
-        self._channels = {name: each.si * found for (name, each), found in zip(channels, further, strict=True)}
+        self._channels = {name: each.si * reading for (name, each), reading in zip(channels, further, strict=True)}
         # A value may be older than the handshake until a Tap has gone by since then.
         if is_own and asked_ns - self._ready_ns > round(3.0 * self.tick_s * 1e9):
             self.check_z(z_m, asked_ns)

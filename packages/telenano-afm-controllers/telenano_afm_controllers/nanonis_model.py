@@ -24,7 +24,11 @@ PORTS = (6501, 6502, 6503, 6504)
 LOG_PORT = 6590
 TAP_S = 20e-3
 STEP_NS = 1_000_000
-DEFLECTION, Z, X, Y = 8, 30, 31, 32
+# The indices of signals.
+DEFLECTION = 8
+Z = 30
+X = 31
+Y = 32
 # the signals of what is measured besides the deflection, by the names of `felt`, in their SI units
 CHANNELS = {"current": 40, "frequency_shift": 76, "amplitude": 77, "phase": 78}
 RANGE_V = 10.0
@@ -45,7 +49,11 @@ for _channel, _name in (
     _NAMES[CHANNELS[_channel]] = _name
 OFF, ON, HOLD, SWITCHING_OFF, SAFE_TIP, WITHDRAWING = range(1, 7)
 _LOG_HEADER = struct.Struct(">IfQH")
-_LOG_STARTS, _LOG_IDLE, _LOG_RUNS = 2, 1, 4
+# The states of the TCP Logger. A first frame, which lists the signals, comes with _LOG_STARTS.
+_LOG_STARTS = 2
+_LOG_IDLE = 1
+_LOG_RUNS = 4
+# At most this number of frames wait for a reader.
 _MOST_LOGGED = 4096
 
 

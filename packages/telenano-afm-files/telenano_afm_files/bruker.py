@@ -16,7 +16,10 @@ import numpy as np
 from telenano_afm_files.recorded import Array, Curves, Recorded
 
 _END = b"\\*File list end"
-_LONGEST_HEADER, _CONVERTER = 1 << 20, 1 << 15
+# The end of the header is sought in this number of bytes.
+_LONGEST_HEADER = 1 << 20
+# A deflection has at most this value of the 16-bit converter.
+_CONVERTER = 1 << 15
 _METRES = {"": 1e-9, "nm": 1e-9, "um": 1e-6, "~m": 1e-6, "µm": 1e-6, "m": 1.0, "pm": 1e-12}
 # a number in front of a parameter is that of a group, which is no part of its name
 _LINE = re.compile(r"\\(@(?:\d+:)?)?([^:]+): ?(.*)")

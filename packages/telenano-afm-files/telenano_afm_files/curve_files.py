@@ -30,7 +30,7 @@ _READERS: dict[str, Callable[[str], Curves]] = {
 
 
 @contextmanager
-def _open(path: str, given: dict[str, float], options: text_curves.TableOptions = text_curves.NOTHING) -> Any:
+def _open(path: str, constants: dict[str, float], options: text_curves.TableOptions = text_curves.NOTHING) -> Any:
     suffix = Path(path).suffix.lower()
     if any(options):
         if suffix not in text_curves.SUFFIXES or nanonis.is_spectroscopy(path):
@@ -47,11 +47,15 @@ def _open(path: str, given: dict[str, float], options: text_curves.TableOptions 
                 if text_curves.is_of_other_columns(path):
                     raise map_libraries.NoCurvesError
                 # the texts of makers have heads of their own
-                yield map_libraries.curves_of(path, Path(folder), given) if own is None else text_curves.curves_of(path)
+                yield (
+                    map_libraries.curves_of(path, Path(folder), constants)
+                    if own is None
+                    else text_curves.curves_of(path)
+                )
             except map_libraries.NoCurvesError:
                 yield text_curves.curves_of(path)
         else:
-            yield own(path) if own else map_libraries.curves_of(path, Path(folder), given)
+            yield own(path) if own else map_libraries.curves_of(path, Path(folder), constants)
 
 
 def _given(stiffness: str | None, sensitivity: str | None) -> dict[str, float]:
@@ -118,11 +122,11 @@ def load_one(
     raise ValueError(f"it has no curve {number}; it has {count}, and the first is 0")
 
 
-def _deflections_of(curve: Recorded, given: dict[str, float]) -> Found:
-    k, _ = constants_of(curve, given)
+def _deflections_of(curve: Recorded, constants: dict[str, float]) -> Found:
+    k, _ = constants_of(curve, constants)
     if k is not None and not k > 0.0:
         raise ValueError(f"its spring constant is {k:g} N/m; it must be above 0 N/m")
-    factor = factor_to_force(curve, given, as_deflection=True)
+    factor = factor_to_force(curve, constants, as_deflection=True)
     sound = [(z[kept], value[kept]) for z, value in curve.ways if (kept := np.isfinite(z) & np.isfinite(value)).any()]
     if len(sound) < 2:
         raise ValueError("it needs an approach and a retraction")

@@ -37,10 +37,16 @@ METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9
 MEMBERS = ("unit", "length_unit", "sign", "axis", "stiffness_n_per_m", "sensitivity_m_per_v", "source")
 _KNOWN = frozenset({*MEMBERS, "x", "y", "z"})
 MOST_VALUES = 1 << 27
-_MOST_FACT_BYTES, _PIECE_BYTES = 1 << 20, 1 << 24
+# The largest array of a file that states a fact about the map.
+_MOST_FACT_BYTES = 1 << 20
+# Large arrays are read in pieces of this size.
+_PIECE_BYTES = 1 << 24
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# Of its greatest difference, two branches that differ by less are one; of its greatest force, this is contact.
-_CLOSED, _CONTACT = 0.05, 0.05
+# Two branches are one where they differ by less than this share of their greatest difference.
+_CLOSED = 0.05
+# A curve is in contact above this share of its greatest force.
+_CONTACT = 0.05
+# The steps of an axis may differ by this share of its greatest value.
 _EVEN = 1e-6
 
 
@@ -64,11 +70,11 @@ class MapError(ValueError):
     """A map that cannot be used: the key, and what is wrong with it."""
 
 
-def checked_map(found: dict[str, Any], values: npt.NDArray[Any]) -> ForceMap:
+def checked_map(header: dict[str, Any], values: npt.NDArray[Any]) -> ForceMap:
     """Return the map that members and values are; MapError names the member and what would be right.
 
     Args:
-        found: The members but `value`, as plain values and arrays.
+        header: The members but `value`, as plain values and arrays.
         values: The member `value`.
     """
     if values.ndim not in (3, 4) or (values.ndim == 4 and values.shape[3] not in (1, 2)) or 0 in values.shape:
@@ -77,31 +83,31 @@ def checked_map(found: dict[str, Any], values: npt.NDArray[Any]) -> ForceMap:
         raise MapError(f"value: is of type {values.dtype}; it must be numbers")
     if values.size > MOST_VALUES:
         raise MapError(f"value: has {values.size} values, at most {MOST_VALUES} are read: thin it out first")
-    scale = METRES[_known(found, "length_unit", METRES)]
-    x, y, z = (_axis(found, name, values.shape[i], scale) for i, name in enumerate("xyz"))
-    quantity, factor = UNITS[_known(found, "unit", UNITS)]
+    scale = METRES[_known(header, "length_unit", METRES)]
+    x, y, z = (_axis(header, name, values.shape[i], scale) for i, name in enumerate("xyz"))
+    quantity, factor = UNITS[_known(header, "unit", UNITS)]
     stiffness = 0.0
     if quantity == "voltage":
-        factor *= _positive(found, "sensitivity_m_per_v") * _positive(found, "stiffness_n_per_m")
+        factor *= _positive(header, "sensitivity_m_per_v") * _positive(header, "stiffness_n_per_m")
         quantity = "force"
     if quantity == "force":
-        stiffness = _positive(found, "stiffness_n_per_m")
-        factor *= float(_known(found, "sign", (1, -1)))
+        stiffness = _positive(header, "stiffness_n_per_m")
+        factor *= float(_known(header, "sign", (1, -1)))
     bad = int(values.size - np.count_nonzero(np.isfinite(values)))
     if bad:
         raise MapError(f"value: {bad} of {values.size} values are no finite number; interpolate them first")
     branches = values[..., None] if values.ndim == 3 else values
     ordered = np.array(np.moveaxis(branches, 3, 0), dtype=np.float64, order="C")
     ordered *= factor
-    if quantity == "force" and _known(found, "axis", ("base", "tip")) == "tip":
+    if quantity == "force" and _known(header, "axis", ("base", "tip")) == "tip":
         ordered, z = _over_base(ordered, z, stiffness)
-    return ForceMap(ordered, x, y, z, quantity, stiffness, str(found.get("source", "")))
+    return ForceMap(ordered, x, y, z, quantity, stiffness, str(header.get("source", "")))
 
 
-def _axis(found: dict[str, Any], name: str, points: int, scale: float) -> Array:
-    if name not in found:
+def _axis(header: dict[str, Any], name: str, points: int, scale: float) -> Array:
+    if name not in header:
         raise MapError(f"{name}: is missing; it must be the {points} points of that axis")
-    axis = np.asarray(found[name])
+    axis = np.asarray(header[name])
     if axis.dtype.kind not in "fiu" or axis.shape != (points,) or not np.isfinite(axis).all():
         got = f"{axis.dtype} of shape {axis.shape}"
         raise MapError(f"{name}: must be {points} finite numbers, as value has points along it, not {got}")
@@ -119,18 +125,18 @@ def _axis(found: dict[str, Any], name: str, points: int, scale: float) -> Array:
     return axis
 
 
-def _known(found: dict[str, Any], name: str, known: Any) -> Any:
-    value = found.get(name)
+def _known(header: dict[str, Any], name: str, allowed: Any) -> Any:
+    value = header.get(name)
     value = int(value) if isinstance(value, float) and value.is_integer() else value
-    if value is None or value not in known:
+    if value is None or value not in allowed:
         fault = f"is missing (--set {name}=…)" if value is None else f"is {value!r}"
-        shown = ", ".join(str(each) for each in known) if len(known) < 12 else "N, nN, pN, Hz, A, m, rad, deg, V"
+        shown = ", ".join(str(each) for each in allowed) if len(allowed) < 12 else "N, nN, pN, Hz, A, m, rad, deg, V"
         raise MapError(f"{name}: {fault}; it must be one of {shown}")
     return value
 
 
-def _positive(found: dict[str, Any], name: str) -> float:
-    value = found.get(name)
+def _positive(header: dict[str, Any], name: str) -> float:
+    value = header.get(name)
     if value is None:
         raise MapError(f"{name}: is missing; give it to `telenano sample import` by --set {name}=…")
     if not (isinstance(value, int | float) and 0.0 < value < math.inf):
@@ -155,18 +161,18 @@ def _over_base(values: Array, z: Array, stiffness: float) -> tuple[Array, Array]
     return np.array(flat).reshape(values.shape), common
 
 
-def gates(found: ForceMap) -> tuple[Array, Array]:
+def gates(recorded: ForceMap) -> tuple[Array, Array]:
     """Return the heights at which contact is made and at which the loop of the branches is closed [m], shape (x, y).
 
     Contact is where the approach is at its lowest force after it has snapped in; where it does not attract, where the
     force has risen by a twentieth of its range. The loop is closed above the last point at which the branches differ by
     more than a twentieth of their greatest difference. What is less than the noise far from the sample counts as none.
     """
-    if found.quantity != "force":
-        shape = found.values.shape[1:3]
+    if recorded.quantity != "force":
+        shape = recorded.values.shape[1:3]
         return np.full(shape, math.inf), np.full(shape, math.inf)
     # column by column of the map, whose curves stay in the processor's cache
-    columns = [_gates(found.values[:, i], found.z_m) for i in range(len(found.x_m))]
+    columns = [_gates(recorded.values[:, i], recorded.z_m) for i in range(len(recorded.x_m))]
     return np.array([onset for onset, _ in columns]), np.array([release for _, release in columns])
 
 
@@ -185,33 +191,33 @@ def _gates(values: Array, z: Array) -> tuple[Array, Array]:
     return onset, np.maximum(np.where(wide.any(axis=1), z[over], onset), onset)
 
 
-def map_params(found: ForceMap, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> MapParams:
+def map_params(recorded: ForceMap, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> MapParams:
     """Return what the instrument steps over; the middle of the map is x = y = 0.
 
     Args:
-        found: The map.
+        recorded: The map.
         rest_distance_m: Height of the base on the map where the instrument has it at 0 [m].
         stiffness_n_per_m: Of the cantilever, where the map says none [N/m].
         volts_per_m: The gain of the read-out [V/m].
     """
-    onset, release = gates(found)
-    steps = [float(axis[-1] - axis[0]) / max(len(axis) - 1, 1) for axis in (found.x_m, found.y_m, found.z_m)]
-    low = (-0.5 * steps[0] * (len(found.x_m) - 1), -0.5 * steps[1] * (len(found.y_m) - 1), float(found.z_m[0]))
+    onset, release = gates(recorded)
+    steps = [float(axis[-1] - axis[0]) / max(len(axis) - 1, 1) for axis in (recorded.x_m, recorded.y_m, recorded.z_m)]
+    low = (-0.5 * steps[0] * (len(recorded.x_m) - 1), -0.5 * steps[1] * (len(recorded.y_m) - 1), float(recorded.z_m[0]))
     sizes = (steps[0] or 1.0, steps[1] or 1.0, steps[2])
     return MapParams(
-        found.values, low, sizes, onset, release, 2.0 * steps[2], rest_distance_m,
-        found.stiffness_n_per_m or stiffness_n_per_m, volts_per_m, found.quantity == "force",
+        recorded.values, low, sizes, onset, release, 2.0 * steps[2], rest_distance_m,
+        recorded.stiffness_n_per_m or stiffness_n_per_m, volts_per_m, recorded.quantity == "force",
     )  # fmt: skip
 
 
-def write_map(path: Path, found: ForceMap) -> None:
+def write_map(path: Path, recorded: ForceMap) -> None:
     """Write a map as its file; OSError, if it cannot be written."""
     members: dict[str, Any] = {
-        "unit": SI_UNITS[found.quantity], "length_unit": "m", "source": found.source,
-        "value": np.moveaxis(found.values, 0, 3), "x": found.x_m, "y": found.y_m, "z": found.z_m,
+        "unit": SI_UNITS[recorded.quantity], "length_unit": "m", "source": recorded.source,
+        "value": np.moveaxis(recorded.values, 0, 3), "x": recorded.x_m, "y": recorded.y_m, "z": recorded.z_m,
     }  # fmt: skip
-    if found.quantity == "force":
-        members |= {"sign": 1, "axis": "base", "stiffness_n_per_m": found.stiffness_n_per_m}
+    if recorded.quantity == "force":
+        members |= {"sign": 1, "axis": "base", "stiffness_n_per_m": recorded.stiffness_n_per_m}
     with atomic_file(path) as part, part.open("wb") as file:
         np.savez(file, **members)
 

@@ -22,9 +22,14 @@ from telenano.signals import run as run_child
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
-_MAGIC, _NAME = b"GWYP", b"GwyContainer\0"
+# Gwyddion's own files begin with these bytes, and with the name of their type behind them.
+_MAGIC = b"GWYP"
+_NAME = b"GwyContainer\0"
 _START = len(_MAGIC) + len(_NAME) + 4
-_PROGRAM, _DISTRIBUTION = "gwyconvert", "gwyddionpy-converter"
+# The converter of other files, as it is called.
+_PROGRAM = "gwyconvert"
+# The package that installs the converter.
+_DISTRIBUTION = "gwyddionpy-converter"
 # Most files take it less than a second; the child that waits for it may take longer than this by itself.
 _LONGEST_S = 60.0
 _TEXTS = (".asc", ".csv", ".txt", ".xyz")

@@ -21,9 +21,14 @@ _VERSION = 5
 _DATA_START = 384
 # The lengths of the parts behind the data: formula, note, units, labels of dimensions, indices, two options.
 _PARTS = struct.Struct("8x14i")
-_POINTS, _TYPE, _DIMENSIONS = 76, 80, 132
+# Offsets in the header of a wave [bytes].
+_POINTS = 76
+_TYPE = 80
+_DIMENSIONS = 132
 _ITEM_BYTES = {0x02: 4, 0x04: 8, 0x08: 1, 0x10: 2, 0x20: 4}
-_COMPLEX, _UNSIGNED = 0x01, 0x40
+# Flags of the type of a wave.
+_COMPLEX = 0x01
+_UNSIGNED = 0x40
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 

@@ -126,8 +126,8 @@ def _read(
         return read_map_of(file, Wanted(overrides, channel, converted=converted, **further), show)
 
 
-def _about(found: Imported) -> dict[str, Any]:
-    whole = found.map
+def _about(imported: Imported) -> dict[str, Any]:
+    whole = imported.map
     onset, release = gates(whole)
     contact = {"contact_m": [float(onset.min()), float(onset.max())]} if whole.quantity == "force" else {}
     loop = {"loop_closed_m": [float(release.min()), float(release.max())]} if contact and len(whole.values) == 2 else {}
@@ -143,5 +143,5 @@ def _about(found: Imported) -> dict[str, Any]:
         **contact,
         **loop,
         "megabytes": round(whole.values.nbytes / 1e6, 3),
-        **({"notes": list(found.notes)} if found.notes else {}),
+        **({"notes": list(imported.notes)} if imported.notes else {}),
     }

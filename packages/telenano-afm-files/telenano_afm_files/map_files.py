@@ -32,7 +32,10 @@ from telenano_afm_files.sader_jarvis import ASKED, as_force
 from telenano_afm_files.text_curves import SUFFIXES, TableOptions
 
 _LONGEST_3DS_HEADER = 1 << 18
-_MOST_SIDE, _LEAST_POINTS = 4096, 8
+# A side of the grid of a map has up to this number of points.
+_MOST_SIDE = 4096
+# A curve needs this number of valid points.
+_LEAST_POINTS = 8
 _CURVE_SUFFIXES = (
     ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".nid", ".nhf", ".zip", ".csv", ".txt",
     ".h5", ".tab", ".asc", ".tsv",
@@ -150,15 +153,15 @@ def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
     return _on_one_grid(_read_curves(path, wanted, options, watch), wanted, source)
 
 
-def _in_free_air(found: ForceMap) -> list[str]:
+def _in_free_air(recorded: ForceMap) -> list[str]:
     """Return in words what a map of forces has far from its sample, where there is no force, and at its sample."""
-    if found.quantity != "force" or found.values.shape[-1] < 2 * _LEAST_POINTS:
+    if recorded.quantity != "force" or recorded.values.shape[-1] < 2 * _LEAST_POINTS:
         return []
-    curves = found.values.reshape(-1, found.values.shape[-1])
+    curves = recorded.values.reshape(-1, recorded.values.shape[-1])
     middle = np.array([math.fsum(row) / len(row) for row in curves.T.tolist()])
     far = middle[-max(len(middle) // 4, 2) :]
     span, level = float(np.ptp(middle)), math.fsum(far.tolist()) / len(far)
-    step_m = float(found.z_m[1] - found.z_m[0])
+    step_m = float(recorded.z_m[1] - recorded.z_m[0])
     tilt = (float(far[-1]) - float(far[0])) / (step_m * (len(far) - 1))
     notes = []
     if abs(level) > _FREE_SHARE * span:
@@ -176,11 +179,11 @@ def _in_free_air(found: ForceMap) -> list[str]:
     return notes
 
 
-def _corrected(found: Imported, wanted: Wanted) -> Imported:
+def _corrected(imported: Imported, wanted: Wanted) -> Imported:
     """Return a map without what its curves have in free air, as far as a person wants it."""
     if wanted.correct not in _BASELINE:
-        return found
-    whole = found.map
+        return imported
+    whole = imported.map
     if whole.quantity not in ("force", "voltage"):
         raise MapError(f"--correct {wanted.correct}: is for a force or a deflection, not for a {whole.quantity}")
     count = max(int(wanted.free_share * len(whole.z_m)), 2)
@@ -199,7 +202,7 @@ def _corrected(found: Imported, wanted: Wanted) -> Imported:
     values = values - levels[None, ..., None]
     low, high = float(levels.min()), float(levels.max())
     notes.append(f"the mean of each curve in free air, {low:.3g} to {high:.3g} {unit}, is taken off")
-    return Imported(whole._replace(values=values), (*found.notes, *notes))
+    return Imported(whole._replace(values=values), (*imported.notes, *notes))
 
 
 def _read_curves(path: Path, wanted: Wanted, options: str, watch: Watch) -> _Curves:
@@ -361,9 +364,9 @@ def _sweep(data: Array, curves: Array, names: list[str], fixed: list[str], point
     return swept
 
 
-def _on_one_grid(found: _Curves, wanted: Wanted, source: dict[str, Any]) -> Imported:
-    facts = {**source, **{key: value for key, value in found.facts.items() if value is not None}, **wanted.given}
-    flat = [way for column in found.ways for curve in column for way in curve]
+def _on_one_grid(curves: _Curves, wanted: Wanted, source: dict[str, Any]) -> Imported:
+    facts = {**source, **{key: value for key, value in curves.facts.items() if value is not None}, **wanted.given}
+    flat = [way for column in curves.ways for curve in column for way in curve]
     for place, (z, _) in enumerate(flat):
         if len(z) < _LEAST_POINTS:
             raise MapError(f"value: way {place} of {len(flat)} has {len(z)} valid points; it needs {_LEAST_POINTS}")
@@ -371,11 +374,13 @@ def _on_one_grid(found: _Curves, wanted: Wanted, source: dict[str, Any]) -> Impo
             raise MapError(
                 f"z: way {place} of {len(flat)} stays at one height; a curve goes towards the sample or away"
             )
-    if max(len(found.ways), len(found.ways[0])) > _MOST_SIDE:
-        raise MapError(f"value: its grid is of {len(found.ways)} x {len(found.ways[0])}; a side has up to {_MOST_SIDE}")
+    if max(len(curves.ways), len(curves.ways[0])) > _MOST_SIDE:
+        raise MapError(
+            f"value: its grid is of {len(curves.ways)} x {len(curves.ways[0])}; a side has up to {_MOST_SIDE}"
+        )
     quantity = UNITS.get(facts.get("unit", ""), ("", 0.0))[0]
-    zeros = [min(way[0][0] for way in curve) if wanted.level == "each" else 0.0 for curve in _each(found.ways)]
-    low, high = _common(zip(_each(found.ways), zeros, strict=True))
+    zeros = [min(way[0][0] for way in curve) if wanted.level == "each" else 0.0 for curve in _each(curves.ways)]
+    low, high = _common(zip(_each(curves.ways), zeros, strict=True))
     if not low < high:
         raise MapError(
             "z: its curves have no heights in common: with --level each each counts from its own lowest point"
@@ -383,17 +388,17 @@ def _on_one_grid(found: _Curves, wanted: Wanted, source: dict[str, Any]) -> Impo
     points = wanted.points or min(max(int(np.median([len(z) for z, _ in flat])), 16), 512)
     z = np.linspace(0.0, high - low, points)
     rows = []
-    for curve, zero in zip(_each(found.ways), zeros, strict=True):
+    for curve, zero in zip(_each(curves.ways), zeros, strict=True):
         is_force = quantity in ("force", "voltage")
         base = _baseline(curve[0], wanted.free_share) if is_force and wanted.correct != "nothing" else 0.0
         rows.append([np.interp(z + (low + zero), way_z, value - base) for way_z, value in curve])
-    nx, ny = len(found.ways), len(found.ways[0])
+    nx, ny = len(curves.ways), len(curves.ways[0])
     values = np.moveaxis(np.array(rows).reshape(nx, ny, -1, points), 2, 3)
-    (width, depth) = found.sides_m
+    (width, depth) = curves.sides_m
     facts |= {"length_unit": "m", "z": z, **{n: _middles(s, c) for n, s, c in (("x", width, nx), ("y", depth, ny))}}
     deepest = math.fsum(way[0][-1] - way[0][0] for way in flat) / len(flat)
     kept = f"{100.0 * (high - low) / deepest:.0f} % of the height of its curves is common to all"
-    return Imported(checked_map(facts, values), (*found.notes, kept))
+    return Imported(checked_map(facts, values), (*curves.notes, kept))
 
 
 def _each(ways: list[list[list[Way]]]) -> Iterable[list[Way]]:

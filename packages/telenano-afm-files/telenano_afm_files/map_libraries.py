@@ -17,12 +17,18 @@ from telenano_afm_files.recorded import Curves, Recorded, lacks
 
 # curves that are read at once
 _BLOCK = 64
-_MOST_UNPACKED_BYTES, _MOST_OF_ONE_BYTES = 8 << 30, 1 << 30
-# Curves pack to a third or a half, and an archive may be so large unpacked besides.
-_GREATEST_RATIO, _ORDINARY_BYTES = 32, 64 << 20
-# An entry of an archive has a head of this number of bytes at least; what all curves share is copied for each block of
-# them.
-_LEAST_HEAD, _MOST_SHARED_BYTES = 30, 4 << 20
+# The largest size of an archive that is read, unpacked.
+_MOST_UNPACKED_BYTES = 8 << 30
+# The largest size of an archive of one curve, unpacked.
+_MOST_OF_ONE_BYTES = 1 << 30
+# An archive may unpack to this multiple of its size, while curves pack to a third or a half.
+_GREATEST_RATIO = 32
+# An archive may unpack to this size whatever its own size is.
+_ORDINARY_BYTES = 64 << 20
+# The head of an entry of an archive has this number of bytes at least.
+_LEAST_HEAD = 30
+# The properties that all curves share have at most this size, because they are copied for each block of curves.
+_MOST_SHARED_BYTES = 4 << 20
 
 # the names of constants, and those of afmformats
 _NAMES = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}
@@ -61,13 +67,13 @@ class NoCurvesError(ValueError):
     """A file is of no format that the library reads."""
 
 
-def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
+def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
     """Return the curves of a file that afmformats reads.
 
     Args:
         path: The file.
         folder: Where parts of a large archive are written.
-        given: Constants in place of those of the file, of a file that has deflections as they were read.
+        constants: Constants in place of those of the file, of a file that has deflections as they were read.
     """
     import afmformats
     from afmformats.errors import AFMFileFormatError, FileFormatNotSupportedError, MissingMetaDataError
@@ -75,7 +81,7 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
     # it reports with a traceback what it raises as well
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
     refuse_large_archive(path, _MOST_OF_ONE_BYTES if path.lower().endswith(".jpk-force") else _MOST_UNPACKED_BYTES)
-    override = {_NAMES[name]: value for name, value in given.items() if is_raw(path)}
+    override = {_NAMES[name]: value for name, value in constants.items() if is_raw(path)}
 
     def parts() -> Iterator[tuple[Any, float]]:
         for block, share in blocks_of(path, folder):

@@ -21,7 +21,10 @@ Array = npt.NDArray[np.float64]
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 Sections = dict[str, dict[str, str]]
 
-_FORWARD, _BACKWARD, _SPECTRUM = "Spec forward", "Spec backward", "Spectrum FFT"
+# The names of frames, as Nanosurf writes them.
+_FORWARD = "Spec forward"
+_BACKWARD = "Spec backward"
+_SPECTRUM = "Spectrum FFT"
 _HEIGHT = re.compile(r"z-?axis ?sensor|position z", re.IGNORECASE)
 
 

@@ -18,7 +18,8 @@ def limits_of_curves(size_bytes: int) -> Limits:
     return Limits(limits.memory_bytes + (1 << 30), limits.cpu_s + 10 + size_bytes // 50_000, limits.wall_s + 60.0)
 
 
-_CURVE, _DEFLECTIONS = (f"telenano_afm_files.curve_files:{name}" for name in ("load_one", "load_deflections"))
+_CURVE = "telenano_afm_files.curve_files:load_one"
+_DEFLECTIONS = "telenano_afm_files.curve_files:load_deflections"
 _HDF5 = "telenano_afm_files.hdf5_images:load_maps"
 CURVES = FileReader(curve=_CURVE, deflections=_DEFLECTIONS, limits=limits_of_curves)
 HDF5 = FileReader(heights=_HDF5, curve=_CURVE, deflections=_DEFLECTIONS, limits=limits_of_curves)

@@ -34,15 +34,15 @@ class Curves(NamedTuple):
     each: Iterator[tuple[Callable[[], Recorded], float]]
 
 
-def constants_of(curve: Recorded, given: dict[str, float]) -> tuple[float | None, float | None]:
+def constants_of(curve: Recorded, constants: dict[str, float]) -> tuple[float | None, float | None]:
     """Return spring constant [N/m] and sensitivity [m/V] of a curve, those that are given before those of the file."""
     return (
-        given.get("stiffness_n_per_m", curve.stiffness_n_per_m),
-        given.get("sensitivity_m_per_v", curve.sensitivity_m_per_v),
+        constants.get("stiffness_n_per_m", curve.stiffness_n_per_m),
+        constants.get("sensitivity_m_per_v", curve.sensitivity_m_per_v),
     )
 
 
-def factor_to_force(curve: Recorded, given: dict[str, float], *, as_deflection: bool = False) -> float:
+def factor_to_force(curve: Recorded, constants: dict[str, float], *, as_deflection: bool = False) -> float:
     """Return what the values of a curve are multiplied by to be a force [N], or a deflection [m].
 
     Raises:
@@ -53,7 +53,7 @@ def factor_to_force(curve: Recorded, given: dict[str, float], *, as_deflection: 
     if curve.unit not in powers:
         raise ValueError(f"its deflection is in {curve.unit!r}; it must be in N, m or V")
     factor, missing = 1.0, []
-    for name, value, power in zip(names, constants_of(curve, given), powers[curve.unit], strict=True):
+    for name, value, power in zip(names, constants_of(curve, constants), powers[curve.unit], strict=True):
         is_stiffness = name == names[0]
         if value is None and (power or (as_deflection and is_stiffness)):
             missing.append(name)

@@ -19,35 +19,37 @@ from telenano_afm_files.force_map import ForceMap, MapError
 
 # What is asked for besides the stiffness of the sensor.
 ASKED = ("resonance_hz", "amplitude_m")
-# A shift that changes by more in the farthest tenth of its curve, of its greatest attraction, does not stand yet.
-_STANDS, _FAR = 0.05, 10
+# The shift is still changing if it changes by more than this share of its greatest attraction at the far end.
+_STANDS = 0.05
+# The far end of a curve is the last one of this number of parts.
+_FAR = 10
 
 
-def as_force(found: ForceMap, given: dict[str, Any]) -> ForceMap:
+def as_force(recorded: ForceMap, constants: dict[str, Any]) -> ForceMap:
     """Return the map of the force that a map of a frequency shift is of.
 
     Args:
-        found: The map of the shift [Hz], rising heights.
-        given: stiffness_n_per_m, resonance_hz and amplitude_m of the sensor.
+        recorded: The map of the shift [Hz], rising heights.
+        constants: stiffness_n_per_m, resonance_hz and amplitude_m of the sensor.
 
     Raises:
         MapError: It is a map of something else, a number is missing, or its curves do not reach far enough.
     """
-    if found.quantity != "frequency_shift":
-        raise MapError(f"--as force: is for a frequency shift; this is a map of {found.quantity}")
+    if recorded.quantity != "frequency_shift":
+        raise MapError(f"--as force: is for a frequency shift; this is a map of {recorded.quantity}")
     numbers = []
     for name in ("stiffness_n_per_m", *ASKED):
-        value = given.get(name)
+        value = constants.get(name)
         if not (isinstance(value, int | float) and 0.0 < value < math.inf):
             fault = "is missing" if value is None else f"is {value!r}"
             raise MapError(f"{name}: {fault}; --as force needs it as a number above 0 (--set {name}=…)")
         numbers.append(float(value))
     stiffness, resonance_hz, amplitude_m = numbers
-    far = found.values[..., -max(len(found.z_m) // _FAR, 2) :]
+    far = recorded.values[..., -max(len(recorded.z_m) // _FAR, 2) :]
     # twice the difference of the means of both halves of it, so that noise does not count
     middle = far.shape[-1] // 2
     change = 2.0 * np.abs(far[..., middle:].mean(axis=-1) - far[..., :middle].mean(axis=-1))
-    standing = found.values - far.mean(axis=-1, keepdims=True)
+    standing = recorded.values - far.mean(axis=-1, keepdims=True)
     # the attraction is what a missing tail falsifies; a curve that has hardly any counts by its repulsion
     most = np.maximum(-standing.min(axis=-1), 0.02 * np.abs(standing).max(axis=-1))
     if (change > _STANDS * most).any():
@@ -56,9 +58,11 @@ def as_force(found: ForceMap, given: dict[str, Any]) -> ForceMap:
             f"value: the frequency shift still changes by {100.0 * worst:.0f} % of its greatest attraction in the"
             " farthest tenth of a curve: --as force needs curves that reach to where it stands"
         )
-    weights = (2.0 * stiffness / resonance_hz) * weights_of(len(found.z_m), found.z_m[1] - found.z_m[0], amplitude_m)
+    weights = (2.0 * stiffness / resonance_hz) * weights_of(
+        len(recorded.z_m), recorded.z_m[1] - recorded.z_m[0], amplitude_m
+    )
     forces = np.einsum("ij,...j->...i", weights, standing)
-    return found._replace(values=forces, quantity="force", stiffness_n_per_m=stiffness)
+    return recorded._replace(values=forces, quantity="force", stiffness_n_per_m=stiffness)
 
 
 def weights_of(points: int, step_m: float, amplitude_m: float) -> Array:

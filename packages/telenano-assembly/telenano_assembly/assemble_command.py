@@ -62,13 +62,13 @@ def particles(
     _print_found(particles_here, file)
 
 
-def _print_found(found: "list[Found]", file: Path) -> None:
+def _print_found(particles: "list[Found]", file: Path) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{len(found)} particles in {file}; places from the middle of the image")
+    table = Table(title=f"{len(particles)} particles in {file}; places from the middle of the image")
     for name in ("", "x, nm", "y, nm", "radius, nm", ""):
         table.add_column(name, justify="right")
-    for number, one in enumerate(found):
+    for number, one in enumerate(particles):
         table.add_row(
             str(number),
             f"{one.x_m * 1e9:.2f} ± {one.x_error_m * 1e9:.2f}",

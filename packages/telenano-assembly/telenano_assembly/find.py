@@ -18,16 +18,21 @@ from telenano_assembly.particles.tip_shape import TipShape
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# A peak is what rises above this number of deviations of the noise, and above this share of the usual height of peaks.
-_DEVIATIONS, _SHARE = 3.0, 0.3
+# A peak rises above this number of standard deviations of the noise.
+_DEVIATIONS = 3.0
+# A peak rises above this share of the usual height of peaks.
+_SHARE = 0.3
 # Two tops are nearer than this share of the radius only where they are one.
 _LEAST_APART = 0.7
 # A fit that leaves more than this share of the height is one of several particles that touch.
 _CLUSTER = 0.05
 _FEWEST_PIXELS = 6
-# What rises so far and is not beside a particle, within this multiple of what its image reaches, is fixed to the
-# sample.
-_STANDS_DEVIATIONS, _STANDS_SHARE, _BESIDE = 6.0, 0.05, 1.4
+# An object beside the particles is fixed to the sample if it rises above this number of deviations of the noise.
+_STANDS_DEVIATIONS = 6.0
+# It also rises above this share of the usual height of peaks.
+_STANDS_SHARE = 0.05
+# What is nearer to a particle than this multiple of the reach of its image belongs to that image.
+_BESIDE = 1.4
 # this many heights around the part that is high belong to the flanks of a particle
 _AROUND = 0.25
 _EIGHT = np.ones((3, 3))
@@ -123,7 +128,7 @@ def fixed_places(
     height_m: npt.ArrayLike,
     step_x_m: float,
     step_y_m: float,
-    found: list[Found],
+    particles: list[Found],
     reach_m: float,
     middle: tuple[float, float] = (0.0, 0.0),
 ) -> list[tuple[float, float]]:
@@ -133,22 +138,22 @@ def fixed_places(
         height_m: Heights, as for `find_particles`.
         step_x_m: Width of a pixel [m].
         step_y_m: Depth of a pixel [m].
-        found: The particles of the image.
+        particles: The particles of the image.
         reach_m: How far the image of a particle reaches from its centre [m].
         middle: The place of the middle of the image [m].
     """
     heights = np.array(height_m, np.float64)
     is_finite = np.isfinite(heights)
-    if not found or not is_finite.any():
+    if not particles or not is_finite.any():
         return []
     heights[~is_finite] = np.median(heights[is_finite])
     level, noise = flattened(heights)
-    usual = 2.0 * float(np.median([one.radius_m for one in found]))
+    usual = 2.0 * float(np.median([one.radius_m for one in particles]))
     rows, columns = level.shape
     x = middle[0] + (np.arange(columns) - 0.5 * (columns - 1)) * step_x_m
     y = middle[1] + (np.arange(rows) - 0.5 * (rows - 1)) * step_y_m
     stands = is_finite & (ndimage.median_filter(level, 3) > max(_STANDS_DEVIATIONS * noise, _STANDS_SHARE * usual))
-    for one in found:
+    for one in particles:
         stands &= np.hypot(x[None, :] - one.x_m, y[:, None] - one.y_m) > _BESIDE * reach_m
     places: list[tuple[float, float]] = []
     for row, column in np.argwhere(stands).tolist():

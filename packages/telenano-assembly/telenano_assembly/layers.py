@@ -23,11 +23,11 @@ def _around(settings: ParticlesConfig, part: Any, ground: Ground) -> Any:
     return particle_layer(settings, part, ground)
 
 
-def says(found: "Particles") -> TruthMessage:
+def says(particles: "Particles") -> TruthMessage:
     """Return the message of where the particles really are: `afm/particles`."""
-    arrays = found._replace(moving=found.moving.astype(np.uint8))._asdict()
+    arrays = particles._replace(moving=particles.moving.astype(np.uint8))._asdict()
     fields = {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
-    return TruthMessage("afm/particles", fields, bool(found.moving.any()))
+    return TruthMessage("afm/particles", fields, bool(particles.moving.any()))
 
 
 PARTICLES = Layer("particles", ParticlesConfig, _height, _around, says)

@@ -40,12 +40,12 @@ def bench(particles: dict[str, Any], stiffness_n_per_m: float = 0.1, **others: A
 
 
 def configured(
-    given: Sequence[str], particles: dict[str, Any], disturbances: dict[str, Any], *elsewhere: str
+    settings: Sequence[str], particles: dict[str, Any], disturbances: dict[str, Any], *elsewhere: str
 ) -> "AfmConfig":
     """Return the disturbed bench with what options `--afm` change of it.
 
     Args:
-        given: What each option says, such as `sample.particles.count=3`.
+        settings: What each option says, such as `sample.particles.count=3`.
         particles: The section `sample.particles` where no option names a key of `elsewhere` in it.
         disturbances: The section `disturbances`.
         elsewhere: Keys of `sample.particles`.
@@ -55,7 +55,7 @@ def configured(
     """
     from telenano.afm import AfmConfig
 
-    overrides = flag_overrides(given)
+    overrides = flag_overrides(settings)
     lie_elsewhere = overrides.get("sample", {}).get("particles", {}).keys() & set(elsewhere)
     document = bench({} if lie_elsewhere else particles, disturbances=disturbances)
     return validate(AfmConfig, merge(document, overrides), "--afm")

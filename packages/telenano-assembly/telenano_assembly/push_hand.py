@@ -33,12 +33,19 @@ FELT_X, FELT_Y, TOUCHED = range(11, 14)
 STATE = 14
 APPROACHES, PUSHES, STANDS, DONE = range(4)
 
-# A contact is a force above this share of the friction; it is lost after this number of ticks below, and was not met
-# where the tip is this number of d from where the particle should be. A force is felt as a mean over this number of
-# ticks.
-_CONTACT, _FAINT_TICKS, _MISSED, _FELT_TICKS = 0.3, 60, 0.7, 100.0
-# It goes to this number of d behind the particle, and keeps this number of d from it on the way.
-_BEHIND, _KEEPS = 1.35, 1.25
+# A lateral force above this share of the friction is a contact.
+_CONTACT = 0.3
+# A contact is lost after this number of ticks below that share.
+_FAINT_TICKS = 60
+# The particle was missed if the tip comes nearer to its place than this multiple of d without a contact.
+_MISSED = 0.7
+# A force is felt as a mean over this number of ticks.
+_FELT_TICKS = 100.0
+# The tip goes behind the particle by this multiple of d.
+_BEHIND = 1.35
+# On the way there it keeps this multiple of d from the particle.
+_KEEPS = 1.25
+# A particle that lies further aside than this angle is approached again; this is its cosine.
 _MOST_ASIDE = math.cos(math.radians(75.0))
 # The errors of a hand change this number of times a second: every this number of ticks.
 _HELD_TICKS = 20
@@ -76,9 +83,16 @@ class Push(NamedTuple):
     leaves_m: float
 
 
-# These are the errors of the first image [m] and of the eye [m], and those of the felt force, of the hand's speed and
-# of its heading.
-_IMAGE_M, _PLACE_M, _FORCE_SHARE, _TREMOR, _TURN = 10e-9, 5e-9, 0.1, 0.15, 0.05
+# The standard error of the place of a particle in the first image.
+_IMAGE_M = 10e-9
+# The error with which the eye reads the tip's place.
+_PLACE_M = 5e-9
+# The errors of the felt force and of the hand's speed are shares of them.
+_FORCE_SHARE = 0.1
+_TREMOR = 0.15
+# The error of the hand's heading [rad].
+_TURN = 0.05
+# The errors of the hand are drawn for this number of ticks.
 _ERRORS = 2048
 
 

@@ -36,24 +36,37 @@ from telenano.wire import RefusedError, Scalar
 from telenano_assembly.particles.steering import steered
 from telenano_assembly.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 
-# the phases after the way to the surface
-LIFT, PUSH, DONE = Way.ARRIVED, Way.ARRIVED + 1, Way.ARRIVED + 2
-AT_GOAL, LOST, TOO_FAR = "the particle is at its goal", "the particle is lost", "the way is longer than planned"
-NOT_MET, PASSED = "no particle was met", "the particle has passed its goal"
+# These phases come after the way to the surface.
+LIFT = Way.ARRIVED
+PUSH = Way.ARRIVED + 1
+DONE = Way.ARRIVED + 2
+# The reasons for which a push ends.
+AT_GOAL = "the particle is at its goal"
+LOST = "the particle is lost"
+TOO_FAR = "the way is longer than planned"
+NOT_MET = "no particle was met"
+PASSED = "the particle has passed its goal"
 
 # The approach point lies this many d behind the believed place.
 _BEHIND = 1.3
 # a way longer than this share of the planned one is given up
 _LONGEST = 1.5
-# The particle is lost when the lateral force stays below this share of its plateau for this share of d, or when it lies
-# this far beside the direction of the tip.
-_LOST_SHARE, _LOST_WAY, _LOST_RAD = 0.3, 0.05, math.radians(75.0)
+# The particle is lost when the lateral force stays below this share of its plateau.
+_LOST_SHARE = 0.3
+# The force has to stay that low for this share of d.
+_LOST_WAY = 0.05
+# The particle is also lost when it lies this far beside the direction of the tip.
+_LOST_RAD = math.radians(75.0)
 # The plateau and the direction of the force are means over this share of d.
 _MEAN_WAY = 0.02
-# Contact is a lateral force of this number of standard deviations of what is felt on the way, at least for this number
-# of steps.
-_CONTACT_DEVIATIONS, _CONTACT_STEPS = 3.0, 3
-_QUIET_STEPS, _LEAST_N = 10, 1e-11
+# A lateral force is a contact above this number of standard deviations of the forces on the way.
+_CONTACT_DEVIATIONS = 3.0
+# The force has to be that high for this number of steps.
+_CONTACT_STEPS = 3
+# The forces on the way are averaged over this number of steps before a contact counts.
+_QUIET_STEPS = 10
+# A contact exceeds the deviations by this force, so that a noise of zero leaves a threshold.
+_LEAST_N = 1e-11
 # The lines of a sweep go this many d to either side, so that their ends are clear of the particle.
 _HALF_LINE = 2.5
 # A steered particle that can come no nearer has arrived within this share of its radius.
@@ -139,7 +152,8 @@ class Push(Program[PushSettings, PushPlan, PushState]):
     """A push of a particle."""
 
     settings = PushSettings
-    title, about = "Push", "A particle that the tip pushes."
+    title = "Push"
+    about = "A particle that the tip pushes."
     can_pause = True
     leaves_tip = True
     moves_across = True

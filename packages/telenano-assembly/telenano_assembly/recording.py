@@ -10,9 +10,14 @@ from telenano.wire import TOPICS, compose
 from telenano_assembly.layers import says
 
 NAME = "assembly.mcap"
-_INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"
-# The instrument is recorded so often, and so often where nothing moves [s].
-_STATE_S, _REPORT_S, _RESTING_S = 0.05, 0.1, 1.0
+# The nodes under whose names the messages are written.
+_INSTRUMENT = "afm_node@slave"
+_PLANNER = "console@slave"
+# The intervals at which the state of the instrument and the report of its program are recorded.
+_STATE_S = 0.05
+_REPORT_S = 0.1
+# A message is recorded at this interval while nothing in it changes.
+_RESTING_S = 1.0
 # characters of a sentence of the assembly
 _MOST_TEXT = 512
 # Simulated time begins here [ns], because 0 means that there is no message.

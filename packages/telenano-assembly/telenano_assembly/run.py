@@ -28,18 +28,31 @@ Array = npt.NDArray[np.float64]
 
 # A particle has arrived within this share of its diameter.
 DONE_SHARE = 0.1
-# A look at one particle goes this number of d to each side, with a line each this number of d.
-_LOOK_SIDE, _LOOK_LINES, _LOOK_PIXELS = 2.0, 14, 28
-# Its edges keep this number of d from other particles, where it keeps this number of d to each side.
-_EDGE, _LEAST_SIDE = 1.05, 1.1
-# A pixel and a line of an image of all particles are these shares of the radius that they are known to have.
-_PIXEL_SHARE, _LINE_SHARE = 0.5, 0.8
+# An image of one particle reaches this multiple of d to each side of it.
+_LOOK_SIDE = 2.0
+# The number of lines of an image of one particle.
+_LOOK_LINES = 14
+# The number of pixels of a line of it.
+_LOOK_PIXELS = 28
+# The edges of that image keep this multiple of d from other particles.
+_EDGE = 1.05
+# They stay this multiple of d from the particle itself, even where another one is nearer.
+_LEAST_SIDE = 1.1
+# A pixel of an image of all particles is this share of their known radius wide.
+_PIXEL_SHARE = 0.5
+# The lines of that image are this share of the radius apart.
+_LINE_SHARE = 0.8
 # What an image says of a place is right within this, whatever its noise [m].
 _LEAST_ERROR_M = 1e-9
 _MOST_ROUNDS = 6
 # What has another radius than the particles, by more than this share, is not one of them.
 _OTHER_RADIUS = 0.3
-_APPROACH_M_PER_S, _TOUCH_N, _GAIN_PER_S = 5e-6, 4e-9, 1200.0
+# The tip approaches the surface at this speed.
+_APPROACH_M_PER_S = 5e-6
+# The tip pushes with this normal force.
+_TOUCH_N = 4e-9
+# The gain of the feedback of scans.
+_GAIN_PER_S = 1200.0
 
 
 class Look(NamedTuple):
@@ -398,13 +411,13 @@ class Assembler:
         self._known[particle] = one._replace(x_m=found.x_m, y_m=found.y_m, radius_m=found.radius_m, seen_s=time_s)
         return True
 
-    def _follow_drift(self, before: _Known, found: Found, time_s: float) -> None:
+    def _follow_drift(self, before: _Known, particle: Found, time_s: float) -> None:
         ahead, elapsed_s = drift_at(self._drift, time_s), time_s - before.seen_s
-        x_error, y_error = max(found.x_error_m, _LEAST_ERROR_M), max(found.y_error_m, _LEAST_ERROR_M)
+        x_error, y_error = max(particle.x_error_m, _LEAST_ERROR_M), max(particle.y_error_m, _LEAST_ERROR_M)
         self._drift = Drift(
             ahead.time_s,
-            moved(ahead.x, found.x_m - before.x_m, elapsed_s, math.sqrt(2.0) * x_error),
-            moved(ahead.y, found.y_m - before.y_m, elapsed_s, math.sqrt(2.0) * y_error),
+            moved(ahead.x, particle.x_m - before.x_m, elapsed_s, math.sqrt(2.0) * x_error),
+            moved(ahead.y, particle.y_m - before.y_m, elapsed_s, math.sqrt(2.0) * y_error),
         )
 
     def _outcome(self, before: Look, after: Look) -> Assembly:

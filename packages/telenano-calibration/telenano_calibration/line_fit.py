@@ -64,11 +64,11 @@ def fit_line(what: str, counts: Sequence[float], errors: Sequence[float], values
     return LineFit(scale, mean_count - slope * mean_value, max(scatter, noise) * scale**2)
 
 
-def mean_of(found: Sequence[float]) -> tuple[float, float]:
+def mean_of(estimates: Sequence[float]) -> tuple[float, float]:
     """Return the mean of some values and the standard error of the mean."""
-    mean = math.fsum(found) / len(found)
-    variance = math.fsum((value - mean) ** 2 for value in found) / (len(found) - 1)
-    return mean, math.sqrt(variance / len(found))
+    mean = math.fsum(estimates) / len(estimates)
+    variance = math.fsum((value - mean) ** 2 for value in estimates) / (len(estimates) - 1)
+    return mean, math.sqrt(variance / len(estimates))
 
 
 def regressed(x: Array, y: Array) -> tuple[float, float, float]:

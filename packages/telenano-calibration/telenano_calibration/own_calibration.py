@@ -32,8 +32,9 @@ Array = npt.NDArray[np.float64]
 
 # c for a lever that is read by its angle, the usual one
 BY_ANGLE = 0.971 / 1.09**2
-# air at 20 degrees Celsius and 1013 hPa
-AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
+# Density and viscosity are those of air at 20 degrees Celsius and 1013 hPa.
+AIR_DENSITY_KG_PER_M3 = 1.204
+AIR_VISCOSITY_PA_S = 1.825e-5
 # Units of a density, as columns are named: of a power or of its root, in volts or in metres.
 DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
 _NO_DECIBELS = "decibels are not taken, so write the density itself, in"
@@ -329,7 +330,7 @@ def _pair_of(
     return x, y
 
 
-def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: Thermal) -> Stiffness:
+def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, thermal: Thermal) -> Stiffness:
     """Return the stiffness by a thermal spectrum: lines [Hz] and one-sided density [V^2/Hz], shape (n,) each.
 
     Raises:
@@ -337,20 +338,22 @@ def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: 
     """
     if np.any(np.diff(frequency_hz) <= 0.0) or np.any(density_v2_per_hz < 0.0):
         raise ConfigError("the spectrum needs frequencies that rise, and densities of 0 or more")
-    rate_hz = known.rate_hz if known.rate_hz is not None else 2.0 * float(frequency_hz[-1])
-    return _stiffness(known, frequency_hz, density_v2_per_hz * known.sensitivity_m_per_v**2, rate_hz, known.averages)
+    rate_hz = thermal.rate_hz if thermal.rate_hz is not None else 2.0 * float(frequency_hz[-1])
+    return _stiffness(
+        thermal, frequency_hz, density_v2_per_hz * thermal.sensitivity_m_per_v**2, rate_hz, thermal.averages
+    )
 
 
-def stiffness_of_record(deflection_v: Array, known: Thermal) -> Stiffness:
+def stiffness_of_record(deflection_v: Array, thermal: Thermal) -> Stiffness:
     """Return the stiffness by a record of the free lever's deflection [V], shape (n,), at `known.rate_hz`.
 
     Raises:
         ConfigError: The rate is missing, or the fit ends at a bound, which the message names.
     """
-    if known.rate_hz is None:
+    if thermal.rate_hz is None:
         raise ConfigError("--rate: a record needs the rate at which it was sampled [Hz]")
-    rate_hz, deflection_m = known.rate_hz, deflection_v * known.sensitivity_m_per_v
-    return _stiffness(known, *periodogram(deflection_m, rate_hz), rate_hz, 1.0)
+    rate_hz, deflection_m = thermal.rate_hz, deflection_v * thermal.sensitivity_m_per_v
+    return _stiffness(thermal, *periodogram(deflection_m, rate_hz), rate_hz, 1.0)
 
 
 def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, averages: float | None) -> Stiffness:
@@ -401,9 +404,9 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
     )
 
 
-def _ask_about(k: float, found: Resonance) -> None:
+def _ask_about(k: float, resonance: Resonance) -> None:
     """Raise ConfigError where resonance, Q or mass is that of no usual lever, with the likely mistake."""
-    f0, q = found.resonance_hz, found.quality
+    f0, q = resonance.resonance_hz, resonance.quality
     mass_kg = k / (2.0 * math.pi * f0) ** 2
     asked = ""
     if f0 < _RESONANCE_HZ[0]:
@@ -423,22 +426,22 @@ def _ask_about(k: float, found: Resonance) -> None:
         raise ConfigError(f"no usual lever has {asked}; --anyway takes it as it is")
 
 
-def _remarks_on(found: Resonance, given: float | None) -> tuple[str, ...]:
+def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
     remarks = []
-    if found.tones:
-        remarks.append(f"{found.tones} lines that no thermal noise has (of the electronics) are left out")
-    if given is None:
+    if resonance.tones:
+        remarks.append(f"{resonance.tones} lines that no thermal noise has (of the electronics) are left out")
+    if quality is None:
         remarks.append(
-            f"by the scatter of its lines each is the mean of {found.averages:.3g} periodograms (--averages)"
+            f"by the scatter of its lines each is the mean of {resonance.averages:.3g} periodograms (--averages)"
         )
-    elif not 0.5 < found.deviance < 2.0:
-        scatter = "more" if found.deviance > 1.0 else "less"
-        remarks.append(f"its lines scatter {scatter} than those of {given:g} averages: is --averages right?")
-    if found.chance < WIDENED:
+    elif not 0.5 < resonance.deviance < 2.0:
+        scatter = "more" if resonance.deviance > 1.0 else "less"
+        remarks.append(f"its lines scatter {scatter} than those of {quality:g} averages: is --averages right?")
+    if resonance.chance < WIDENED:
         remarks.append(
-            f"the standard error is widened {math.sqrt(found.mismatch):.2g} times by the residuals of the fit"
+            f"the standard error is widened {math.sqrt(resonance.mismatch):.2g} times by the residuals of the fit"
         )
-    remarks.append(f"lines from {found.band_hz[0]:.6g} to {found.band_hz[1]:.6g} Hz are taken")
+    remarks.append(f"lines from {resonance.band_hz[0]:.6g} to {resonance.band_hz[1]:.6g} Hz are taken")
     return tuple(remarks)
 
 
@@ -453,7 +456,7 @@ def _sader_with_slopes(
     return k, {"width": math.log(wider / k) / math.log(more), "resonance": math.log(faster / k) / math.log(more)}
 
 
-def _agreement(ratio: float, share: float, known: Thermal) -> str:
+def _agreement(ratio: float, share: float, thermal: Thermal) -> str:
     """Return in words whether both methods agree within their errors, and which errors those are."""
     apart = abs(math.log(ratio)) / share
     text = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
@@ -465,7 +468,7 @@ def _agreement(ratio: float, share: float, known: Thermal) -> str:
         text += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
     unknown = [
         name
-        for name, error in (("the sensitivity", known.sensitivity_error_m_per_v), ("the size", known.size_error_m))
+        for name, error in (("the sensitivity", thermal.sensitivity_error_m_per_v), ("the size", thermal.size_error_m))
         if not error
     ]
     return text + (f" (not counting that of {' and of '.join(unknown)}: not given)" if unknown else "")
@@ -543,9 +546,9 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
     return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
 
 
-def require_usual(found: Sequence[Sensitivity]) -> None:
+def require_usual(sensitivities: Sequence[Sensitivity]) -> None:
     """Raise ConfigError for a way for a volt that no usual read-out has, with the likely mistake."""
-    for one in found:
+    for one in sensitivities:
         if not _M_PER_V[0] <= one.m_per_v <= _M_PER_V[1]:
             raise ConfigError(
                 f"{1e9 * one.m_per_v:.3g} nm/V is the way for a volt of no usual read-out: are --way-unit and "

@@ -33,7 +33,11 @@ Array = npt.NDArray[np.float64]
 BANDS = ((0.1, 3.0), (0.4, 1.8), (0.7, 1.4))
 # the least Q of a spring that swings, and the greatest that is looked for
 QUALITIES = (0.5, 1e7)
-_MOST_STEPS, _ENOUGH = 60, 1e-7
+# The fit ends after at most this number of steps.
+_MOST_STEPS = 60
+# The fit has ended when a step lowers its cost, minus the logarithm of the likelihood, by less than this.
+_ENOUGH = 1e-7
+# The derivatives of the fit are differences over this step of a parameter.
 _DIFFERENCE = 1e-5
 # Windows count where the peak has fewer lines within the width at half its height.
 _FEW_LINES = 2.0

@@ -9,7 +9,12 @@ from typing import Any
 from telenano_conformance.rules import Account
 
 _S = 1_000_000_000
-_ANSWER_NS, _QUIET_NS, _OLD_NS = _S, _S // 2, 10 * _S
+# A command has to be answered within this time.
+_ANSWER_NS = _S
+# A command that must not be answered has no answer after this time.
+_QUIET_NS = _S // 2
+# A command of this age has expired.
+_OLD_NS = 10 * _S
 # Publishes a session/control with these keys, whose t_ns is that of now less an age [ns].
 Commands = Callable[[dict[str, Any], int], None]
 

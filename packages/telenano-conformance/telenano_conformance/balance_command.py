@@ -90,12 +90,12 @@ def _line(facts: dict[str, Any], laws: list[str]) -> str:
     )
 
 
-def _print_findings(found: list[Row], broken: list[Row]) -> None:
+def _print_findings(rows: list[Row], broken: list[Row]) -> None:
     for name, _, balances in broken:
         typer.echo(f"{name}: {balances[0].sentence()}")
-    for name in dict.fromkeys(row[0] for row in found):
+    for name in dict.fromkeys(row[0] for row in rows):
         lost = sum(row[0] == name for row in broken)
-        kinds = sum(row[0] == name for row in found)
+        kinds = sum(row[0] == name for row in rows)
         if not states_passivity(known_law(name)):
             typer.echo(f"{name} does not state passivity, so that it is held to nothing")
         else:

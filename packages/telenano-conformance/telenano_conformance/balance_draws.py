@@ -36,11 +36,18 @@ MIXED = "mixed"
 _OF_THE_WORLD = ("hold", "end of travel: hand", "end of travel: base", "quantised force")
 SILENCES = ("silence forward", "silence backward", "silence both")
 
-# silences in units of the limit that a law states for them
-_LEAST_SILENCE, _MOST_SILENCE = 0.1, 3.0
-_LEAST_HAND_N_PER_M, _MOST_HAND_N_PER_M = 100.0, 3000.0
-_LEAST_SAMPLE_N_PER_M, _MOST_SAMPLE_N_PER_M = 0.02, 30.0
+# The length of a silence is drawn between these multiples of the limit that a law states for silences.
+_LEAST_SILENCE = 0.1
+_MOST_SILENCE = 3.0
+# The stiffness of a hand is drawn between these.
+_LEAST_HAND_N_PER_M = 100.0
+_MOST_HAND_N_PER_M = 3000.0
+# The stiffness of a sample is drawn between these.
+_LEAST_SAMPLE_N_PER_M = 0.02
+_MOST_SAMPLE_N_PER_M = 30.0
+# A delay is drawn up to this.
 _MOST_DELAY_S = 0.2
+# A drift of the sample is drawn up to this, either way.
 _MOST_DRIFT_M_PER_S = 0.5e-9
 # before this time the instrument is armed, and the line has brought a first answer [s]
 BEGINS_S = 1.0

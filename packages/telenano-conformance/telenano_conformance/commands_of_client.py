@@ -7,8 +7,12 @@ from typing import Any, Literal
 from telenano_conformance.rules import Account
 
 _MS = 1_000_000
-# For this time a command is not answered, and then again each answer is waited for.
-SILENT_NS, QUOTED_NS, ENDED_NS = 500 * _MS, 1500 * _MS, 300 * _MS
+# The first copies of a command are not answered for this time, so that it has to be repeated.
+SILENT_NS = 500 * _MS
+# The client has this time to quote a refusal in the next copy of its command.
+QUOTED_NS = 1500 * _MS
+# The client has this time to stop repeating a command after its acknowledgement.
+ENDED_NS = 300 * _MS
 # A person gives some tens of commands; a client that gives more fills no memory.
 _MOST_COMMANDS = 1000
 LATCH = "0a1b2c3d4e5f-1"
@@ -96,48 +100,48 @@ class CommandsOfClient:
                 command.phase = "ended"
                 self._account.hold("end of repetition", "identifiers")
 
-    def _refuse_or_take(self, identifier: str, known: _Command, now_ns: int) -> None:
+    def _refuse_or_take(self, identifier: str, command: _Command, now_ns: int) -> None:
         assert self._answers is not None
-        if known.first["command"] in _AT_ONCE:
-            self._acknowledge(identifier, known, now_ns)
+        if command.first["command"] in _AT_ONCE:
+            self._acknowledge(identifier, command, now_ns)
             return
         data: dict[str, Any] = {"expired": True}
         text = "the command is too old by this node's clock"
-        if known.first["command"] == "arm":
+        if command.first["command"] == "arm":
             data |= {"latch": LATCH, "estop_age_s": 3600.0, "latched": False}
         answer = {"id": identifier, "kind": "refused", "level": "warning", "text": text, "data": data}
-        known.answered_ns = self._answers(known.node, answer)
-        known.phase, known.phase_ns = "refused", now_ns
+        command.answered_ns = self._answers(command.node, answer)
+        command.phase, command.phase_ns = "refused", now_ns
 
-    def _acknowledge(self, identifier: str, known: _Command, now_ns: int, *, plainly: bool = False) -> None:
+    def _acknowledge(self, identifier: str, command: _Command, now_ns: int, *, plainly: bool = False) -> None:
         if self._answers is not None:
             answer = {"id": identifier, "kind": "ack", "level": "info", "text": "done", "data": {}}
-            self._answers(known.node, answer if plainly else answer | {"further_k": 295.0})
-        known.phase, known.phase_ns = "acknowledged plainly" if plainly else "acknowledged", now_ns
+            self._answers(command.node, answer if plainly else answer | {"further_k": 295.0})
+        command.phase, command.phase_ns = "acknowledged plainly" if plainly else "acknowledged", now_ns
 
-    def _wanted(self, known: _Command) -> dict[str, tuple[str, Any]]:
+    def _wanted(self, command: _Command) -> dict[str, tuple[str, Any]]:
         """Return what is to be quoted by its rule: the key, and the value for the node."""
-        wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", known.answered_ns)}
-        return wanted | ({"quoted stop": ("node_latch", LATCH)} if known.first["command"] == "arm" else {})
+        wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", command.answered_ns)}
+        return wanted | ({"quoted stop": ("node_latch", LATCH)} if command.first["command"] == "arm" else {})
 
-    def _quotations(self, identifier: str, known: _Command, fields: dict[str, Any]) -> None:
-        for rule, (key, value) in self._wanted(known).items():
+    def _quotations(self, identifier: str, command: _Command, fields: dict[str, Any]) -> None:
+        for rule, (key, value) in self._wanted(command).items():
             quoted = fields.get(key)
-            if not isinstance(quoted, dict) or known.node not in quoted:
+            if not isinstance(quoted, dict) or command.node not in quoted:
                 continue
-            known.quoted.add(rule)
-            if quoted[known.node] == value or (key == "node_t_ns" and quoted[known.node] > value):
+            command.quoted.add(rule)
+            if quoted[command.node] == value or (key == "node_t_ns" and quoted[command.node] > value):
                 self._account.hold(rule)
             else:
-                self._account.fail(rule, f"{identifier} quotes {quoted[known.node]} in {key}, and not {value}")
+                self._account.fail(rule, f"{identifier} quotes {quoted[command.node]} in {key}, and not {value}")
 
-    def _is_quoted(self, known: _Command) -> bool:
-        return known.quoted >= self._wanted(known).keys()
+    def _is_quoted(self, command: _Command) -> bool:
+        return command.quoted >= self._wanted(command).keys()
 
-    def _miss_quotations(self, identifier: str, known: _Command) -> None:
-        for rule, (key, _) in self._wanted(known).items():
-            if rule not in known.quoted:
-                self._account.fail(rule, f"{identifier} was refused by {known.node}, and does not come with {key}")
+    def _miss_quotations(self, identifier: str, command: _Command) -> None:
+        for rule, (key, _) in self._wanted(command).items():
+            if rule not in command.quoted:
+                self._account.fail(rule, f"{identifier} was refused by {command.node}, and does not come with {key}")
 
 
 def _node_of(target: str) -> str:

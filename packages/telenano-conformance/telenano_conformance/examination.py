@@ -28,7 +28,9 @@ _LARGEST_BYTES = 1 << 21
 _MOST_A_TURN = 1000
 # A client for whose messages this time of the processor was not enough to find an end of them is too fast [s].
 _BEHIND_S = 1.0
-_COMMANDER, _NODE = "console@master", "afm_node@slave"
+# The messages of the kit come from these nodes.
+_COMMANDER = "console@master"
+_NODE = "afm_node@slave"
 _FAILED = (
     zmq.EVENT_HANDSHAKE_FAILED_AUTH,
     zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL,

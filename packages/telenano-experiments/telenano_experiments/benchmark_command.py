@@ -88,8 +88,8 @@ def benchmark(
             typer.echo(f"digest: {summary['digest']}")
 
 
-def _names(given: str) -> list[str]:
-    return [name.strip() for name in given.split(",") if name.strip()]
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _command(law: str, choice: dict[str, str], *, quick: bool, settings: list[str] | tuple[()]) -> str:

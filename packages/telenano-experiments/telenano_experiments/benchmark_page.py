@@ -237,13 +237,13 @@ def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":
 
 def _draw_shares(axes: Any, rows: Sequence[Row[Case]], networks: Sequence[str], laws: Sequence[str]) -> Any:
     """Draw the shares of one instrument and hand, and return what has their scale of colours."""
-    known = {(row.case.network, row.law): row for row in rows}
-    shares = [[known[network, law].share for law in laws] for network in networks]
+    by_line = {(row.case.network, row.law): row for row in rows}
+    shares = [[by_line[network, law].share for law in laws] for network in networks]
     image = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")
     best = {case.network: some[0].law for case, some in choices(rows).items() if some[0].held}
     for y, network in enumerate(networks):
         for x, law in enumerate(laws):
-            row = known[network, law]
+            row = by_line[network, law]
             spread = row.measures["tracking_error"]
             words = f"{100.0 * row.share:.0f} %" + (f"\n{spread.median:.2g}" if spread is not None else "")
             weight = "bold" if best.get(network) == law else "normal"

@@ -271,15 +271,15 @@ def _test(cells: _Cells, factors: Sequence[Factor], chosen: Sequence[Factor]) ->
     return repeated_f(cells.means, sides[0], cells.groups, sides[1])
 
 
-def _slope(factor: Factor, found: RepeatedF, conditions: int, p: float, confidence: float) -> Slope:
+def _slope(factor: Factor, effect: RepeatedF, conditions: int, p: float, confidence: float) -> Slope:
     """Return the slope that a contrast of unit length over the levels comes to, for each unit of the factor."""
     from scipy import stats
 
     levels = np.asarray(factor.levels, dtype=float)
     length = math.sqrt(float(((levels - levels.mean()) ** 2).sum()) * conditions / len(levels))
-    slope, error = float(found.estimate.item()) / length, math.sqrt(float(found.variance.item())) / length
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, found.df2)) * error
-    return Slope(factor.name, slope, slope - half, slope + half, found.df2, p)
+    slope, error = float(effect.estimate.item()) / length, math.sqrt(float(effect.variance.item())) / length
+    half = float(stats.t.ppf(0.5 + 0.5 * confidence, effect.df2)) * error
+    return Slope(factor.name, slope, slope - half, slope + half, effect.df2, p)
 
 
 def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float, within: str) -> tuple[Pair, ...]:
@@ -319,10 +319,10 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
     return tuple(pairs)
 
 
-def as_rows(found: Mapping[tuple[str, str], Effects], part: str) -> list[dict[str, Any]]:
+def as_rows(effects: Mapping[tuple[str, str], Effects], part: str) -> list[dict[str, Any]]:
     """Return the terms, slopes or pairs of several measures as rows, each with task and measure."""
     return [
         {"task": task, "measure": measure, **row._asdict()}
-        for (task, measure), effect in found.items()
+        for (task, measure), effect in effects.items()
         for row in getattr(effect, part)
     ]

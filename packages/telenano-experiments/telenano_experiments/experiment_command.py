@@ -341,13 +341,13 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
         raise typer.Exit(EXIT_FAILED)
 
 
-def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> list[str]:
+def _participants(plan: "Plan", names: list[str] | None, left: list[str]) -> list[str]:
     """Return the participants of a run: those given; else all that are left, of people the first one."""
-    for name in given or ():
+    for name in names or ():
         if name not in plan.experiment.pseudonyms:
             pseudonyms = ", ".join(plan.experiment.pseudonyms)
             raise ConfigError(f"--participant {name}: is no participant of {plan.path}; there are {pseudonyms}")
-    return given or (left[:1] if plan.experiment.operator.kind == "person" else left)
+    return names or (left[:1] if plan.experiment.operator.kind == "person" else left)
 
 
 @contextlib.contextmanager

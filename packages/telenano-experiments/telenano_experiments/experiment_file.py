@@ -112,8 +112,8 @@ class Practice(Settings):
         default=0, ge=0, le=1000, description="How many, of the conditions of that block in turn; with `until` at most"
     )
     until: dict[str, Criterion] = Field(default={}, description="Criterion that ends the practice of a task, by task")
-    missed: Literal["go_on", "exclude"] = Field(
-        default="go_on", description="What becomes of a participant who does not meet it in these trials"
+    missed: Literal["keep", "exclude"] = Field(
+        default="keep", description="What becomes of a participant who does not meet it in these trials"
     )
 
     @model_validator(mode="after")
@@ -219,7 +219,7 @@ class Words(Settings):
     end: Heading = Field(default="Thank you", description="Heading of the end")
     end_text: Paragraph = Field(default="The session is over.", description="What stands below it")
     begin: Heading = Field(default="Begin", description="Button below an instruction")
-    go_on: Heading = Field(default="Continue", description="Button that ends a rest")
+    end_rest: Heading = Field(default="Continue", description="Button that ends a rest")
     submit: Heading = Field(default="Continue", description="Button below questions")
     practice: Heading = Field(default="Practice", description="What stands beside the bar in practice")
     trial: Heading = Field(
@@ -231,7 +231,7 @@ class Words(Settings):
     def labels(self) -> dict[str, str]:
         """The words of the page itself by their use; none in English as it is."""
         default = Words()
-        names = ("language", "begin", "go_on", "submit", "practice", "trial")
+        names = ("language", "begin", "end_rest", "submit", "practice", "trial")
         return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(default, name)}
 
     @property

@@ -47,7 +47,7 @@ class ExperimentCue(Message):
     done: Annotated[Count, about("Trials of this session that are over")]
     total: Annotated[Count, about("Trials of this session")]
     practice: Annotated[bool, about("This is practice")]
-    labels: Annotated[Facts, about("Own words of the page: language, begin, go_on, submit, practice, trial")]
+    labels: Annotated[Facts, about("Own words of the page: language, begin, end_rest, submit, practice, trial")]
     quantity: Annotated[
         Literal["none", "force", "position", "place"],
         about("What is to follow the target: nothing; force on the tip; base, along the axis; place across it"),

@@ -39,7 +39,10 @@ _CORNERS = 60
 PRESSES = (0.2, 0.6), (0.0, 1.2)
 # How fast the hand goes towards the sample to detect it [m/s], and what it feels before: the mean of this time [s].
 _APPROACH_M_PER_S = 4e-3
-_BEFORE_S, _GAP_S = 0.5, 0.1
+# The force is compared with its mean over this time.
+_BEFORE_S = 0.5
+# That time ends this long before the force that is compared with it.
+_GAP_S = 0.1
 # It judges nothing before its arm goes steadily [s].
 _STEADY_S = 1.5
 

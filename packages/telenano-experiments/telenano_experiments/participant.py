@@ -39,7 +39,10 @@ TRIAL_KEYS = (
 # What the hand needs is never late: the spring of the page acts on it.
 _HAND = {"hand": ("position", "force", "x", "y"), "command": ("tip_force",)}
 _PICTURE = {"tip": ("base", "deflection", "force", "force_x", "force_y", "x", "y", "separation")}
-_AFM, _AFM_KEYS = "afm/state/slave", ("in_contact", "meniscus")
+# The page of a participant is sent this state of the instrument.
+_AFM = "afm/state/slave"
+# Of that state it is sent these keys alone.
+_AFM_KEYS = ("in_contact", "meniscus")
 # Of a picture that is held back the oldest go: ten seconds at thirty a second.
 _MOST_HELD = 300
 # A picture that is later than it can be held would never be shown.

@@ -77,10 +77,10 @@ class People:
         """
         checked_pseudonym(pseudonym)
 
-        def with_person(known: dict[str, Person]) -> dict[str, Person]:
-            before = known.get(pseudonym, Person())
+        def with_person(people: dict[str, Person]) -> dict[str, Person]:
+            before = people.get(pseudonym, Person())
             changed_person = validate(Person, {**before.model_dump(), **fields}, str(self.path), pseudonym)
-            return known | {pseudonym: changed_person}
+            return people | {pseudonym: changed_person}
 
         self._change(with_person)
         return self.known[pseudonym]

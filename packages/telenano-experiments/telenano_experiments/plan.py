@@ -294,23 +294,23 @@ def _number(text: str) -> int:
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
 
-def load_plan(path: Path, known: Mapping[str, Task] | None = None) -> Plan:
+def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
     """Read and check the file of an experiment, with every condition that it asks for.
 
     Args:
         path: The file.
-        known: The tasks that there are, by name; those of the project and of packages unless given.
+        tasks: The tasks that there are, by name; those of the project and of packages unless given.
 
     Raises:
         ConfigError: Something is wrong; the message names file and key, and what would be right.
     """
     experiment = validate(Experiment, read_yaml(path), str(path))
-    known = TASKS if known is None else known
+    tasks = TASKS if tasks is None else tasks
     for number, entry in enumerate(experiment.tasks):
-        if entry.name not in known:
-            absent = f"{entry.name}: is no task; {known_names(entry.name, known)}"
+        if entry.name not in tasks:
+            absent = f"{entry.name}: is no task; {known_names(entry.name, tasks)}"
             raise ConfigError(f"{path}: tasks.{number}.name: {INSTALLED.problems.get(entry.name, absent)}")
-    plan = Plan(experiment, path, {entry.name: known[entry.name] for entry in experiment.tasks})
+    plan = Plan(experiment, path, {entry.name: tasks[entry.name] for entry in experiment.tasks})
     _check_design(plan)
     _check_words(plan)
     for task, held in plan.block_conditions:

@@ -21,8 +21,10 @@ from telenano.settings import LoadedScenario
 from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
 
-# It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.
-_TOUCHED_S, _LEAVES = 1.0, 0.5
+# The hand begins to steer this long after the start, when the tip has touched the sample.
+_TOUCHED_S = 1.0
+# The hand leaves a particle where it is nearer to the goal than this share of the tolerance.
+_LEAVES = 0.5
 
 
 def steering_of(

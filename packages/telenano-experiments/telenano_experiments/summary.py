@@ -9,8 +9,12 @@ from telenano_experiments.plan import Plan, changes_while_running, parameters_of
 from telenano_experiments.runner import progress_of, remaining
 from telenano_experiments.types import Trial
 
-# What a rig needs between two trials, and to start [s], and what a person reads before each.
-_BETWEEN_S, _START_S, _COUNTDOWN_S = 5.0, 15.0, 3.0
+# A rig needs this time between two trials.
+_BETWEEN_S = 5.0
+# A rig needs this time to start.
+_START_S = 15.0
+# A person reads for this time before each trial.
+_COUNTDOWN_S = 3.0
 
 
 def summary_of(plan: Plan) -> dict[str, Any]:
@@ -87,12 +91,12 @@ def state_of(plan: Plan, records: Sequence[Record]) -> dict[str, Any]:
     rows = []
     for participant in plan.experiment.pseudonyms:
         progress = progress_of(records, participant)
-        attempts = [record for found in progress.outcomes.values() for record in found]
+        attempts = [record for outcomes in progress.outcomes.values() for record in outcomes]
         kinds = Counter(record["status"] for record in attempts)
         rows.append(
             {
                 "participant": participant,
-                "done": sum(any(record["final"] for record in found) for found in progress.outcomes.values()),
+                "done": sum(any(record["final"] for record in outcomes) for outcomes in progress.outcomes.values()),
                 "left": left.get(participant, 0),
                 "disturbed": kinds["disturbed"],
                 "aborted": kinds["aborted"],

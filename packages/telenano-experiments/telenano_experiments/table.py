@@ -15,8 +15,12 @@ from telenano.wire import ConfigError
 Row = dict[str, Any]
 Describe = Callable[[str], Mapping[str, tuple[str, str]]]
 
-CONDITION, ANSWER = "condition.", "answer."
-TRIALS, QUESTIONNAIRES = "trials", "questionnaires"
+# The names of the columns of factors and of answers begin with these.
+CONDITION = "condition."
+ANSWER = "answer."
+# The names of the tables.
+TRIALS = "trials"
+QUESTIONNAIRES = "questionnaires"
 # the columns that every table of trials has: unit and description
 FIXED = {
     "participant": ("", "Pseudonym of the participant"),
@@ -219,19 +223,19 @@ def _as(kind: str, value: Any) -> Any:
     return float(value) if kind == "number" else str(value) if kind == "text" else value
 
 
-def _dictionary(table: str, rows: Sequence[Row], known: Mapping[str, tuple[str, str]]) -> list[Described]:
+def _dictionary(table: str, rows: Sequence[Row], meanings: Mapping[str, tuple[str, str]]) -> list[Described]:
     names = dict.fromkeys(name for row in rows for name in row)
-    return [_described(table, name, [row.get(name) for row in rows], known) for name in names]
+    return [_described(table, name, [row.get(name) for row in rows], meanings) for name in names]
 
 
-def _described(table: str, name: str, values: Sequence[Any], known: Mapping[str, tuple[str, str]]) -> Described:
+def _described(table: str, name: str, values: Sequence[Any], meanings: Mapping[str, tuple[str, str]]) -> Described:
     kind = _type(values)
     if name.startswith(CONDITION):
         about = _unit_of(name), f"Level of the factor {name.removeprefix(CONDITION)}"
     elif name.startswith(ANSWER):
         about = "", f"Answer to {name.removeprefix(ANSWER)}, given during the trial"
     else:
-        about = known.get(name, (_unit_of(name), ""))
+        about = meanings.get(name, (_unit_of(name), ""))
     listed = name.startswith(CONDITION) or name in ("phase", "task", "status", "instrument", "item")
     levels = sorted({_as(kind, value) for value in values if value is not None}) if listed else []
     if len(levels) > _MOST_LEVELS:

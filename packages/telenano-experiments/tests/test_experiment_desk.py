@@ -177,7 +177,7 @@ WORDS: dict[str, Any] = {
     "rest": "Pause",
     "end": "Vielen Dank",
     "end_text": "Die Sitzung ist zu Ende.",
-    "go_on": "Weiter",
+    "end_rest": "Weiter",
     "trial": "{number} von {total}",
     "tasks": {
         "asking": {
@@ -211,7 +211,7 @@ def test_a_session_is_in_the_words_of_the_experiment_and_its_answers_mean_what_t
         ("Zwei Federn", "Welche war steifer?"), ("Einige Fragen", "How mentally demanding was the task?")
     ]  # fmt: skip
     assert {tuple(cue["labels"].items()) for cue in bus.cues} == {
-        (("language", "de"), ("go_on", "Weiter"), ("trial", "{number} von {total}"))
+        (("language", "de"), ("end_rest", "Weiter"), ("trial", "{number} von {total}"))
     }
     # The page gave the first word, and the table has the task's own.
     (trial,) = trials_in(tmp_path)

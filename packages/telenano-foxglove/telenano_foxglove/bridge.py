@@ -20,10 +20,15 @@ DEFAULT_PORT = 8765
 LEFT_OUT = ("node/journal", "link/fates")
 # The protocols of the SDK and of the viewers before it; what is sent here is the same for both.
 _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-# a message: kind, subscription, time [ns]
-_MESSAGE, _MESSAGE_DATA = struct.Struct("<BIQ"), 1
+# The head of a frame with a message: its opcode, its subscription and its time [ns].
+_MESSAGE = struct.Struct("<BIQ")
+# The opcode of a message.
+_MESSAGE_DATA = 1
+# The level of a status message that reports an error.
 _ERROR = 2
+# At most this number of viewers are connected.
 _MOST_VIEWERS = 16
+# At most this number of frames wait for a viewer; the oldest go.
 _MOST_QUEUED = 1024
 
 

@@ -20,8 +20,13 @@ from telenano_haptic_devices.vendor_library import (
 )
 from telenano_haptic_devices.wires import Cadence, Declared, Frame, Mechanics, declared
 
-_ID, _REAL, _INT, _BYTE = ctypes.c_byte, ctypes.c_double, ctypes.c_int, ctypes.c_ubyte
-_REALS, _INTS = ctypes.POINTER(_REAL), ctypes.POINTER(_INT)
+# The types of arguments and results.
+_ID = ctypes.c_byte
+_REAL = ctypes.c_double
+_INT = ctypes.c_int
+_BYTE = ctypes.c_ubyte
+_REALS = ctypes.POINTER(_REAL)
+_INTS = ctypes.POINTER(_INT)
 _CALLS: dict[str, tuple[type, tuple[type, ...]]] = {
     "dhdGetAvailableCount": (_INT, ()),
     "dhdErrorGetLast": (_INT, ()),
@@ -72,9 +77,11 @@ _CAUSES = {
     6: "its dead-man button",
 }
 _STATUS_EVERY_NS = 20_000_000
-# What CHAI3D declares for a make.
-_OMEGA, _DELTA = Declared(12.0, 5000.0, 30.0, 0.075), Declared(20.0, 5000.0, 30.0, 0.15)
-_SIGMA, _LAMBDA = Declared(12.0, 4000.0, 30.0, 0.075), Declared(12.0, 8000.0, 30.0, 0.1125)
+# The values of each make are those that CHAI3D declares.
+_OMEGA = Declared(12.0, 5000.0, 30.0, 0.075)
+_DELTA = Declared(20.0, 5000.0, 30.0, 0.15)
+_SIGMA = Declared(12.0, 4000.0, 30.0, 0.075)
+_LAMBDA = Declared(12.0, 8000.0, 30.0, 0.1125)
 _FALCON = Declared(8.0, 3000.0, 20.0, 0.04)
 # By the code of dhdGetSystemType.
 _MAKES = {

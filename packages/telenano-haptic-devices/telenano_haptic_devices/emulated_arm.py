@@ -15,8 +15,11 @@ from telenano.extend.operators import OperatorInputs
 from telenano.hand import ZERO, Vector, arm_step, operator_at_rest, operator_step
 from telenano_haptic_devices.wires import Mechanics
 
-# half of the workspace, and the step of the encoders [m]
-RADIUS_M, _STEP_M = 0.10, 1e-6
+# Half of the workspace.
+RADIUS_M = 0.10
+# The resolution of the encoders.
+_STEP_M = 1e-6
+# The mechanics are integrated in steps of this length.
 _SUBSTEP_S = 0.25e-3
 # A process that stood still for longer continues from now, as the emulated handle does.
 _LONGEST_S = 0.05

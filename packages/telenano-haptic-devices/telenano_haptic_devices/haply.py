@@ -38,16 +38,20 @@ _MAKE = Declared(10.0, 1000.0, 6.0)
 # Radii of the workspace, by the type of the device.
 _RADII_M = {"inverse3": 0.10, "inverse3x": 0.10, "minverse": 0.04}
 EMULATED = "telenano emulator"
-SESSION_RUNS, SESSION_RESTS = "org.telenano:session-runs", "org.telenano:servo"
+# The names of the profile of the service while a session runs, and while none does.
+SESSION_RUNS = "org.telenano:session-runs"
+SESSION_RESTS = "org.telenano:servo"
 BUTTONS = ("a", "b", "c")
+# The service has this time to answer when it is opened.
 _OPEN_S = 3.0
 # The service may take as long for a place as the coupling tolerates silence.
 _SILENT_S = 0.05
 _CHECK_S = 0.1
 # This number of readings more with unasked messages than without are no accident.
 _MOST_UNASKED = 50
-# A difference of the force that is sent and the one that is rendered which deserves a remark.
-_FORCE_SHARE, _FORCE_N = 0.1, 0.1
+# A rendered force that differs from the sent one by more than this share of it, and _FORCE_N, deserves a remark.
+_FORCE_SHARE = 0.1
+_FORCE_N = 0.1
 
 
 class Xyz(msgspec.Struct, frozen=True):

@@ -23,8 +23,9 @@ _GRIP_S = 0.02
 # The force gate takes a share of a force that turns round so often in a second.
 _GATE_HZ = 30.0
 _GATE_S = 0.1
-# an ordinary arm
-_ARM_N_PER_M, _ARM_N_S_PER_M = 300.0, 5.0
+# Stiffness and damping are those of an ordinary arm.
+_ARM_N_PER_M = 300.0
+_ARM_N_S_PER_M = 5.0
 
 
 class HaplyService:

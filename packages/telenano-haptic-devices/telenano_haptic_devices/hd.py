@@ -20,19 +20,38 @@ from telenano_haptic_devices.vendor_library import (
 )
 from telenano_haptic_devices.wires import Declared, Frame, Mechanics, declared
 
-_BUTTONS, _POSITION, _TRANSFORM, _FORCE = 0x2000, 0x2050, 0x2052, 0x2700
-_MODEL, _SERIAL, _USABLE, _STYLE = 0x2501, 0x2504, 0x2551, 0x2555
-_STIFFNESS_N_PER_MM, _MAX_FORCE_N = 0x2602, 0x2603
+# Parameters that libHD returns or takes, by the codes of its headers.
+_BUTTONS = 0x2000
+_POSITION = 0x2050
+_TRANSFORM = 0x2052
+_FORCE = 0x2700
+_MODEL = 0x2501
+_SERIAL = 0x2504
+_USABLE = 0x2551
+_STYLE = 0x2555
+_STIFFNESS_N_PER_MM = 0x2602
+_MAX_FORCE_N = 0x2603
+# The capability of libHD that lets motors render a force.
 _FORCE_OUTPUT = 0x4000
-_CALIBRATED, _NEEDS_UPDATE = 0x5000, 0x5001
+# States of the calibration that the driver acts on.
+_CALIBRATED = 0x5000
+_NEEDS_UPDATE = 0x5001
+# The handle that stands for no device.
 _INVALID = 0xFFFFFFFF
-_CONTINUE, _DONE = 1, 0
+# A callback returns one of these to be called again, or not.
+_CONTINUE = 1
+_DONE = 0
+# The priority of the callback in the scheduler of the library, its highest.
 _PRIORITY = 65_535
-# The library's scheduler has stopped when it has not called in this number of looks of this length, one after the
-# other: 50 ms. A process that stood still as a whole has missed one look. The first call, and one that is not over, may
-# take longer.
-_WAIT_S, _SILENT_LOOKS, _PATIENT_LOOKS = 0.01, 5, 50
+# The driver looks at this interval whether the library's scheduler has called.
+_WAIT_S = 0.01
+# The scheduler has stopped when it has not called in this number of looks, one after the other: 50 ms. A process that
+# stood still as a whole has missed one look.
+_SILENT_LOOKS = 5
+# The first call, and one that is not over, may take this number of looks.
+_PATIENT_LOOKS = 50
 _MM = 1e-3
+# Forces are limited to this share of the most that the device takes, so that rounding does not exceed it.
 _NEARLY = 1.0 - 1e-6
 # What CHAI3D declares for the Touch.
 _DAMPING_N_S_PER_M = 4.0
@@ -47,7 +66,11 @@ class ErrorInfo(ctypes.Structure):
     _fields_ = (("code", ctypes.c_uint), ("internal", ctypes.c_int), ("device", ctypes.c_uint))
 
 
-_U, _L, _TEXT, _REALS = ctypes.c_uint, ctypes.c_ulong, ctypes.c_char_p, ctypes.POINTER(ctypes.c_double)
+# The types of arguments and results.
+_U = ctypes.c_uint
+_L = ctypes.c_ulong
+_TEXT = ctypes.c_char_p
+_REALS = ctypes.POINTER(ctypes.c_double)
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_void_p)
 _CALLS: dict[str, tuple[type | None, tuple[type, ...]]] = {
     "hdGetError": (ErrorInfo, ()),

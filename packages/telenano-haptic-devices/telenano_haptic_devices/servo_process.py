@@ -39,7 +39,10 @@ _END_S = 1.0
 # A servo that stood still for longer does not take the whole motion for one step of its filters.
 _LONGEST_STEP_S = 0.05
 _SHARED_MEMORY = Path("/dev/shm")
-_RUNS, _STOP = 1, 2
+# The flags that the node sets for the servo: a session runs, and the servo is to end.
+_RUNS = 1
+_STOP = 2
+# The place before the first sample [m].
 _NOWHERE = (0.0, 0.0, 0.0)
 
 

@@ -23,7 +23,10 @@ import telenano
 LAW = "bounded_model"
 # the stiffest sample that the law tolerates over a line that loses signals, which are most of those drawn [N/m]
 STIFFEST_N_PER_M = 175.0
-_SHORT_S, _HOUR_S = 20.0, 3600.0
+# The length of an ordinary draw.
+_SHORT_S = 20.0
+# The length of the draws that the option --hours counts.
+_HOUR_S = 3600.0
 
 
 class Judged(NamedTuple):

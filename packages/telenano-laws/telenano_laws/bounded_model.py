@@ -75,8 +75,12 @@ from telenano_laws.ports import (
 # In an unstable loop a reference stays finite here [m, m/s].
 _FARTHEST_M = 1e6
 _FASTEST_M_PER_S = 1e9
-# the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
-_LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
+# A longer lag holds the hand back no more than this one.
+_LONGEST_LAG_S = 1.0
+# The time constant of the mean of the lag.
+_LAG_S = 1.0
+# The time constant of fading.
+_FADE_S = 0.1
 # the model agrees with what came back where their forces at the hand differ by less than this [N]
 _AGREES_N = 0.5
 # A device that follows is behind its reference by less than this [m].

@@ -14,21 +14,28 @@ from typing import Any, NamedTuple
 
 from telenano.laws import ControllerConfig
 
-MASTER, SLAVE = "controller@master", "controller@slave"
-HAND, TIP = "haptic_node@master", "afm_node@slave"
+# The two halves of the law, and the nodes of the hand and of the tip.
+MASTER = "controller@master"
+SLAVE = "controller@slave"
+HAND = "haptic_node@master"
+TIP = "afm_node@slave"
 TOPICS = ("law/status", "node/health", "haptic/state")
 # What a half of the law receives from the other one.
 _CROSSING = {MASTER: "teleop/backward", SLAVE: "teleop/forward"}
-# The least time between two changes of law, and how far back the line is looked at [s].
-DWELL_S, WINDOW_S = 10.0, 10.0
+# Two changes of law are at least this far apart.
+DWELL_S = 10.0
+# The line is judged by what it did in this last time.
+WINDOW_S = 10.0
 # The way that a hand may lose by standing still [m], half of what counts as a jump.
 STOOD_M = 5e-5
 # The hand coasts to rest beside the round trip that it represents [s].
 _COASTING_S = 0.02
 # The line stands still while nothing has come for longer than this [s].
 STALL_S = 0.05
-# A stall is a silence of this length or more, and stalls are counted over this time [s].
-SILENT_S, STALLS_S = 0.1, 60.0
+# A silence of this length or more is a stall.
+SILENT_S = 0.1
+# Stalls are counted over this time.
+STALLS_S = 60.0
 # Signals whose ages differ by no more than this number of periods come after the same time.
 _EVEN_PERIODS = 2.0
 

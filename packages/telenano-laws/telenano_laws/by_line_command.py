@@ -17,7 +17,9 @@ from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError, TelenanoError
 from telenano_laws.by_line import CANDIDATES, MASTER, TOPICS, Decision, Policy, facts_of
 
-CONTROLLERS, RECORDER = "controller", "recorder"
+# The targets of the commands that this process gives.
+CONTROLLERS = "controller"
+RECORDER = "recorder"
 # What is read so much later than it was sent [ns] leads to nothing: this process cannot keep up.
 _LATE_NS = 500_000_000
 _WANTED = ",".join(candidate.law for candidate in CANDIDATES)

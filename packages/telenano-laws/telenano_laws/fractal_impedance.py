@@ -49,7 +49,10 @@ from telenano_laws.ports import followed, of_scales
 
 # the width of the rise from K_0 e_0 to W, as a part of what the distance has left up to e_b
 _RISE_PARTS = 20.0
-_LEAST_RISE_M, _LEAST_HALF_M = 1e-12, 1e-9
+# The way over which the force levels off is at least this, so that it can be divided by.
+_LEAST_RISE_M = 1e-12
+# On the way back the spring has no force if its way out was shorter than twice this.
+_LEAST_HALF_M = 1e-9
 
 
 class Fractal(NamedTuple):

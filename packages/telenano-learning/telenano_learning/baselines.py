@@ -18,8 +18,15 @@ Policy = Callable[[Sequence[float], Sequence[float], Sequence[float]], Action]
 
 # how far the tip goes in a step at full speed, in d
 _STEP = engine.SPEED_M_PER_S * engine.CONTROL_S / engine.D_M
-_HIGH, _LOW = engine.HIGH_M / engine.D_M, engine.LOW_M / engine.D_M
-_TOUCHED, _BEHIND, _NEAR = 0.15, 1.3, 0.02
+# Lengths are in particle diameters, and forces in the usual friction.
+_HIGH = engine.HIGH_M / engine.D_M
+_LOW = engine.LOW_M / engine.D_M
+# A larger force is a contact with a particle.
+_TOUCHED = 0.15
+# The tip goes behind the particle by this.
+_BEHIND = 1.3
+# A particle this near to its goal is there.
+_NEAR = 0.02
 # a particle further aside than this is passed before it comes to its goal
 _MOST_ASIDE = math.radians(70.0)
 _STANDS: Action = (0.0, 0.0, -1.0)

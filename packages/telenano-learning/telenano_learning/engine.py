@@ -28,15 +28,25 @@ from telenano.numerics import always_compiled
 
 Array = npt.NDArray[np.float64]
 
-PHYSICS_S, CONTROL_S = 1e-3, 20e-3
+# The step of the simulation.
+PHYSICS_S = 1e-3
+# The period at which an agent acts.
+CONTROL_S = 20e-3
+# An action of 1 moves the tip across at this speed.
 SPEED_M_PER_S = 2e-6
 TIP_RADIUS_M = 10e-9
+# The tip pushes at this height.
 LOW_M = 5e-9
+# The tip is lifted and lowered at this speed.
 _LIFT_M_PER_S = 20e-6
-_K_N_PER_M, _K_LATERAL_N_PER_M = 1.0, 100.0
+# The stiffness of the cantilever for deflection, and the one across.
+_K_N_PER_M = 1.0
+_K_LATERAL_N_PER_M = 100.0
 _REST_S = 10e-3
-# A particle has arrived within this share of its diameter while the tip goes no faster than this share of its speed.
-ARRIVED_SHARE, AT_REST = 0.1, 0.05
+# A particle has arrived within this share of its diameter of its goal.
+ARRIVED_SHARE = 0.1
+# It counts while the tip goes no faster than this share of its speed.
+AT_REST = 0.05
 # A lateral force above this share of the usual friction is a contact.
 _CONTACT_SHARE = 0.15
 
@@ -101,7 +111,7 @@ def drawn(random: np.random.Generator, steps: int) -> Drawn:
 
 @always_compiled
 def advance(
-    given: Array,
+    drawn: Array,
     state: Array,
     fixed: Array,
     moving: Array,
@@ -113,7 +123,7 @@ def advance(
     """Take a control step in each row, and write what became of it into `state` and `moving`.
 
     Args:
-        given: Shape (n, 10), what was drawn.
+        drawn: Shape (n, 10), what was drawn.
         state: Shape (n, 15), written.
         fixed: Shape (n, 1, 4), what does not change of each particle.
         moving: Shape (n, 1, 3), what does; written.
@@ -123,8 +133,8 @@ def advance(
         action: Shape (n, 3): speed in x and y, and lift, each -1 to 1.
     """
     ticks = round(CONTROL_S / PHYSICS_S)
-    for i in range(given.shape[0]):
-        g, s, m, draws = given[i], state[i], model[i], noise[i, taken[i]]
+    for i in range(drawn.shape[0]):
+        g, s, m, draws = drawn[i], state[i], model[i], noise[i, taken[i]]
         tip, spring = TipShape(m[0], m[1], m[2], m[3]), Spring(m[4], m[5], m[6], m[7] != 0.0, m[8])
         speed_x = SPEED_M_PER_S * min(max(action[i, 0], -1.0), 1.0)
         speed_y = SPEED_M_PER_S * min(max(action[i, 1], -1.0), 1.0)
@@ -171,14 +181,14 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 
 @always_compiled
-def tell(given: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
+def tell(drawn: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
     """Write what an agent observes into `observations`, shape (n, 14), in units of d and of the usual friction.
 
     With `truth` it observes the true place of the particle in the place of the believed one. The true distance from the
     goal goes into `state`, for who judges.
     """
-    for i in range(given.shape[0]):
-        g, s, row = given[i], state[i], observations[i]
+    for i in range(drawn.shape[0]):
+        g, s, row = drawn[i], state[i], observations[i]
         true_x, true_y = moving[i, 0, X], moving[i, 0, Y]
         x, y = true_x - g[GOAL_X], true_y - g[GOAL_Y]
         s[TRUE_ERROR] = math.sqrt(x * x + y * y)

@@ -28,20 +28,29 @@ from telenano_microscopy.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
 
-# The contact, and the way from the sample after it, are thinned to this number of points.
-_MOST_POINTS, _MOST_FREE_POINTS = 200, 400
+# The contact is thinned to this number of points.
+_MOST_POINTS = 200
+# The way from the sample after the contact is thinned to this number of points.
+_MOST_FREE_POINTS = 400
+# The fit needs this number of points in contact before the pull-off.
 _LEAST_POINTS = 12
+# A curve of the model is computed at this number of depths.
 _GRID = 600
+# The fit begins at each of these shifts of the contact point.
 _SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
 # next to the pull-off the contact may end a little earlier or later than the model's
 _LEFT_OUT = 0.03
-_RADII_M, _WORKS_J_PER_M2 = (1e-10, 1e-4), (1e-6, 10.0)
+# The fit looks for values between these bounds.
+_RADII_M = (1e-10, 1e-4)
+_WORKS_J_PER_M2 = (1e-6, 10.0)
 # a fit this near to a bound has ended there, as a logarithm
 _AT_BOUND = 0.02
 # The free part is this share of the way after the last jump, at its end: nearer to the sample the tip is attracted.
 _FREE_SHARE = 0.6
-# steps of the fit with the noise that was found, and the change as a share of the errors at which they end
-_MOST_STEPS, _ENOUGH = 24, 0.02
+# The fit with the noise that was found ends after at most this number of steps.
+_MOST_STEPS = 24
+# The fit has ended when a step changes its parameters by less than this share of their errors.
+_ENOUGH = 0.02
 
 
 class Fitted(NamedTuple):

@@ -267,27 +267,27 @@ def write_hdf5(path: Path, curve: Curve) -> None:
         group.attrs.update(metadata)
 
 
-def read_measured(path: Path, number: int = 0, given: Mapping[str, Any] | None = None) -> Curve:
+def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | None = None) -> Curve:
     """Return a measured curve in a file that an installed package reads.
 
     Args:
         path: The file.
         number: Which curve of a map, the first being 0.
-        given: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file; of a text table `columns`,
-            `way_unit` and `value_unit`, which its head does not say.
+        constants: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file; of a text table
+            `columns`, `way_unit` and `value_unit`, which its head does not say.
 
     Raises:
         ConfigError: The message names the file and what is wrong with it.
     """
-    given = given or {}
-    table = {name: str(value) for name, value in given.items() if name in OF_TABLES}
-    if unknown := [name for name in given if name not in (*CONSTANTS, *OF_TABLES)]:
+    constants = constants or {}
+    table = {name: str(value) for name, value in constants.items() if name in OF_TABLES}
+    if unknown := [name for name in constants if name not in (*CONSTANTS, *OF_TABLES)]:
         names = ", ".join((*CONSTANTS, *OF_TABLES))
         raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {names}")
-    for name, value in given.items():
+    for name, value in constants.items():
         if name in CONSTANTS and not (isinstance(value, int | float) and 0.0 < value < math.inf):
             raise ConfigError(f"--set {name}: is {value!r}; it must be a number above 0")
-    texts = [repr(float(given[name])) if name in given else "" for name in CONSTANTS]
+    texts = [repr(float(constants[name])) if name in constants else "" for name in CONSTANTS]
     texts += [json.dumps(table)] if table else []
     try:
         facts, (base, deflection) = read_by_package(path, "curve", str(number), *texts)

@@ -27,8 +27,10 @@ def write_images(
     write_gwy(out / "scan.gwy", images)
     write_png(out / "scan.png", images)
     files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
-    found = versions()
-    facts = ImageFacts(mode, instrument, f"{found['package telenano']}, commit {found['commit']}", sample)
+    versions_here = versions()
+    facts = ImageFacts(
+        mode, instrument, f"{versions_here['package telenano']}, commit {versions_here['commit']}", sample
+    )
     formats = load("images", taken=own)
     for name, write in formats.found.items():
         path = out / f"scan.{name}"

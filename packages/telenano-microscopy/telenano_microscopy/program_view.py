@@ -25,9 +25,9 @@ LiveOption = Annotated[
 ]
 
 
-def refuse_foreign(given: Mapping[str, Any]) -> None:
+def refuse_foreign(options: Mapping[str, Any]) -> None:
     """Raise ConfigError naming options that are given and mean nothing to a running rig."""
-    if names := [name for name, value in given.items() if value]:
+    if names := [name for name, value in options.items() if value]:
         raise ConfigError(f"{', '.join(names)}: not with --live: the scenario of the rig decides it")
 
 

@@ -169,15 +169,15 @@ def _exit_if_interrupted(is_reported: bool, partial: str) -> None:
         raise typer.Exit(exit_code_of_signal())
 
 
-def _images(found: "SimulatedImage") -> "dict[str, Image]":
+def _images(image: "SimulatedImage") -> "dict[str, Image]":
     """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
     from telenano_microscopy.image_files import Image, images_of_lines
 
-    lines, count = found.lines, found.lines.finished
+    lines, count = image.lines, image.lines.finished
     images = images_of_lines(lines, count)
-    level_m, depth_m = float(found.truth_m[:count].mean()), lines.depth_m * count / len(lines.trace_m)
+    level_m, depth_m = float(image.truth_m[:count].mean()), lines.depth_m * count / len(lines.trace_m)
     for name in ("height", "retrace"):
         images[name] = images[name]._replace(values=images[name].values + level_m)
     title = "Surface as the tip sees it"
-    images["truth"] = Image(title, "m", found.truth_m[:count], lines.width_m, depth_m, lines.partial)
+    images["truth"] = Image(title, "m", image.truth_m[:count], lines.width_m, depth_m, lines.partial)
     return images

@@ -88,16 +88,16 @@ def take_image(
     return image
 
 
-def _add(instrument: VirtualInstrument, line: FinishedLine, lines: int, found: SimulatedImage) -> None:
+def _add(instrument: VirtualInstrument, line: FinishedLine, lines: int, image: SimulatedImage) -> None:
     message = line_fields(line, lines, instrument.config.friction)
-    found.lines.add(AfmScanline(seq=line.line, t_ns=0, src="afm_node@slave", v=1, **message))
-    if found.truth_m.size == 0:
-        found.truth_m = np.full((lines, len(line.height_m)), math.nan)
+    image.lines.add(AfmScanline(seq=line.line, t_ns=0, src="afm_node@slave", v=1, **message))
+    if image.truth_m.size == 0:
+        image.truth_m = np.full((lines, len(line.height_m)), math.nan)
     xs = np.linspace(line.start.x_m, line.end.x_m, len(line.height_m)).tolist()
     relief = instrument.device.relief
     surface: Surface | None = None if relief is None else relief.surface
     if surface is None:
-        found.truth_m[line.line] = 0.0
+        image.truth_m[line.line] = 0.0
         return
     left_m, front_m = 0.5 * surface.width_m, 0.5 * surface.depth_m
-    found.truth_m[line.line] = [height_at(*surface, x + left_m, line.start.y_m + front_m)[0] for x in xs]
+    image.truth_m[line.line] = [height_at(*surface, x + left_m, line.start.y_m + front_m)[0] for x in xs]

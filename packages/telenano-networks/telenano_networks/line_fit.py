@@ -24,24 +24,39 @@ from telenano_networks.line_tally import Numbers, Scale, Tally, correlation_of, 
 # Between two shares the quantiles are linear, and the tail needs them close.
 _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
 SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
-# A correlation of neighbours below this is none, and none is higher.
-_LEAST_CORRELATION, _MOST_CORRELATION = 0.05, 0.9999
+# A correlation of neighbours below this counts as none.
+_LEAST_CORRELATION = 0.05
+# A correlation of neighbours is taken to be no higher than this.
+_MOST_CORRELATION = 0.9999
 # Below this share there is no second time.
 _LEAST_SHARE = 0.03
 # Nor is there where the time that neighbours give misses the correlations by less (root mean square).
 _LITTLE = 0.03
-# Times in which what lasts may fall to 1/e: from this number of periods up to this number of the longest lag.
-_SHORTEST_TIME, _LONGEST_TIME = 0.3, 10.0
-# The second time is shorter by this number of times at least, and one of this number is tried.
-_APART, _SECOND_TIMES = 4.0, 12
+# The shortest time in which a correlation may fall to 1/e, in periods.
+_SHORTEST_TIME = 0.3
+# The longest such time, in multiples of the longest lag.
+_LONGEST_TIME = 10.0
+# The second time is shorter than the first by this factor at least.
+_APART = 4.0
+# The fit tries this number of second times.
+_SECOND_TIMES = 12
 # With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
 _FEWEST_STALLS = 5
-_LEAST_SPREAD, _ASSUMED_SPREAD = 0.02, 0.1
+# The spread of the lengths of stalls, as a standard deviation of their logarithm, is taken to be no less than this.
+_LEAST_SPREAD = 0.02
+# With fewer stalls than _FEWEST_STALLS the spread is taken to be no less than this.
+_ASSUMED_SPREAD = 0.1
 # Overtaking by less than this share is that of the clock.
 _MOST_OVERTAKEN = 1e-3
-# What a line holds while it stands still, in messages and bytes; no log of a few messages a second says it.
-MOST_HELD, MOST_HELD_BYTES = 20_000, 4 << 20
-_RESAMPLES, _DRAWS = 200, 25
+# A line holds this number of messages while it stands still. No log of a few messages a second shows the number.
+MOST_HELD = 20_000
+# The line holds this number of bytes at the same time.
+MOST_HELD_BYTES = 4 << 20
+# The log is resampled this number of times for the uncertainty of its statistics.
+_RESAMPLES = 200
+# The statistics of the model are those of this number of logs that it generates.
+_DRAWS = 25
+# Messages of this size are sent through the model of the line.
 _SIZE_BYTES = 200
 # Of the messages that the statistics of a written way are of.
 _SENT_BYTES = 300
@@ -73,7 +88,8 @@ def _hermite(scores: Column, degree: int) -> npt.NDArray[np.float64]:
 
 _SCORES = np.linspace(-5.5, 5.5, 1101)
 _DEGREES = 96
-_GRID_SHARES, _HERMITE = special.ndtr(_SCORES), _hermite(_SCORES, _DEGREES)
+_GRID_SHARES = special.ndtr(_SCORES)
+_HERMITE = _hermite(_SCORES, _DEGREES)
 _GRID_WEIGHTS = np.exp(-0.5 * _SCORES**2) / np.exp(-0.5 * _SCORES**2).sum()
 # Correlations of scores, close where their time is long, and their powers from 1 to one above the degrees.
 _CORRELATIONS = 1.0 - np.geomspace(1.0, 1.0 - _MOST_CORRELATION, 500)

@@ -21,13 +21,19 @@ from telenano_networks import ping_log
 from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Fewer messages, or a shorter time, say nothing of what happens now and then.
-FEWEST, SHORTEST_S = 300, 30.0
-# A pause in sending is longer than this number of periods, and than this.
-_PAUSE_PERIODS, _PAUSE_S = 20.0, 1.0
-# Outside of these no median delay of a line lies, and a unit is wrong.
-_SHORTEST_DELAY_S, _LONGEST_DELAY_S = 1e-6, 100.0
-_SENT, _RECEIVED = ("sent", "send", "pub", "tx"), ("rec", "sub", "rx", "arriv")
+# Fewer messages than this say nothing about rare events.
+FEWEST = 300
+# A log shorter than this says nothing about rare events.
+SHORTEST_S = 30.0
+# A pause in sending is longer than this number of periods, and than _PAUSE_S.
+_PAUSE_PERIODS = 20.0
+_PAUSE_S = 1.0
+# The median delay of a line lies between these; another one has a wrong unit.
+_SHORTEST_DELAY_S = 1e-6
+_LONGEST_DELAY_S = 100.0
+# The names of columns of times contain one of these.
+_SENT = ("sent", "send", "pub", "tx")
+_RECEIVED = ("rec", "sub", "rx", "arriv")
 _TIMES = ("time", "ts")
 # words of a heading that mean a round trip or a delay, wherever they stand, and those that mean another figure of it
 _ROUND_TRIP = re.compile(r"(?i)rtt|round|ping|(?:two|2).?way")
@@ -35,12 +41,16 @@ _DELAY = re.compile(r"(?i)delay|latenc|owd|one.?way")
 _NO_DELAY = re.compile(r"(?i)drop|los[st]|rate|share|jitter|count|seq|dev|var|\bid\b")
 _LOST = "lost"
 _LARGEST_BYTES = 256_000_000
-# Longer times say that a unit is wrong: between two messages, and of a whole log [s].
-_LONGEST_PERIOD_S, _LONGEST_LOG_S = 600.0, 1e8
+# A longer time between two messages has a wrong unit.
+_LONGEST_PERIOD_S = 600.0
+# A longer log has times in a wrong unit.
+_LONGEST_LOG_S = 1e8
 # A step of one of two clocks is sought after each of this number of parts of a log.
 _PARTS = 20
-# Rows that go back in time more often than in this share, and this number of times, are not in the order of sending.
-_MOST_BACK_SHARE, _MOST_BACK = 0.01, 3
+# The rows are not in the order of sending if more than this share of them go back in time.
+_MOST_BACK_SHARE = 0.01
+# This number of rows may go back in time in any log.
+_MOST_BACK = 3
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,10 @@ class Curves(NamedTuple):
 
 # Shares of the messages that take longer, and of the time in which the newest message is older.
 SLOWER = (0.999, 0.99, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001)
-_COURSE_PARTS, _LAGS = 120, 24
+# The course of the delays is drawn in this number of parts.
+_COURSE_PARTS = 120
+# The correlations are drawn at this number of lags.
+_LAGS = 24
 # An axis that has more between its ends is labelled at powers of ten alone.
 _WIDE = 20.0
 

@@ -15,10 +15,14 @@ from telenano_networks.report_command import fates_in
 
 Column = npt.NDArray[np.float64]
 Direction = Literal["forward", "backward"]
-# What is sent through a delivery trace: so much [bytes], so often [s].
-_SIZE_BYTES, _PERIOD_S = 200, 0.010
-# A trace of opportunities has this unit [s], and no fewer of them.
-_OPPORTUNITY_S, _FEWEST_OPPORTUNITIES = 1e-3, 100
+# Messages of this size are sent through a delivery trace.
+_SIZE_BYTES = 200
+# They are sent at this interval.
+_PERIOD_S = 0.010
+# A trace gives the times of opportunities in this unit.
+_OPPORTUNITY_S = 1e-3
+# A trace has this number of opportunities at least.
+_FEWEST_OPPORTUNITIES = 100
 # A trace with fewer opportunities carries next to nothing.
 _MOST_SENT_FOR_EACH = 1000
 

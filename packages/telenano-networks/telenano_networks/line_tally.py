@@ -17,9 +17,11 @@ from telenano_networks.line_sources import Column
 Numbers = npt.NDArray[np.int64]
 # Messages of one go arrive within this share of the period at which they were sent.
 _TOGETHER = 0.2
-# A stall is longer than this number of periods, and than this number of times the distance from the median to the third
-# quartile.
-_PERIODS, _SPREADS = 2.0, 8.0
+# A stall is longer than this number of periods.
+_PERIODS = 2.0
+# A stall is longer than this multiple of the distance from the median delay to the third quartile.
+_SPREADS = 8.0
+# The log is resampled in blocks of about this length.
 _BLOCK_S = 20.0
 # The longest time over which the delay is compared with itself [s].
 _LONGEST_LAG_S = 30.0

@@ -153,10 +153,10 @@ def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[
     return dict(json.loads((out / name / "fit.json").read_text(encoding="utf-8")))
 
 
-def row(name: str, found: dict[str, object]) -> str:
+def row(name: str, facts: dict[str, object]) -> str:
     """Return the row of a line: for each statistic measured, generated, and whether they agree."""
     cells = [name]
-    table = found["agreement"]
+    table = facts["agreement"]
     assert isinstance(table, list)
     if not table:
         return f"| {name} | no memory known |" + " – |" * 12

@@ -15,8 +15,12 @@ if TYPE_CHECKING:
     from telenano_networks.line_log import LineLog
     from telenano_networks.line_page import Curves
 
-# Messages of this rate are sent for this time.
-_PERIOD_NS, _SECONDS, _SIZE_BYTES = 5_000_000, 600, 200
+# Messages are sent at this interval.
+_PERIOD_NS = 5_000_000
+# They are sent for this number of seconds.
+_SECONDS = 600
+_SIZE_BYTES = 200
+# More networks than this are not drawn over one another.
 _MOST_OVER_ONE_ANOTHER = 8
 
 

@@ -37,10 +37,15 @@ _LONGEST_LINE = 500
 _TURN = 65536
 # A number that falls by more belongs to a run of its own, or to the next turn; answers overtake one another by less.
 _FARTHEST_BACK = 1000
-# A line that answers to fewer packets than one in this many, beside some, is of no use, whatever its numbers say.
-_MOST_UNANSWERED, _MOST_AT_ONCE = 50, 100_000
-# What Windows waits after an answer, and for one that does not come [s].
-_WINDOWS_PERIOD_S, _WINDOWS_PATIENCE_S = 1.0, 4.0
+# A number may be ahead of the last one by this for each packet that was answered: a line that answers less often than
+# that is of no use.
+_MOST_UNANSWERED = 50
+# A number may be ahead by this besides, however few packets were answered.
+_MOST_AT_ONCE = 100_000
+# Windows waits for this time after an answer.
+_WINDOWS_PERIOD_S = 1.0
+# Windows waits for an answer for this time.
+_WINDOWS_PATIENCE_S = 4.0
 
 Rows = list[tuple[float, float]]
 

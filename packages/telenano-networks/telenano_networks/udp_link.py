@@ -15,9 +15,12 @@ from telenano.wire import Received, SessionControl
 
 TOPIC = "udp"
 WAYS: tuple[Direction, Direction] = ("forward", "backward")
-# steps of the counts of delays and of lateness [ns]
-DELAY_STEP_NS, LATE_STEP_NS = 100_000, 10_000
+# Delays and lateness are counted in steps of these lengths.
+DELAY_STEP_NS = 100_000
+LATE_STEP_NS = 10_000
+# A greater lateness is counted with this number of steps.
 _MOST_LATE = 100_000
+# Fates are reported after this number of datagrams.
 _FATES_AT_ONCE = 32
 _Key = TypeVar("_Key")
 

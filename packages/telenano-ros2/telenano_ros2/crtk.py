@@ -12,7 +12,10 @@ from typing import Any, NamedTuple
 
 from rosbags import typesys
 
-POSE, TWIST, WRENCH = "PoseStamped", "TwistStamped", "WrenchStamped"
+# The types of messages, of the package geometry_msgs.
+POSE = "PoseStamped"
+TWIST = "TwistStamped"
+WRENCH = "WrenchStamped"
 # The definitions of the messages that are used, as ROS 2 has had them since its first release.
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
@@ -116,9 +119,9 @@ class Encoder:
                 kind = f"geometry_msgs/msg/{output.kind}"
                 yield Ros2Message(output.name, kind, self._stamped(output, t_ns, vector))
 
-    def cdr(self, found: Ros2Message) -> bytes:
+    def cdr(self, message: Ros2Message) -> bytes:
         """Return a message as bytes."""
-        return bytes(self.store.serialize_cdr(found.message, found.kind))
+        return bytes(self.store.serialize_cdr(message.message, message.kind))
 
     def definition(self, kind: str) -> str:
         """Return the definition of a message with those of its parts, as ros2msg has them."""

@@ -15,8 +15,9 @@ from telenano.recording import (
 )
 from telenano_ros2.crtk import TOPICS_IN, Encoder
 
-# Profile and QoS as `ros2 bag record` writes them: without, `ros2 bag play` takes its default.
-_PROFILE, _QOS = "ros2", (("offered_qos_profiles", ""),)
+# Profile and QoS are as `ros2 bag record` writes them: without them `ros2 bag play` takes its default.
+_PROFILE = "ros2"
+_QOS = (("offered_qos_profiles", ""),)
 
 
 def export_ros2(recording: Recording, target: Path, selection: Selection) -> CopyResult:

@@ -105,17 +105,17 @@ def _json(document: Any) -> bytes:
     return (json.dumps(document, indent=2) + "\n").encode()
 
 
-def print_comparison(found: Comparison, out: Path, *, as_json: bool) -> None:
+def print_comparison(comparison: Comparison, out: Path, *, as_json: bool) -> None:
     """Print the tables: a row a session as JSON, or a column a session, which a terminal has room for."""
     if as_json:
-        repeated = {"statistics": found.statistics} if found.statistics else {}
-        print_json({"sessions": found.sessions, **repeated, "folder": str(out)})
+        repeated = {"statistics": comparison.statistics} if comparison.statistics else {}
+        print_json({"sessions": comparison.sessions, **repeated, "folder": str(out)})
         return
-    if not found.statistics:
-        keys = [key for key in found.sessions[0] if key != "session"]
-        print_rows([{"": key, **{row["session"]: row[key] for row in found.sessions}} for key in keys])
+    if not comparison.statistics:
+        keys = [key for key in comparison.sessions[0] if key != "session"]
+        print_rows([{"": key, **{row["session"]: row[key] for row in comparison.sessions}} for key in keys])
     else:
-        print_rows([{key: _rounded(value) for key, value in row.items()} for row in found.statistics])
+        print_rows([{key: _rounded(value) for key, value in row.items()} for row in comparison.statistics])
         typer.echo(f"low and high: interval of the mean, or of the share, with {100.0 * CONFIDENCE:g} % confidence")
     typer.echo(f"figure and tables: {out}")
 

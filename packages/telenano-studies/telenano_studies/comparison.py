@@ -151,9 +151,9 @@ def compare_figure(
             colour, style = LINES[number % len(LINES)]
             look = {"color": colour, "ls": style, "lw": 1.0}
             _draw(panels, session, look, f"{name}: {summary['verdict'].replace('_', ' ')}")
-        for number, found in enumerate(published, start=1):
+        for number, point in enumerate(published, start=1):
             label = "published" if len(published) == 1 else f"published {number}"
-            _draw_published(panels, found, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
+            _draw_published(panels, point, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
         for panel, (x, y) in zip(panels, (("time (s)", r"$\alpha_f F_s$ (N)"), ("time (s)", r"$x_m$ (cm)"),
                                           ("tip-sample distance h (nm)", r"$F_s$ (nN)")), strict=True):  # fmt: skip
             panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)

@@ -142,19 +142,19 @@ def losses(text: str) -> tuple[float, ...]:
     return tuple(sorted(set(shares)))
 
 
-def settings(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
+def settings(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
     """Read KEY=VALUE of the section `controller` into dotted keys."""
-    return tuple(sorted(_single_values("--set", given).items()))
+    return tuple(sorted(_single_values("--set", texts).items()))
 
 
-def disturbances(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
+def disturbances(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
     """Read names and NAME.KEY=VALUE of the section `afm_node.disturbances`; what is named is switched on.
 
     >>> disturbances(["thermal.temperature_k=77", "drift"])
     (('drift.enabled', True), ('thermal.enabled', True), ('thermal.temperature_k', 77))
     """
-    flat = _single_values("--disturb", [text for text in given if "=" in text])
-    names = [text for text in given if "=" not in text] + [key.partition(".")[0] for key in flat if "." in key]
+    flat = _single_values("--disturb", [text for text in texts if "=" in text])
+    names = [text for text in texts if "=" not in text] + [key.partition(".")[0] for key in flat if "." in key]
     return tuple(sorted({**{f"{name}.enabled": True for name in names}, **flat}.items()))
 
 
@@ -168,10 +168,10 @@ def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | boo
     return tuple(flatten(section).items())
 
 
-def _single_values(option: str, given: Sequence[str]) -> dict[str, float | int | str | bool]:
+def _single_values(option: str, texts: Sequence[str]) -> dict[str, float | int | str | bool]:
     """Return KEY=VALUE by dotted key. Raises ConfigError naming the option, for a value that is a list or nothing."""
     flat: dict[str, float | int | str | bool] = {}
-    for key, value in flatten(flag_overrides(given)).items():
+    for key, value in flatten(flag_overrides(texts)).items():
         if not isinstance(value, float | int | str | bool):
             raise ConfigError(f"{option} {key}: {value!r} is not a single value")
         flat[key] = value

@@ -51,13 +51,13 @@ def _hdf5_tables(recording: Recording, target: Path) -> Iterator[OpenTable]:
         yield open_table
 
 
-def _create_dataset(group: Any, name: str, found: set[type]) -> None:
-    kind = kind_of(found)
+def _create_dataset(group: Any, name: str, types: set[type]) -> None:
+    kind = kind_of(types)
     if kind is str:
         options = {"dtype": h5py.string_dtype()}
     elif kind is list:
         options = {"dtype": h5py.vlen_dtype(np.float64)}
-    elif type(None) in found:
+    elif type(None) in types:
         # nan represents what is not there
         options = {"dtype": np.float64}
     else:

@@ -118,20 +118,20 @@ def _write_once(
     return total, damage, widened
 
 
-def kind_of(found: set[type]) -> type:
+def kind_of(types: set[type]) -> type:
     """Return the type of a column whose values are made uniform: of its only kind, float, or text of JSON."""
-    kinds = found - {type(None)}
+    kinds = types - {type(None)}
     if len(kinds) > 1:
         return float if kinds <= {int, float} else str
     return next(iter(kinds), type(None))
 
 
-def _add_kinds(known: Kinds, batch: Mapping[str, TypedColumn]) -> bool:
+def _add_kinds(kinds: Kinds, batch: Mapping[str, TypedColumn]) -> bool:
     """Add the types in a batch to those that are known; return whether one of them is new."""
     is_new = False
-    for column in {**known, **batch}:
+    for column in {**kinds, **batch}:
         types = batch[column][1] if column in batch else _NONE
-        before = known.setdefault(column, set())
+        before = kinds.setdefault(column, set())
         if not types <= before:
             before |= types
             is_new = True

@@ -30,14 +30,18 @@ from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RAT
 from telenano_wide_area.relay.site_end import at_relay
 
 SENDER = "launcher@slave"
-# In the folder of a session: where the files that the other site recorded are put, and the whole.
-FOLDER_NAME, MERGED_NAME = "far", "both.mcap"
+# The files that the other site recorded are put in this folder of the folder of a session.
+FOLDER_NAME = "far"
+# The merged recording of both sites, in the folder of the session.
+MERGED_NAME = "both.mcap"
 # Beside a running rig no more than this is fetched, a fifth of what the loop takes [kbit/s].
 BESIDE_KBIT_PER_S = 1000.0
 _WINDOW_BYTES = 1 << 20
 _POLL_MS = 50
-# The other end may be silent for this time before it is asked again, and before the fetch is given up.
-_ASK_AGAIN_NS, PATIENCE_NS = 2_000_000_000, 15_000_000_000
+# The other end is asked again after a silence of this length.
+_ASK_AGAIN_NS = 2_000_000_000
+# The fetch is given up after a silence of this length.
+PATIENCE_NS = 15_000_000_000
 # This much of a disk stays free.
 _SPARE_BYTES = 64 << 20
 

@@ -13,11 +13,20 @@ from telenano.runtime import SendsPieces
 from telenano.wire import Array, RefusedError, Scalar
 
 TOPIC = "recording/piece"
-FILE, OFFSET, BYTES, RATE = "recording.file", "recording.offset", "recording.bytes", "recording.kbit_per_s"
+# The parameters of a request for a piece.
+FILE = "recording.file"
+OFFSET = "recording.offset"
+BYTES = "recording.bytes"
+RATE = "recording.kbit_per_s"
 # The parts of a recording that `telenano up` makes are called so, and nothing else is sent.
 RECORDING_FILE = re.compile(r"session(?:_([0-9]{1,9}))?\.mcap")
-PIECE_BYTES, HEAD_BYTES = 1 << 16, 1024
+# A message carries this number of bytes of a file at most.
+PIECE_BYTES = 1 << 16
+# A file is recognized by the digest of this number of its first bytes.
+HEAD_BYTES = 1024
+# A request is for this number of bytes at most.
 MOST_BYTES = 1 << 24
+# A request is for a rate between these [kbit/s].
 _RATES = (64.0, 1e6)
 
 

@@ -41,7 +41,8 @@ class Curve(Program[CurveSettings, CurvePlan, CurveState]):
     """A force curve: the base goes down until the load is reached, and back up."""
 
     settings = CurveSettings
-    title, about = "Force curve", "The force curve."
+    title = "Force curve"
+    about = "The force curve."
 
     def begin(self, settings: CurveSettings, instrument: Instrument, place: Place) -> Begun[CurvePlan, CurveState]:
         limits, s = instrument.limits, settings

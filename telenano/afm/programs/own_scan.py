@@ -38,7 +38,8 @@ class OwnScanProgram(Program[ScanSettings, OwnScanPlan, OwnScanState]):
     """An image, line by line there and back, that the instrument takes by itself."""
 
     settings = ScanSettings
-    title, about = "Scan", "What is imaged."
+    title = "Scan"
+    about = "What is imaged."
 
     def begin(self, settings: ScanSettings, instrument: Instrument, place: Place) -> Begun[OwnScanPlan, OwnScanState]:
         s, (width_m, depth_m) = settings, instrument.size_m

@@ -125,7 +125,8 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
     """An image, line by line there and back."""
 
     settings = ScanSettings
-    title, about = "Scan", "What is imaged."
+    title = "Scan"
+    about = "What is imaged."
     can_pause = True
     moves_across = True
 

@@ -23,9 +23,11 @@ from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 
 _STIFFEST_N_PER_M = 1e9
-# What experiments change of a simulation from one trial to the next: the stiffness of environment spring; and whether
-# the sample becomes as it was in the beginning.
-STIFFNESS, RESTORE = "spring.stiffness_n_per_m", "sample.restore"
+# Experiments set these of a simulation from one trial to the next.
+# The stiffness of environment spring.
+STIFFNESS = "spring.stiffness_n_per_m"
+# True lets the sample become as it was in the beginning.
+RESTORE = "sample.restore"
 _DISTURBANCES = "disturbances."
 
 

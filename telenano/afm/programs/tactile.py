@@ -30,8 +30,9 @@ from telenano.extend.programs import (
 from telenano.extend.stage import LateralParams, Place, moved
 from telenano.wire.errors import RefusedError
 
-# the phases after the way to the surface
-FEEL, DONE = Way.ARRIVED, Way.ARRIVED + 1
+# These phases come after the way to the surface.
+FEEL = Way.ARRIVED
+DONE = Way.ARRIVED + 1
 # The names of the gains as the user knows them.
 _GAINS = ("tactile.gain_per_s", "")
 
@@ -99,7 +100,8 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
     """A path along which the tip touches the sample."""
 
     settings = TactileSettings
-    title, about = "Tactile", "The path that a hand feels."
+    title = "Tactile"
+    about = "The path that a hand feels."
     moves_across = True
     label = "tactile path"
 

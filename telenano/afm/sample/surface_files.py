@@ -215,12 +215,12 @@ def _real(header: Mapping[str, str], key: str) -> float:
 
 
 def _read_by_package(path: Path, size_m: float | None) -> list[_Channel]:
-    found, maps = read_by_package(path, "heights")
+    image, maps = read_by_package(path, "heights")
     for values in maps:
         _check_pixels(values.shape)
     return [
         _Channel(fact["name"], values, fact["sides"][0], fact["sides"][1], fact["unit"], fact["z"])
-        for fact, values in zip(found["channels"], maps, strict=True)
+        for fact, values in zip(image["channels"], maps, strict=True)
     ]
 
 

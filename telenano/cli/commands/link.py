@@ -89,13 +89,13 @@ def profile(
         print_answer(document, rows, as_json=as_json)
 
 
-def profile_rows(found: dict[str, Any]) -> list[dict[str, Any]]:
+def profile_rows(profile: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a profile, as plain data, as rows of a table."""
-    rows = [{"what": "about", "value": found["about"]}]
-    for source in found["source"]:
+    rows = [{"what": "about", "value": profile["about"]}]
+    for source in profile["source"]:
         rows += [{"what": "source", "value": source["cite"]}, {"what": "taken", "value": source["taken"]}]
-    rows += [{"what": "assumed", "value": text} for text in found["assumed"]]
-    figures = flatten({key: found[key] for key in ("statistics", "link")})
+    rows += [{"what": "assumed", "value": text} for text in profile["assumed"]]
+    figures = flatten({key: profile[key] for key in ("statistics", "link")})
     return rows + [{"what": key, "value": value} for key, value in figures.items() if value is not None]
 
 

@@ -152,14 +152,14 @@ def _clock_text(plan: Plan) -> str:
     return "" if finding.level == "ok" else f"the clock of this machine is {finding.found}; {finding.advice}"
 
 
-def _sweep(given: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
+def _sweep(values: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
     """Run this very command once for each point of a sweep, and compare the sessions by the command of a package."""
     from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
     table_formats(tables)
     compare = function_of_package("compare")
     folder = request.out or default_folder(request.scenario, datetime.now())
-    points = points_of(given)
+    points = points_of(values)
     if len(points) < 2:
         raise ConfigError("--sweep: gives one session, and needs two or more to compare")
     for point in points:

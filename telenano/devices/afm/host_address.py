@@ -71,6 +71,6 @@ def _of_the_system(host: str, port: int) -> list[Any]:
     return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
 
 
-def _first(found: list[Any]) -> Address:
-    family, _, _, _, address = found[0]
+def _first(addresses: list[Any]) -> Address:
+    family, _, _, _, address = addresses[0]
     return Address(family, address)

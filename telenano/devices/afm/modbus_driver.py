@@ -56,7 +56,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self._target_v = self._sent_v = stage.retract_v
         self._cycle_ns = self._answered_ns = 0
         # the exchanges of this connection when the base was last commanded to retract
-        self._told_at = 0
+        self._retract_sent_at = 0
         self._identity = registers.model
         self._heart = heartbeat_of(calibration, registers)
         # The process assumes after less than its limit that the device has retracted, because the heartbeat needs time

@@ -23,7 +23,9 @@ _HEADER = 8
 # This bit in the function of an answer means that the device did not do what was requested.
 _EXCEPTION = 0x80
 _LONGEST = 260
-_READ, _WRITE = 0, 1
+# The types of the frames in function 76.
+_READ = 0
+_WRITE = 1
 
 
 class Operation(NamedTuple):

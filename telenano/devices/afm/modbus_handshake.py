@@ -109,9 +109,9 @@ class Handshake:
             (heart.output, float(self._output.address)),
             (heart.trips, 0.0),
         )
-        found = yield from self._read(heart.trips)
+        reading = yield from self._read(heart.trips)
         # memory that was not written yet may have anything
-        self.trips = int(found) if 0.0 <= found < 1e6 else 0
+        self.trips = int(reading) if 0.0 <= reading < 1e6 else 0
         for register, value in wanted:
             yield from self._write(register, value)
         runs = yield from self._runs(heart, _SIGN_OF_LIFE_NS)
@@ -184,10 +184,10 @@ def is_retracted(calibration: InstrumentCalibration, registers: RegisterMap, out
     return abs(output_v - calibration.stage.retract_v) <= _SAME_V * registers.output_step_v
 
 
-def _mismatch(check: Check, found: float) -> str:
-    as_word = f" (0x{round(found):08X})" if check.type == "uint32" else ""
+def _mismatch(check: Check, reading: float) -> str:
+    as_word = f" (0x{round(reading):08X})" if check.type == "uint32" else ""
     hint = f": {check.hint}" if check.hint else ""
-    return f"{check.name} reads {found:g}{as_word} and should read {check.value:g}{hint}; nothing was driven"
+    return f"{check.name} reads {reading:g}{as_word} and should read {check.value:g}{hint}; nothing was driven"
 
 
 def _require(answer: Answer, register: Register, count: int) -> None:

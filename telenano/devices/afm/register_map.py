@@ -165,9 +165,9 @@ def read_map(name: str) -> RegisterMap:
     return validate(RegisterMap, read_yaml(path), str(path))
 
 
-def agrees(found: float, wanted: float) -> bool:
+def agrees(reading: float, wanted: float) -> bool:
     """Return whether a register holds what was written, to the precision of a float32."""
-    return abs(found - wanted) <= _SAME * max(abs(found), abs(wanted))
+    return abs(reading - wanted) <= _SAME * max(abs(reading), abs(wanted))
 
 
 MapName = Annotated[str, Field(pattern=r"^([a-z0-9_]+|.+\.ya?ml)$")]

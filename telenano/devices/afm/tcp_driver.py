@@ -16,7 +16,12 @@ from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano.extend.samples import AfmSample
 from telenano.wire.errors import cause
 
-_CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3
+# A retraction on the connection that is there waits for its answer for this time.
+_CLOSE_S = 0.1
+# A retraction on a new connection waits for this time.
+_RECONNECT_S = 0.3
+# The line is read at this interval while the driver waits.
+_POLL_S = 1e-3
 
 
 class Address(Protocol):

@@ -19,8 +19,16 @@ _CRC_BYTES = 2
 # a frame without its closing zero: payload, CRC, one byte of COBS
 _MAX_ENCODED = MAX_PAYLOAD + _CRC_BYTES + 1
 
-ASK, CONFIG, COMMAND, STOP = 0x01, 0x02, 0x10, 0x1F
-HELLO, CONFIGURED, STATE, FAULT = 0x81, 0x82, 0x90, 0x9F
+# The types of frames to the handle.
+ASK = 0x01
+CONFIG = 0x02
+COMMAND = 0x10
+STOP = 0x1F
+# The types of frames from the handle.
+HELLO = 0x81
+CONFIGURED = 0x82
+STATE = 0x90
+FAULT = 0x9F
 
 Fault = Literal["cobs", "crc", "length", "type"]
 

@@ -12,8 +12,10 @@ from telenano.link.random_streams import CorrelatedUniform, Draw, share_below
 normal_quantile = NormalDist().inv_cdf
 # the random part of the delay [ns] of a message that arrives at a time [ns]
 RandomDelay = Callable[[int], float]
-# Newton's steps end where they change the root by less than this share, and there are never more.
-_SMALLEST_STEP, _MOST_STEPS = 1e-13, 100
+# Newton's method ends with a step that changes the root by less than this share.
+_SMALLEST_STEP = 1e-13
+# Newton's method ends after at most this number of steps.
+_MOST_STEPS = 100
 
 
 def uniform_quantile(u: float) -> float:

@@ -3,7 +3,11 @@
 from telenano.link.config import GilbertElliott, MarkovLoss
 from telenano.link.random_streams import Draw
 
-_RECEIVED, _RECEIVED_IN_BURST, _LOST_IN_BURST, _LOST_ALONE = 1, 2, 3, 4
+# The states of the Markov chain, by the numbers that its probabilities p_ij have.
+_RECEIVED = 1
+_RECEIVED_IN_BURST = 2
+_LOST_IN_BURST = 3
+_LOST_ALONE = 4
 
 
 class MarkovLossChain:

@@ -14,8 +14,12 @@ from telenano.wire.errors import ConfigError
 T = TypeVar("T")
 
 LARGEST_FILE_BYTES = 32_000_000
-# delays, and samples of a jitter in its own unit; times of a trace
-_LONGEST_DELAY_S, _LARGEST_SAMPLE, _LONGEST_TRACE_S = 3600.0, 1e6, 1e9
+# The bound of a delay.
+_LONGEST_DELAY_S = 3600.0
+# The bound of a sample of a jitter, in its own unit.
+_LARGEST_SAMPLE = 1e6
+# The bound of a time of a trace.
+_LONGEST_TRACE_S = 1e9
 
 
 class DelayCourse(NamedTuple):

@@ -30,9 +30,10 @@ from telenano.wire.topics import TOPICS, Topic
 LINK_MACHINE = "master"
 BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
 HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
-# With a relay nodes of other machines are reached at addresses of this machine, one for each machine, and nodes bind
-# another one: both sites can be tried on one machine.
-_RELAYED, _RELAYED_BIND = "127.77.0.", "127.0.0.1"
+# With a relay, nodes of other machines are reached at addresses of this machine that begin so, one for each machine.
+_RELAYED = "127.77.0."
+# Nodes bind another address, so that both sites can be tried on one machine.
+_RELAYED_BIND = "127.0.0.1"
 RELAY_VARIABLE = "TELENANO_RELAY"
 MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
 _TCP = re.compile(r"tcp://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})")

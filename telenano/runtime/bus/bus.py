@@ -36,7 +36,9 @@ _MOST_FRAMES = 1000
 # A reader expects more messages after this many.
 _FEW = 3
 # Plain numbers are used, because the enumerations of the binding make the call half as expensive again.
-_EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)
+_EVENTS = int(zmq.EVENTS)
+_READABLE = int(zmq.POLLIN)
+_DONTWAIT = int(zmq.DONTWAIT)
 # a member of an enumeration takes longer to look up, and there is one for every message
 _NEXT = Arrival.NEXT
 # sources that one node keeps sequence statistics of; a peer that makes up names must not fill the memory

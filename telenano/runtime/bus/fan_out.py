@@ -16,7 +16,9 @@ from telenano.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
 
 # as many as a publisher keeps for a reader that stands still
 _HIGH_WATER_MARK = 22_000
-_RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
+# A lost node is connected to again after this time, which grows to _RECONNECT_MOST_MS.
+_RECONNECT_MS = 100
+_RECONNECT_MOST_MS = 1000
 # A display may be late, touch may not.
 _NICENESS = 5
 

@@ -14,7 +14,9 @@ from telenano.settings.known_packages import KNOWN_PACKAGES, KNOWN_TRANSPORT
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.extras import how_to_add_package
 
-STREAM, AUTO = "stream", "auto"
+# Both names mean the one transport that is known.
+STREAM = "stream"
+AUTO = "auto"
 
 
 class LinkTransport(NamedTuple):

@@ -13,11 +13,17 @@ from telenano.wire.messages import Array
 from telenano.wire.node_state import pack
 from telenano.wire.received import Received
 
-DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3
+# The kinds of turns.
+DEADLINE = 0
+MESSAGE = 1
+COMMAND = 2
+DEFERRED = 3
 # A message holds this number of turns: some 80 kB, and below the limit however many sources there are.
 _BATCH = 4096
-# bytes of a state in one message: half of what one may hold; and of a large one, how many a second in the mean
-_STATE_PIECE, _STATE_BYTES_PER_S = 1 << 19, 1 << 20
+# A message carries this number of bytes of a state: half of what one may hold.
+_STATE_PIECE = 1 << 19
+# States are published at this mean rate at most.
+_STATE_BYTES_PER_S = 1 << 20
 
 
 class _Batch(NamedTuple):

@@ -9,8 +9,10 @@ from typing import Any
 from telenano.files.printable import printable
 from telenano.timing.clock import Clock
 
-# records of one library: this number at once, then this number a second
-_LIBRARY_BURST, _LIBRARY_PER_S = 20.0, 1.0
+# A library may log this number of records at once.
+_LIBRARY_BURST = 20.0
+# After that it may log this number of records a second.
+_LIBRARY_PER_S = 1.0
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
 

@@ -25,8 +25,11 @@ from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
-# At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.
-STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
+# At first a node reports at this interval, because a rig waits until every node has reported that it receives its
+# inputs.
+STARTING_PERIOD_NS = 100_000_000
+# It does so for this time.
+_STARTING_NS = 3_000_000_000
 # a member of an enumeration takes longer to look up, and there is one for every message
 _AFTER_GAP = Arrival.AFTER_GAP
 

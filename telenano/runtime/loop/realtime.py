@@ -34,8 +34,10 @@ _TASKS = Path("/proc/self/task")
 # the processors that this process could use before `auto` put it on one of them
 _permitted_before: set[int] = set()
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
-# The processors that the launcher of a rig holds for it, or that none was left: then the rig comes behind the others.
-PROCESSORS_VARIABLE, NO_PROCESSORS = "TELENANO_PROCESSORS", "none"
+# This variable of the environment has the processors that the launcher of a rig holds for it.
+PROCESSORS_VARIABLE = "TELENANO_PROCESSORS"
+# The variable says that none was left: then the rig comes behind the others.
+NO_PROCESSORS = "none"
 # One less is what `lower_thread` gives.
 _BEHIND_RIGS = 2
 

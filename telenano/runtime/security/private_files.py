@@ -62,11 +62,11 @@ def check_folder_of_files(folder: Path) -> None:
     _check(folder, folder.stat(), _CHANGE, "change the files in it", "700")
 
 
-def _check(path: Path, found: os.stat_result, forbidden: int, what: str, right: str) -> None:
-    if found.st_uid not in (os.geteuid(), _ROOT):
-        raise ConfigError(f"{path}: belongs to user {found.st_uid}, who can change it: chown {os.geteuid()} {path}")
-    if found.st_mode & forbidden:
-        mode = found.st_mode & 0o777
+def _check(path: Path, status: os.stat_result, forbidden: int, what: str, right: str) -> None:
+    if status.st_uid not in (os.geteuid(), _ROOT):
+        raise ConfigError(f"{path}: belongs to user {status.st_uid}, who can change it: chown {os.geteuid()} {path}")
+    if status.st_mode & forbidden:
+        mode = status.st_mode & 0o777
         raise ConfigError(f"{path}: other users can {what} (mode {mode:o}): chmod {right} {path}")
 
 

@@ -19,7 +19,9 @@ from telenano.runtime.security.socket_monitor import (
 
 # ZeroMQ's authentication protocol (ZAP) prescribes this endpoint.
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"
-_ACCEPTED, _DENIED = b"200", b"400"
+# Status codes of ZAP.
+_ACCEPTED = b"200"
+_DENIED = b"400"
 _ZAP_FRAMES = 9
 # requests answered in a turn of the node's loop, at 40 to 120 us each; libzmq's thread takes longer for each of them
 _BATCH = 4

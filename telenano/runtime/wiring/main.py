@@ -167,15 +167,15 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
-    if given.with_parent:
+def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> None:
+    if arguments.with_parent:
         die_with_parent(signal.SIGTERM)
-    if given.rig is not None:
-        os.environ[RIG_VARIABLE] = check_rig_name(given.rig)
-    site_file = site_file_named(given.site_file) or DEFAULT_SITE_FILE
-    scenario_file = find_scenario(str(given.scenario))
+    if arguments.rig is not None:
+        os.environ[RIG_VARIABLE] = check_rig_name(arguments.rig)
+    site_file = site_file_named(arguments.site_file) or DEFAULT_SITE_FILE
+    scenario_file = find_scenario(str(arguments.scenario))
     book = AddressBook.load(site_file)
-    loaded = LoadedScenario.load(scenario_file, given.set)
+    loaded = LoadedScenario.load(scenario_file, arguments.set)
     config = loaded.section(kind.name, kind.config)
     wanted = (
         loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
@@ -183,7 +183,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     if not kind.realtime:
         behind_others()
     # It comes before the ZeroMQ context exists, whose threads inherit the scheduling.
-    key = f"{kind.name}@{given.site}"
+    key = f"{kind.name}@{arguments.site}"
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     raise_file_limit()

@@ -151,12 +151,12 @@ def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
 
 def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
     """Return the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
-    given = 0
+    yielded = 0
     for observed in observer.listen(duration_s):
         if observed.name == name:
             yield observed.received
-            given += 1
-            if count is not None and given >= count:
+            yielded += 1
+            if count is not None and yielded >= count:
                 return
 
 

@@ -42,9 +42,13 @@ _HANDSHAKE_MS = 5000
 _BACKLOG = 16
 # Without this limit the next attempt to connect may come minutes after the cable is back.
 _CONNECT_MS = 2000
-_RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
-# This thread of the context accepts connections, fails handshakes, and sends to those that succeeded.
-_SECOND_THREAD, _SECOND_THREAD_NAME = 2, "ZMQbg/IO/1"
+# A lost connection is made again after this time, which grows to _RECONNECT_MOST_MS.
+_RECONNECT_MS = 100
+_RECONNECT_MOST_MS = 1000
+# This thread of the context, as a bit of the affinity, accepts connections, fails handshakes, and sends to those that
+# succeeded.
+_SECOND_THREAD = 2
+_SECOND_THREAD_NAME = "ZMQbg/IO/1"
 # It is below the half second after which a loop calls at the latest, so that each such call checks.
 _CHECK_NS = 400_000_000
 

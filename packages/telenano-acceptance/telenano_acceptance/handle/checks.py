@@ -9,10 +9,29 @@ from telenano.extend.hands import MODE_POSITION, Capabilities
 from telenano_acceptance.handle.take import ROW, STATUSES, Facts
 from telenano_acceptance.take import PERIOD_S, Kind, Result, Rows, Take, drift, median_age, noise, passes
 
-# Tolerances, provisional until takes of real handles are there.
-BAD_SHARE, AGE_S, GAP_S, NOISE_M, DRIFT_M = 1e-3, 3e-3, 0.05, 5e-5, 2e-4
-FORCE_NOISE_N, ZERO_N, FELT_N, MOVED_M = 0.05, 0.2, 0.3, 2e-4
-FOLLOW_SHARE, BUZZ_M, HELD_M, HELD_FACTOR = 0.2, 1e-4, 1e-3, 2.0
+# All tolerances are provisional until takes of real handles are there.
+# At most this share of the frames may be bad or missing.
+BAD_SHARE = 1e-3
+# The median age of a sample may exceed the declared latency by this.
+AGE_S = 3e-3
+# A silence may last this long.
+GAP_S = 0.05
+# Noise, drift and zero are those of the handle at rest, without a hand on it.
+NOISE_M = 5e-5
+DRIFT_M = 2e-4
+FORCE_NOISE_N = 0.05
+ZERO_N = 0.2
+# A push by less than this force says nothing about the sign of forces.
+FELT_N = 0.3
+# A way shorter than this says nothing about the sign of positions.
+MOVED_M = 2e-4
+# The handle may be off its reference by this share of the amplitude of the motion.
+FOLLOW_SHARE = 0.2
+# The place of a held handle may swing faster than some 15 Hz by this, as a standard deviation.
+BUZZ_M = 1e-4
+# A held handle may give way by this, and by HELD_FACTOR times the force over its declared stiffness.
+HELD_M = 1e-3
+HELD_FACTOR = 2.0
 _LOST = STATUSES.index("lost")
 Check = Callable[[Take[Facts]], tuple[Result, str]]
 
@@ -28,7 +47,8 @@ def _losses(take: Take[Facts]) -> tuple[Result, str]:
     rows = _attached(take)
     lost = rows["status"] == _LOST
     if lost.any():
-        return "fail", f"lost after {rows['time_s'][lost][0]:.2f} s: {next(iter(take.facts.said), 'see its events')}"
+        message = next(iter(take.facts.device_messages), "see its events")
+        return "fail", f"lost after {rows['time_s'][lost][0]:.2f} s: {message}"
     return "pass", "never"
 
 
@@ -168,8 +188,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 )
 
 
-def _facts_of(device: Any, **known: Any) -> Facts:
-    return Facts(Capabilities(**device), **known)
+def _facts_of(device: Any, **facts: Any) -> Facts:
+    return Facts(Capabilities(**device), **facts)
 
 
 HANDLE = Kind(ROW, _facts_of, _CHECKS)

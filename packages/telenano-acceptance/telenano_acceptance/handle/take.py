@@ -21,9 +21,17 @@ STEPS = (
     Step("silence", 1.5, "let go: nothing is sent, and the handle switches its drive off by itself", "with load"),
     Step("cable", 8.0, "pull the cable of the handle out, wait for two seconds, and put it in again", "with load"),
 )
-# The motion of the step *follow*: its amplitude, at most this share of the workspace, and its period.
-_AMPLITUDE_M, _SHARE, _PERIOD_S = 2e-3, 0.2, 3.0
-_BEFORE_S, _SPARE_S = 0.3, 0.1
+# The amplitude of the motion of the step *follow*.
+_AMPLITUDE_M = 2e-3
+# The amplitude is at most this share of the workspace.
+_SHARE = 0.2
+# The period of the motion of the step *follow*.
+_PERIOD_S = 3.0
+# The step *silence* runs for this time before the commands stop.
+_BEFORE_S = 0.3
+# The silence lasts longer than the watchdog of the handle by this.
+_SPARE_S = 0.1
+# At most this number of messages of the driver are kept.
 _MOST_MESSAGES = 16
 ROW = row_of(
     ("asked_m", "f8"),
@@ -43,15 +51,15 @@ class Facts(NamedTuple):
     """What the checks need besides the rows.
 
     device: what it declares; watchdog_s: silence after which it is off [s]; max_drive_n: the most that its drive may
-    give; amplitude_m: of the step *follow*; said: what the driver reported was wrong, each once; stopped: why the
-    motion ended early.
+    give; amplitude_m: of the step *follow*; device_messages: what the driver reported was wrong, each once; stopped:
+    why the motion ended early.
     """
 
     device: Capabilities
     watchdog_s: float
     max_drive_n: float
     amplitude_m: float
-    said: tuple[str, ...] = ()
+    device_messages: tuple[str, ...] = ()
     stopped: str = ""
 
     @property
@@ -91,7 +99,7 @@ def record_take(driver: Any, facts: Facts, clock: Clock, guide: Guide = SILENT) 
     except (EndedError, TelenanoError) as error:
         facts = facts._replace(stopped=f"{error} (in the step {recorder.step.name})")
     driver.make_safe()
-    return recorder.take(ROW, facts._replace(said=tuple(motion.driver_messages)))
+    return recorder.take(ROW, facts._replace(device_messages=tuple(motion.driver_messages)))
 
 
 class _Motion:

@@ -17,11 +17,31 @@ from telenano_acceptance.haptic_device.take import (
 )
 from telenano_acceptance.take import PERIOD_S, Kind, Result, Rows, Take, drift, median_age, noise, passes
 
-# Tolerances, provisional until takes of real devices are there.
-RATE_SHARE, LATE_SHARE, AGE_S, GAP_S = 0.05, 0.01, 5e-3, 0.05
-NOISE_M, DRIFT_M, RESOLUTION_M = 5e-5, 2e-4, 1e-4
-REACHED, BEYOND, AXIS_SHARE, FORCE_SHARE = 0.6, 1.05, 0.7, 0.1
-BUZZ_M, MOVED_M = 1e-4, 2e-4
+# All tolerances are provisional until takes of real devices are there.
+# The rate may differ from the declared one by this share.
+RATE_SHARE = 0.05
+# At most this share of the steps may be more than half a period late.
+LATE_SHARE = 0.01
+# The median age of a sample.
+AGE_S = 5e-3
+# A silence may last this long while the cable is plugged in.
+GAP_S = 0.05
+# Noise and drift are those of the handle at rest.
+NOISE_M = 5e-5
+DRIFT_M = 2e-4
+RESOLUTION_M = 1e-4
+# The motion must reach this share of the declared workspace on each axis.
+REACHED = 0.6
+# The motion may reach this share of the declared workspace; positions beyond it have a wrong scale.
+BEYOND = 1.05
+# A motion along an axis must have at least this share of its length along that axis.
+AXIS_SHARE = 0.7
+# The force that holds a mass may differ from its weight by this share.
+FORCE_SHARE = 0.1
+# A stiffness at which the held handle swings by more than this is too high for the device.
+BUZZ_M = 1e-4
+# The handle must move along a force by more than this.
+MOVED_M = 2e-4
 
 Check = Callable[[Take[Facts]], tuple[Result, str]]
 
@@ -62,7 +82,7 @@ def _gaps(take: Take[Facts]) -> tuple[Result, str]:
     rows = _present(take)
     longest_s = float(rows["age_s"].max(initial=0.0))
     good = longest_s <= GAP_S and not rows["lost"].any()
-    message = "" if good or not take.facts.said else f": {take.facts.said[0]}"
+    message = "" if good or not take.facts.device_messages else f": {take.facts.device_messages[0]}"
     return passes(good), f"{1e3 * longest_s:.0f} ms{message}"
 
 

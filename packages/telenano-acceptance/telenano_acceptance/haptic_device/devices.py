@@ -66,10 +66,10 @@ def make_take(
         link.close()
 
 
-def _faults_of(given: Mapping[str, Any]) -> DeviceFaults:
+def _faults_of(options: Mapping[str, Any]) -> DeviceFaults:
     """Return the faults of these names; ConfigError says what is wrong with one."""
     good, fields = DeviceFaults(), dict[str, Any]()
-    for name, value in given.items():
+    for name, value in options.items():
         if name not in DeviceFaults._fields:
             raise ConfigError(f"--fault {name}: no such fault; there are {', '.join(DeviceFaults._fields)}")
         default = getattr(good, name)

@@ -10,8 +10,9 @@ from telenano.hand import ZERO, Vector
 from telenano_acceptance.haptic_device.take import STANDARD_GRAVITY_M_PER_S2
 from telenano_acceptance.take import Step
 
-# an ordinary arm
-_STIFFNESS_N_PER_M, _DAMPING_N_S_PER_M = 300.0, 5.0
+# Stiffness and damping are those of an ordinary arm.
+_STIFFNESS_N_PER_M = 300.0
+_DAMPING_N_S_PER_M = 5.0
 _SLOW = ((0, 0.8), (0, -0.8), (0, 0.0), (1, 0.8), (1, -0.8), (1, 0.0), (2, 0.8), (2, -0.8), (2, 0.0))
 _PUSHED = {"right": 0, "forward": 1, "up": 2}
 

@@ -63,15 +63,15 @@ class Facts(NamedTuple):
     """What was declared and reported beforehand: the device, and the coupling with which it is to be used.
 
     mass_kg: of the mass that was hung at the handle, 0.0 for none. independent_stop: how the power of the drives can be
-    cut without the computer, empty if it cannot. said: what the device reported was wrong, each once. stopped: why the
-    motion ended early.
+    cut without the computer, empty if it cannot. device_messages: what the device reported was wrong, each once.
+    stopped: why the motion ended early.
     """
 
     device: Capabilities
     settings: CouplingSettings
     mass_kg: float = 0.0
     independent_stop: str = ""
-    said: tuple[str, ...] = ()
+    device_messages: tuple[str, ...] = ()
     stopped: str = ""
 
     @property
@@ -124,7 +124,7 @@ def record_take(
     except (EndedError, TelenanoError) as error:
         facts = facts._replace(stopped=f"{error} (in the step {recorder.step.name})")
     asker.rest()
-    return recorder.take(ROW, facts._replace(said=tuple(asker.driver_messages)))
+    return recorder.take(ROW, facts._replace(device_messages=tuple(asker.driver_messages)))
 
 
 def _record_step(recorder: Recorder, asker: "_Asker", step: Step, silence_s: float) -> None:
@@ -165,9 +165,9 @@ class _Asker:
             self.driver_messages[self._found.error] = None
         return self._found
 
-    def age_s(self, found: ServoSample) -> float:
+    def age_s(self, sample: ServoSample) -> float:
         """Return how old a sample is now [s]."""
-        return (self._clock.now_ns() - found.taken_ns) * 1e-9
+        return (self._clock.now_ns() - sample.taken_ns) * 1e-9
 
     def idle(self) -> None:
         """Let a millisecond pass without force."""

@@ -10,11 +10,28 @@ from telenano.extend.instruments import SafetyParams
 from telenano_acceptance.instrument.take import PULLED, ROW, STATUSES, Facts
 from telenano_acceptance.take import Kind, Result, Rows, Take, drift, median_age, noise, passes
 
-# Tolerances, provisional until takes of real instruments are there.
-RATE_SHARE, AGE_S, GAP_S, LATENCY_SHARE, LATENCY_S = 0.7, 3e-3, 0.05, 0.25, 2e-3
-NOISE_SHARE, RANGE_SHARE, RANGE_M = 0.3, 0.01, 1e-9
-SCALE_MOST, SCALE_LEAST, BACK_S = 1.15, 0.3, 5.0
-_OK, _LOST = STATUSES.index("ok"), STATUSES.index("lost")
+# All tolerances are provisional until takes of real instruments are there.
+# Samples must come at this share of the declared rate at least.
+RATE_SHARE = 0.7
+# The median age of a sample may exceed the declared latency by this.
+AGE_S = 3e-3
+# A silence may exceed the declared latency by this.
+GAP_S = 0.05
+# The latency may exceed the declared one by this share of it, or by LATENCY_S if that is more.
+LATENCY_SHARE = 0.25
+LATENCY_S = 2e-3
+# Noise and drift at rest may have this share of the force that counts as contact.
+NOISE_SHARE = 0.3
+# A place may be off the requested one by this share of the way, and by RANGE_M besides.
+RANGE_SHARE = 0.01
+RANGE_M = 1e-9
+# Steps in contact must show a stiffness between these multiples of the cantilever's.
+SCALE_MOST = 1.15
+SCALE_LEAST = 0.3
+# The instrument must be retracted again within this time after its link came back.
+BACK_S = 5.0
+_OK = STATUSES.index("ok")
+_LOST = STATUSES.index("lost")
 
 Check = Callable[[Take[Facts]], tuple[Result, str]]
 
@@ -232,8 +249,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 )
 
 
-def _facts_of(limits: Any, **known: Any) -> Facts:
-    return Facts(limits=SafetyParams(**limits), **known)
+def _facts_of(limits: Any, **facts: Any) -> Facts:
+    return Facts(limits=SafetyParams(**limits), **facts)
 
 
 INSTRUMENT = Kind(ROW, _facts_of, _CHECKS, say_what_is_missing=True)

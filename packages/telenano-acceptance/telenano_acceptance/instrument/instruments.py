@@ -14,17 +14,17 @@ from telenano_acceptance.take import MACHINE, PERIOD_S, SILENT, Clock, Guide, Ta
 _CONTACT_N = 1e-9
 
 
-def config_of(calibration: Path | None, given: dict[str, Any]) -> AfmConfig:
+def config_of(calibration: Path | None, options: dict[str, Any]) -> AfmConfig:
     """Return the section `afm_node` of an instrument: the one of a calibration file, or the simulated one.
 
     Raises:
         ConfigError: The file or a key cannot be used.
     """
     if calibration is None:
-        return validate(AfmConfig, given, "--set", "afm_node")
+        return validate(AfmConfig, options, "--set", "afm_node")
     kind = getattr(calibration_of_file(calibration), "controller", "modbus")
     section = {"driver": kind, kind: {"calibration": str(calibration)}}
-    return validate(AfmConfig, merge(section, given), "--set", "afm_node")
+    return validate(AfmConfig, merge(section, options), "--set", "afm_node")
 
 
 def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:

@@ -24,14 +24,29 @@ STEPS = (
     Step("silence", 1.0, "nothing is sent, with the tip half way above the sample", "with load"),
     Step("back", 3.0, "the instrument is driven again, and the tip stays retracted", "with load"),
 )
-# The force at which the approach ends is this many times the one that counts as contact, and this share of the limit.
-_PRESS, _PRESS_SHARE, _STEP_SHARE = 10.0, 0.1, 0.8
-# The steps in contact are further in by this many times the deflection of it, because an attraction that is read
-# with the wrong sign ends the approach as well; and this share of the limit is the most that an approach may be pulled.
-_FURTHER, _PULL_SHARE = 2.0, 0.5
+# The approach ends at this multiple of the force that counts as contact.
+_PRESS = 10.0
+# The approach ends at no more than this share of the force limit.
+_PRESS_SHARE = 0.1
+# A step in contact changes the force by this share of the one at which the approach ends.
+_STEP_SHARE = 0.8
+# The steps in contact are further in by this multiple of the deflection at which the approach ended, because an
+# attraction that is read with the wrong sign ends the approach as well.
+_FURTHER = 2.0
+# An approach may be pulled by at most this share of the force limit.
+_PULL_SHARE = 0.5
 # An answer may come so much later than is declared before the approach presses twice as much [s].
 _SPARE_S = 5e-3
-_EDGES, _LEAST_HALF_S, _SILENT_S, _BACK_S, _GOOD = 24, 0.1, 0.3, 10.0, 600
+# The number of steps in contact.
+_EDGES = 24
+# The tip stands at each end of a step for this time at least.
+_LEAST_HALF_S = 0.1
+# The commands stop for longer than the guard's heartbeat by this.
+_SILENT_S = 0.3
+# The instrument has this time to come back after the silence.
+_BACK_S = 10.0
+# The instrument is back when this number of samples in a row came; a driver may notice a loss late.
+_GOOD = 600
 ROW = row_of(
     ("asked_m", "f8"),
     ("base_m", "f8"),

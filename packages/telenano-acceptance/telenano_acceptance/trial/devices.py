@@ -33,7 +33,7 @@ class Tried(NamedTuple):
 
 def tried(
     name: str,
-    given: dict[str, Any],
+    options: dict[str, Any],
     calibration: Path | None,
     port: str | None,
     mass_kg: float,
@@ -43,7 +43,7 @@ def tried(
 
     Args:
         name: haply, dhd, hd, nanonis, gwyscope, t7, serial, simulated_impedance, or the driver of a package.
-        given: The keys of `--set`.
+        options: The keys of `--set`.
         calibration: The calibration file of an instrument or a handle.
         port: The serial port of a handle.
         mass_kg: Of the mass that is hung at the handle [kg].
@@ -52,9 +52,9 @@ def tried(
     Raises:
         ConfigError: There is no such device, or a file or key is missing or cannot be used.
     """
-    named = (*_named(given), *(str(each) for each in (calibration, port) if each is not None))
+    named = (*_named(options), *(str(each) for each in (calibration, port) if each is not None))
     if name in _INSTRUMENTS:
-        return _instrument(name, section_named(given, "afm_node"), calibration, named)
+        return _instrument(name, section_named(options, "afm_node"), calibration, named)
     if name == "serial":
         return _handle(port, calibration, named)
     names = (SIMULATED_IMPEDANCE, *(each for each, driver in DRIVERS.all().found.items() if takes_force(driver)))
@@ -63,7 +63,7 @@ def tried(
         raise ConfigError(f"{name}: {why or known_names(name, (*names, *_INSTRUMENTS, 'serial'))}")
     if calibration is not None or port is not None:
         raise ConfigError(f"--calibration and --port are not for {name}: its settings are haptic_node.{name}.* (--set)")
-    config = validate(HapticConfig, {"driver": name} | section_named(given, "haptic_node"), "--set", "haptic_node")
+    config = validate(HapticConfig, {"driver": name} | section_named(options, "haptic_node"), "--set", "haptic_node")
 
     def record(guide: Guide) -> Take[Any]:
         from telenano_acceptance.haptic_device.devices import make_take
@@ -112,8 +112,8 @@ def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) 
     return Tried(record, named)
 
 
-def _named(given: dict[str, Any], key: str = "") -> list[str]:
+def _named(options: dict[str, Any], key: str = "") -> list[str]:
     """Return the texts of `--set` that name a machine, a file or a person's device."""
-    if isinstance(given, dict):
-        return [text for name, value in given.items() for text in _named(value, name)]
-    return [given] if isinstance(given, str) and key in _NAMING else []
+    if isinstance(options, dict):
+        return [text for name, value in options.items() for text in _named(value, name)]
+    return [options] if isinstance(options, str) and key in _NAMING else []

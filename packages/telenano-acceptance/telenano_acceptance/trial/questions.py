@@ -13,8 +13,12 @@ from telenano_acceptance.take import EndedError, Guide, Step, Verdict
 
 ENDED = "the person has ended it"
 _EMULATED = ("emulat", "simulat")
-# A millisecond that this computer lets pass is late beyond the first of these; the share of those, and the worst.
-_LATE_S, _MOST_SHARE, _WORST_S = 2e-3, 0.01, 0.02
+# A millisecond that this computer lets pass is late beyond this.
+_LATE_S = 2e-3
+# At most this share of the milliseconds may be late.
+_MOST_SHARE = 0.01
+# No millisecond may be later than this.
+_WORST_S = 0.02
 
 
 class Questions:

@@ -125,7 +125,7 @@ def make_trial(driver: str, device: "Tried", guide: "Guide", computer: "Callable
         ended = Verdict("whole motion", result, stopped or "made to its end", "each step made")
         if ended.result == "fail":
             errors.append(Problem("motion", stopped))
-        errors += [Problem("device", text) for text in getattr(take.facts, "said", ())]
+        errors += [Problem("device", text) for text in getattr(take.facts, "device_messages", ())]
         opening = Verdict("opening", "pass", take.facts.identity, _OPENED)
         others = computer()
         lines = [line_of(LOADS[0], verdict) for verdict in (opening, *others)]

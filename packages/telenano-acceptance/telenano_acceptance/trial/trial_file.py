@@ -23,9 +23,15 @@ from telenano_acceptance.take import Kind, Take, Verdict, take_of
 from telenano_acceptance.trial.scrub import Scrubber
 
 KINDS: tuple[Kind[Any], ...] = (HAPTIC_DEVICE, INSTRUMENT, HANDLE)
-ACCEPTANCE, RECORDING, VERSIONS, ERRORS = "acceptance.json", "take.npz", "versions.json", "errors.json"
+# The members of the zip.
+ACCEPTANCE = "acceptance.json"
+RECORDING = "take.npz"
+VERSIONS = "versions.json"
+ERRORS = "errors.json"
 _SCHEMA = 1
-_MOST_TEXT_BYTES, _MOST_TAKE_BYTES = 2**20, 32 * 2**20
+# A member that is larger than this is not read.
+_MOST_TEXT_BYTES = 2**20
+_MOST_TAKE_BYTES = 32 * 2**20
 _MOST = {ACCEPTANCE: _MOST_TEXT_BYTES, RECORDING: _MOST_TAKE_BYTES, VERSIONS: 2**16, ERRORS: _MOST_TEXT_BYTES}
 # The same content gives the same bytes, and no time of day is in the file.
 _TIME = (1980, 1, 1, 0, 0, 0)

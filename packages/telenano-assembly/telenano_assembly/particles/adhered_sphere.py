@@ -23,8 +23,11 @@ class Material(NamedTuple):
     poisson: float
 
 
-POLYSTYRENE, SILICA, GOLD = Material(3e9, 0.34), Material(73e9, 0.17), Material(79e9, 0.42)
-GLASS, SILICON = Material(70e9, 0.22), Material(165e9, 0.22)
+POLYSTYRENE = Material(3e9, 0.34)
+SILICA = Material(73e9, 0.17)
+GOLD = Material(79e9, 0.42)
+GLASS = Material(70e9, 0.22)
+SILICON = Material(165e9, 0.22)
 
 
 class Kind(NamedTuple):

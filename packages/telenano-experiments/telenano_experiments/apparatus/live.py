@@ -59,8 +59,16 @@ _NODES = (HAND, *_HALVES, f"{LINK}@master", TIP, RECORDER)
 # How long a state is waited for [s]; the rig's own deadlines are far shorter.
 _PATIENCE_S = 20.0
 _LISTEN_S = 0.05
-# The hand is at rest below this speed [m/s], for this time [s], and at its start within this distance [m].
-_REST_M_PER_S, _REST_S, _HOME_M, _HOME_S, _REST_MOST_S = 2e-4, 0.1, 2e-4, 6.0, 6.0
+# The hand is at rest below this speed.
+_REST_M_PER_S = 2e-4
+# The hand has to be at rest, or at its start, for this time.
+_REST_S = 0.1
+# The hand is at its start within this distance of it.
+_HOME_M = 2e-4
+# The hand has this time to go back to its start.
+_HOME_S = 6.0
+# The hand has this time to come to rest.
+_REST_MOST_S = 6.0
 _CLEAN: dict[str, Scalar] = {"profile": "clean"}
 # What is under way when the force profile ends still belongs to the trial.
 _AFTER_S = 0.3

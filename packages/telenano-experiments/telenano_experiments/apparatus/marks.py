@@ -17,9 +17,18 @@ from telenano.wire import ConfigError, RigError
 from telenano_experiments.plan import Plan
 from telenano_experiments.types import Trial
 
-PRACTICE, END, PULSE_S = 254, 255, 0.01
-# The major number of Linux's parallel ports, and its requests: nobody else, claim, and write the data lines.
-_PARALLEL, _EXCLUSIVE, _CLAIM, _DATA = 99, 0x708F, 0x708B, 0x40017086
+# The byte of a trial for practice.
+PRACTICE = 254
+# The byte of the end of a trial.
+END = 255
+# The port holds a byte for this time.
+PULSE_S = 0.01
+# The major number of Linux's parallel ports.
+_PARALLEL = 99
+# Requests to a parallel port: have it alone, claim it, and write its data lines.
+_EXCLUSIVE = 0x708F
+_CLAIM = 0x708B
+_DATA = 0x40017086
 
 Write = Callable[[int], object]
 

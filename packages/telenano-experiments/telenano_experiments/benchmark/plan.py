@@ -37,8 +37,10 @@ STEADINESS: dict[Steadiness, str] = {
 }
 _TREMBLING = {"tremor": {"enabled": True, "rms_n": 0.02}, "wander": {"enabled": True, "rms_n": 0.03}}
 INSTRUMENTS = ("ideal", "real")
+# The reacting operator reacts after this time.
+REACTION_S = 0.25
 # The moves of the reacting operator scatter by this share of them.
-REACTION_S, SCATTER = 0.25, 0.1
+SCATTER = 0.1
 # Each measured line has a twin that draws the delay of every message by itself.
 MEASURED_LINES = ("cicv5g_n78_arterial", "starlink_driving", "att_driving", "verizon_driving")
 NETWORKS = (
@@ -56,9 +58,18 @@ LINES: dict[str, tuple[str, ...]] = {
     "measured line": MEASURED_LINES,
 }
 QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
-SEEDS, QUICK_SEEDS = 4, 2
-# the swing that is followed: newtons about the force of the hold, frequency, and periods before and in the measurement
-SWING_N, SWING_HZ, SWINGS_BEFORE, SWINGS = 0.3, 0.5, 2, 2
+# The number of seeds of the whole benchmark, and of the quick one.
+SEEDS = 4
+QUICK_SEEDS = 2
+# The amplitude of the swing that is followed, about the force of the hold.
+SWING_N = 0.3
+# The frequency of that swing.
+SWING_HZ = 0.5
+# The number of its periods before the measurement.
+SWINGS_BEFORE = 2
+# The number of its periods in the measurement.
+SWINGS = 2
+# The swing is given by this number of points for each period.
 _POINTS_PER_PERIOD = 200
 
 
@@ -159,7 +170,7 @@ class Run(Settings):
         condition = (self.instrument, self.steadiness)
         return (*condition, self.network, self.task, self.law, self.hand, self.seed, self.settings)
 
-    def programme(self) -> tuple[list[tuple[float, float]], float, float, float]:
+    def force_profile(self) -> tuple[list[tuple[float, float]], float, float, float]:
         """Return the hand's corners (time [s], force [N]), and when hold, settling of the swing, and run end [s]."""
         task, cell = TASKS[self.task], self.cell
         points, held_s = list(cell.hand_points()), cell.hold_s()[1]
@@ -186,7 +197,7 @@ class Plan(NamedTuple):
 
     def runs(self) -> list[Run]:
         """Return the runs, those over one draw together: to draw a link or a noise takes longer than to run over it."""
-        found = [
+        planned = [
             Run(
                 task=task, network=network, law=law, hand=hand, seed=seed, settings=self.settings,
                 instrument=instrument, steadiness=steadiness,
@@ -199,7 +210,7 @@ class Plan(NamedTuple):
             for law in self.laws
             for hand in self.hands
         ]  # fmt: skip
-        return [run for run in found if run.seed == 0 or run.is_random]
+        return [run for run in planned if run.seed == 0 or run.is_random]
 
 
 def plan_of(

@@ -146,16 +146,16 @@ def _made_energy(outcome: Outcome) -> bool:
 
 def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
     """Return the spread of a measure; None where no run has it."""
-    known = [value for outcome in some if (value := outcome.measures[measure]) is not None]
-    return Spread(statistics.median(known), min(known), max(known)) if known else None
+    values = [value for outcome in some if (value := outcome.measures[measure]) is not None]
+    return Spread(statistics.median(values), min(values), max(values)) if values else None
 
 
 def choices(rows: Sequence[Row[Case]]) -> dict[Case, list[Row[Case]]]:
     """Return the laws in each case, the one to take first."""
-    found: dict[Case, list[Row[Case]]] = {}
+    by_case: dict[Case, list[Row[Case]]] = {}
     for row in rows:
-        found.setdefault(row.case, []).append(row)
-    return {case: sorted(some, key=lambda row: (row.price(), row.law)) for case, some in found.items()}
+        by_case.setdefault(row.case, []).append(row)
+    return {case: sorted(some, key=lambda row: (row.price(), row.law)) for case, some in by_case.items()}
 
 
 def runs_text(outcomes: Sequence[Outcome]) -> str:

@@ -23,8 +23,10 @@ from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
 # Every figure of the result has this many digits: those after them are beyond what a model means.
 DIGITS = 9
-# Signals that are warped onto one another are sampled at this step, and may lag by so much.
-ETVO_STEP_S, ETVO_LONGEST_S = 0.005, 1.0
+# Signals that are warped onto one another are sampled at this interval.
+ETVO_STEP_S = 0.005
+# A signal may lag behind the other one by this.
+ETVO_LONGEST_S = 1.0
 
 
 class Measure(NamedTuple):
@@ -74,7 +76,7 @@ def outcome_from(data: dict[str, Any]) -> Outcome:
 
 def run(run: Run) -> Outcome:
     """Run and judge; ConfigError for what cannot be run."""
-    points, held_s, begin_s, end_s = run.programme()
+    points, held_s, begin_s, end_s = run.force_profile()
     try:
         course = course_of(run, points, end_s)
     except RigError as error:
@@ -82,12 +84,14 @@ def run(run: Run) -> Outcome:
     scales = scales_of(run.cell.controller())
     held = course_until(course, held_s)
     result = judged(run.cell, held)
-    found = {**dict.fromkeys(MEASURES), **_held(result, held, scales, TASKS[run.task])}
+    measures = {**dict.fromkeys(MEASURES), **_held(result, held, scales, TASKS[run.task])}
     if _followed(course):
-        found["parted_mm"] = _parted(course, scales, run.cell.hold_s(), SWING_HZ if TASKS[run.task].follows else None)
+        measures["parted_mm"] = _parted(
+            course, scales, run.cell.hold_s(), SWING_HZ if TASKS[run.task].follows else None
+        )
     if TASKS[run.task].follows and _followed(course):
-        found |= _swung(course, begin_s, scales, TASKS[run.task])
-    return Outcome(run, result.outcome, result.reason, {name: rounded(value) for name, value in found.items()})
+        measures |= _swung(course, begin_s, scales, TASKS[run.task])
+    return Outcome(run, result.outcome, result.reason, {name: rounded(value) for name, value in measures.items()})
 
 
 def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:
@@ -108,7 +112,7 @@ def _longest_ticks(run: Run) -> int:
     longest = 0
     for name in TASKS:
         other = run.model_copy(update={"task": name})
-        end_s = other.programme()[-1]
+        end_s = other.force_profile()[-1]
         longest = max(longest, settle_ticks(other.cell, period_s) + max(1, round(end_s / period_s)))
     return longest
 

@@ -30,8 +30,11 @@ from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_r
 from telenano_experiments.benchmark.results import HELD, digest_of
 from telenano_experiments.benchmark.run import course_of
 
-# Ages are those of this long a draw of the line for each of the benchmark's seeds, after its beginning [s].
-_LINE_S, _BEGINNING_S = 20.0, 3.0
+# The line is drawn over this time for each of the benchmark's seeds.
+_LINE_S = 20.0
+# Ages in this time after the beginning of a draw are left out.
+_BEGINNING_S = 3.0
+# The period of the loop.
 _PERIOD_S = 1e-3
 # Unevenness: by how much this share of the ages is at most above their median.
 UNEVEN_SHARE = 0.95
@@ -86,10 +89,10 @@ def text_of(shown: Mapping[str, Any]) -> str:
     """Return the table as JSON, a line a cell."""
     laws = [
         f"    {json.dumps(law)}: {{\n"
-        f'      "tracking_error": {json.dumps(found["tracking_error"])},\n      "cells": [\n'
-        + ",\n".join(f"        {json.dumps(cell)}" for cell in found["cells"])
+        f'      "tracking_error": {json.dumps(places["tracking_error"])},\n      "cells": [\n'
+        + ",\n".join(f"        {json.dumps(cell)}" for cell in places["cells"])
         + "\n      ]\n    }"
-        for law, found in shown["laws"].items()
+        for law, places in shown["laws"].items()
     ]
     head = {key: value for key, value in shown.items() if key != "laws"}
     return json.dumps(head, indent=1)[:-2] + ',\n "laws": {\n' + ",\n".join(laws) + "\n }\n}\n"
@@ -120,7 +123,7 @@ def stiffness_of(name: str) -> float:
     if task.environment != "tip_sample":
         return task.stiffness_n_per_m
     run = Run(task=name, network="clean", law="position_force", hand="force", seed=0)  # type: ignore[arg-type]
-    points, held_s, _, end_s = run.programme()
+    points, held_s, _, end_s = run.force_profile()
     course = course_of(run, points, end_s)
     # The last corner but one ends the hold at the smaller force.
     first, last = np.searchsorted(course.time_s, (points[-2][0] - _PERIOD_S, held_s - _PERIOD_S))

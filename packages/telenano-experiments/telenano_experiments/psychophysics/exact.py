@@ -13,11 +13,17 @@ import numpy.typing as npt
 Numbers = npt.NDArray[np.float64]
 
 _LN2 = 0.6931471805599453
-# ln 2 in two parts, of which the first has so few digits that a whole multiple of it is exact
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+# The upper part of ln 2 has so few digits that a whole multiple of it is exact.
+_LN2_HIGH = 6.93147180369123816490e-01
+# The rest of ln 2.
+_LN2_LOW = 1.90821492927058770002e-10
+# The coefficients of the power series of exp x.
 _EXPONENTIAL = [1.0 / math.factorial(power) for power in range(14)]
+# The coefficients of the power series of artanh x, over the odd powers.
 _LOGARITHM = [1.0 / (2 * power + 1) for power in range(12)]
+# The square root of 0.5.
 _ROOT_HALF = 0.7071067811865476
+# Arguments of the exponential are clipped here, where it is still finite.
 _LARGEST = 700.0
 # beyond this number of standard deviations the share is 0 or 1 for every purpose here
 _FARTHEST = 7.0

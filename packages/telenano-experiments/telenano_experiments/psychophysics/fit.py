@@ -24,8 +24,10 @@ METHOD = "median of the posterior, credible interval"
 
 # points of the grid: thresholds, widths, lapse rates
 _GRID = 81, 13, 4
-# widths from this share of the range of levels to this many times it
-_NARROWEST, _WIDEST = 0.2, 4.0
+# The grid has widths from this share of the range of levels on.
+_NARROWEST = 0.2
+# The grid has widths up to this multiple of the range of levels.
+_WIDEST = 4.0
 # An end at which the posterior is still so large a share of its maximum is one of the prior and not of the answers.
 _CUT_OFF = 0.05
 # The grid closes in on what is no further below the maximum, in units of the logarithm of the posterior.

@@ -19,8 +19,15 @@ from telenano_experiments.psychophysics.exact import Numbers, exp, log, normal_s
 
 Shape = Literal["logistic", "normal", "weibull"]
 
-# 2 ln 19, twice the 95 % quantile of the normal distribution, ln 0.5, and ln(ln 0.05 / ln 0.95): F at 0.05 and 0.95
-_LOGISTIC, _NORMAL, _LN_HALF, _WEIBULL = 5.8888779583328805, 3.289707253902943, -0.6931471805599453, 4.0673839494071125
+# These factors make the width of a function the distance between F = 0.05 and F = 0.95.
+# 2 ln 19
+_LOGISTIC = 5.8888779583328805
+# Twice the 95 % quantile of the normal distribution.
+_NORMAL = 3.289707253902943
+# ln 0.5 makes F = 0.5 at the threshold of a Weibull function.
+_LN_HALF = -0.6931471805599453
+# ln(ln 0.05 / ln 0.95)
+_WEIBULL = 4.0673839494071125
 # No answer is impossible: the logarithm of a share stays finite.
 _RAREST = 1e-9
 

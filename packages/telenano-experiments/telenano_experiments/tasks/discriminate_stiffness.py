@@ -21,7 +21,10 @@ from telenano_experiments.extend import (
 )
 from telenano_experiments.messages import Question
 
-ANSWER, FIRST, SECOND = "stiffer", "first", "second"
+# The name of the answer, and its values.
+ANSWER = "stiffer"
+FIRST = "first"
+SECOND = "second"
 
 
 class DiscriminateStiffness(Parameters):

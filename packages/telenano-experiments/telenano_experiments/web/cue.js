@@ -10,7 +10,7 @@ export function answerOf(cue, values, shown_s) {
   return { k: "panel", panel: "experiment", values: { ...answers, cue, shown_s } };
 }
 
-const ENGLISH = { language: "en", begin: "Begin", go_on: "Go on", submit: "Continue", practice: "Practice", trial: "Trial {number} of {total}" };
+const ENGLISH = { language: "en", begin: "Begin", end_rest: "Continue", submit: "Continue", practice: "Practice", trial: "Trial {number} of {total}" };
 const RIGHT_TO_LEFT = new Set(["ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "ur", "yi"]);
 
 /** A word of the page, in the words of the experiment. */

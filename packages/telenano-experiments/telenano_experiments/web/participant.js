@@ -99,7 +99,7 @@ function formOf(questions) {
 }
 
 function goOn() {
-  const button = make("button", { type: "button", class: "go", id: "go-on" }, label(cue, cue?.stage === "instruction" ? "begin" : "go_on"));
+  const button = make("button", { type: "button", class: "go", id: "go-on" }, label(cue, cue?.stage === "instruction" ? "begin" : "end_rest"));
   button.addEventListener("click", () => {
     button.disabled = true;
     void give({ ready: "yes" }).then((ok) => (button.disabled = ok));

@@ -52,8 +52,8 @@ it("shows the whole target, with room for its band, on round lines", () => {
 });
 
 it("says its own words in the language of the experiment, and in English without any", () => {
-  const german = { language: "de", go_on: "Weiter", trial: "{number} von {total}" };
-  expect([label(cue({ labels: german }), "go_on"), label(cue({ labels: german }), "submit"), label(undefined, "begin")]).toEqual(["Weiter", "Continue", "Begin"]);
+  const german = { language: "de", end_rest: "Weiter", trial: "{number} von {total}" };
+  expect([label(cue({ labels: german }), "end_rest"), label(cue({ labels: german }), "submit"), label(undefined, "begin")]).toEqual(["Weiter", "Continue", "Begin"]);
   expect([countOf(cue({ done: 2 })), countOf(cue({ done: 6 })), countOf(cue({ done: 2, labels: german })), countOf(cue({ practice: true }))]).toEqual(["Trial 3 of 6", "Trial 6 of 6", "3 von 6", "Practice"]);
   expect(["en", "ar", "he-IL", "FA", "de-AT"].map(directionOf)).toEqual(["ltr", "rtl", "rtl", "rtl", "ltr"]);
 });

@@ -54,13 +54,19 @@ _LEVELS_N: dict[str, tuple[float, ...]] = {
 WALL_DISTANCE_M = 3e-9
 # the cantilever that touches the body, and that reads the force of whatever has none of its own, of Table 2 [N/m]
 CANTILEVER_N_PER_M = 40.0
-# A steady contact with the sample of Table 2 begins at this base, which goes so much further for a newton at the hand
-# [m].
-_CONTACT_M, _CONTACT_M_PER_N = 1.05e-8, 0.65e-9
+# A steady contact with the sample of Table 2 begins at this base.
+_CONTACT_M = 1.05e-8
+# The base goes this much further for each newton at the hand.
+_CONTACT_M_PER_N = 0.65e-9
+# The hand rests for this time before the first ramp.
 _QUIET_S = 0.2
+# A ramp of the hand's force to its next level takes this time.
 _RAMP_S = 0.4
-# Every time of a cell grows with the round trip, so that a slow loop gets as many of its own periods.
-_APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
+# The hand approaches for this time at least.
+_APPROACH_S = 2.4
+# The approach takes longer by this number of round trips, as every time of a cell grows with the round trip, so that a
+# slow loop gets the same number of its own periods.
+_APPROACH_ROUND_TRIPS = 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
 _HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "tip_sample": 12.0}
 _HOLD_ROUND_TRIPS = 40.0

@@ -42,10 +42,14 @@ from telenano_studies.loops.theory import (
 # a hand of constant force, or one of the arms of `telenano.hand.operator_config.ARMS`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
-# Newton's method begins on a grid of the region, and ends after this number of steps at the latest.
-_STARTS, _STEPS = (16, 96), 40
-# The greatest growth rate [1/s] and the highest frequency [Hz] of the roots that are looked for.
-_MOST_PER_S, _HIGHEST_HZ = 40.0, 16.0
+# Newton's method begins on a grid of the region with this number of growth rates, and of frequencies.
+_STARTS = (16, 96)
+# Newton's method ends after at most this number of steps.
+_STEPS = 40
+# Roots are sought up to this growth rate.
+_MOST_PER_S = 40.0
+# Roots are sought up to this frequency.
+_HIGHEST_HZ = 16.0
 
 
 @dataclass(frozen=True)

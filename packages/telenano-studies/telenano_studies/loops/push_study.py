@@ -35,7 +35,10 @@ WAY_M = 1e-6
 SPEED_M_PER_S = 300e-9
 REACTION_S = 0.2
 PRESSES_N = 1.2
-_LONGEST_S, _TOUCHED_S = 40.0, 1.0
+# A trial ends after at most this time.
+_LONGEST_S = 40.0
+# The hand begins to steer this long after the start, when the tip has touched the sample.
+_TOUCHED_S = 1.0
 
 # At the hand this cantilever is 1500 N/m, for which the paper's loop tolerates 95 ms.
 _STIFFNESS_N_PER_M = 10.0

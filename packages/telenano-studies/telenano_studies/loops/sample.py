@@ -10,9 +10,13 @@ from telenano_studies.option_values import COMPARED_LAWS
 _ROUND_TRIPS_MS = (0.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0)
 # The bus can run these environments.
 _ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "tip_sample")
-# share of the one-way delay, share of the messages: a good link as often as a random one
-_JITTER_SHARES, _LOSSES = (0.0, 0.0, 0.25), (0.0, 0.0, 0.05, 0.2)
+# A good link is as frequent as a random one in both lists. Jitter is given as a share of the one-way delay.
+_JITTER_SHARES = (0.0, 0.0, 0.25)
+# Loss is given as a share of the messages.
+_LOSSES = (0.0, 0.0, 0.05, 0.2)
+# The stiffness of an environment is one of these, but for that of a tip and a sample.
 _STIFFNESSES_N_PER_M = (5.0, 10.0, 20.0, 38.0, 80.0)
+# The stiffness of a cell with a tip and a sample.
 _CONTACT_N_PER_M = 40.0
 # the hold that is judged, short enough to be run in real time [s]
 HOLD_S = 4.0

@@ -30,8 +30,11 @@ from pydantic import BaseModel
 Complex = npt.NDArray[np.complex128]
 Series = npt.NDArray[np.float64]
 
-# Crossovers are sought between these frequencies [rad/s], on this number of points a decade.
-_LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S, _GRID = 1e-4, 1e6, 40
+# Crossovers are sought between these frequencies.
+_LOWEST_RAD_PER_S = 1e-4
+_HIGHEST_RAD_PER_S = 1e6
+# The grid of the search has this number of points a decade.
+_GRID = 40
 
 
 class Margin(NamedTuple):

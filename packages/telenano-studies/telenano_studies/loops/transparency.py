@@ -39,12 +39,21 @@ _SOFTEST_N_PER_M = 0.5
 # Activity below this share of |Z| counts as passive, because the sums of a run leave so much.
 _PASSIVE_SHARE = 2e-3
 _HALVINGS = 7
-_MEAN_N, _AMPLITUDE_N = 1.0, 0.3
+# The hand presses with this mean force, and swings about it by _AMPLITUDE_N.
+_MEAN_N = 1.0
+_AMPLITUDE_N = 0.3
+# The ramp to the mean force takes this time.
 _RAMP_S = 0.5
 # corners of the sine: straight lines between 200 points a period differ from it by 1e-4 of its amplitude
 _POINTS_PER_PERIOD = 200
-_SETTLE_PERIODS, _MEASURED_PERIODS = 3, 3
-_LEAST_SETTLE_S, _LEAST_MEASURED_S = 2.0, 2.0
+# At FREQUENCY_HZ this number of periods pass before the measurement.
+_SETTLE_PERIODS = 3
+# At FREQUENCY_HZ this number of periods are measured.
+_MEASURED_PERIODS = 3
+# At any other frequency the loop settles for this time at least.
+_LEAST_SETTLE_S = 2.0
+# At any other frequency the measurement lasts this long at least.
+_LEAST_MEASURED_S = 2.0
 # a spring that is not felt: its force over the motion of a run stays below a piconewton
 _NOTHING_N_PER_M = 1e-6
 

@@ -19,12 +19,24 @@ from telenano_studies.option_values import COMPARED_LAWS
 
 STIFFNESS_N_PER_M = 20.0
 DELAYS_MS = tuple(5.0 * i for i in range(41))
-# The courses are this long, from the session's first sample on, and sampled at these steps.
-_LENGTH_S, _FORCE_STEP_S, _ENERGY_STEP_S = 3.0, 0.01, 0.02
-# what a unit of a number in the file is, and the greatest that the picture shows
-_FORCE_N, _MOST_N = 1e-3, 6.0
-_ENERGY_J, _MOST_J = 1e-6, 0.02
-_CURVE, _MOST_CURVE = 1e-2, 9.0
+# The courses have this length from the session's first sample on.
+_LENGTH_S = 3.0
+# The force and the energy are sampled at these intervals.
+_FORCE_STEP_S = 0.01
+_ENERGY_STEP_S = 0.02
+# A unit of a number for a force in the file is this.
+_FORCE_N = 1e-3
+# The picture shows forces up to this.
+_MOST_N = 6.0
+# A unit of a number for an energy in the file is this.
+_ENERGY_J = 1e-6
+# The picture shows energies up to this.
+_MOST_J = 0.02
+# A unit of a number for a point of the Nyquist curve in the file is this.
+_CURVE = 1e-2
+# The picture shows the Nyquist curve up to this magnitude.
+_MOST_CURVE = 9.0
+# The Nyquist curve is computed at these frequencies.
 _FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
 
 FOLDER = web_folder() / "gallery"

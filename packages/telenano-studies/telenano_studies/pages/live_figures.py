@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 RECORDING_NAME = "session.mcap"
-# start and end of the processes, beyond the session [s]
-_OVERHEAD_S, _USUAL_OVERHEAD_S = 120.0, 8.0
+# The processes may take this long to start and to end, beyond the session.
+_OVERHEAD_S = 120.0
+# They usually take this long.
+_USUAL_OVERHEAD_S = 8.0
 
 
 class TactilePath(NamedTuple):

@@ -240,14 +240,14 @@ def _add_curve(
     return numbers
 
 
-def _add_image(page: Page, found: SimulatedImage) -> dict[str, object]:
+def _add_image(page: Page, image: SimulatedImage) -> dict[str, object]:
     from telenano_microscopy.image_files import Image, image_figure
 
-    titles = {"Height": found.height_m, "Surface as the tip sees it": found.truth_m,
-              "Difference": found.height_m - found.truth_m}  # fmt: skip
-    sides = found.lines.width_m, found.lines.depth_m
+    titles = {"Height": image.height_m, "Surface as the tip sees it": image.truth_m,
+              "Difference": image.height_m - image.truth_m}  # fmt: skip
+    sides = image.lines.width_m, image.lines.depth_m
     images = {title: Image(title, "m", values, *sides) for title, values in titles.items()}
-    numbers: dict[str, object] = {"rms_error_m": found.rms_error_m, "correlation": found.correlation}
-    page.image(png_of(image_figure(images)), f"RMS error {found.rms_error_m * 1e9:.3f} nm, free of noise.")
+    numbers: dict[str, object] = {"rms_error_m": image.rms_error_m, "correlation": image.correlation}
+    page.image(png_of(image_figure(images)), f"RMS error {image.rms_error_m * 1e9:.3f} nm, free of noise.")
     page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
     return numbers

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 _CURVES = (("#0072b2", "-"), ("#d55e00", "--"), ("#000000", ":"))
 # growth rates are drawn on a scale that is linear near zero, where the edge is
 _LINEAR_PER_S = 0.5
-_EDGE_PT, _THEORY_PT = 4.0, 1.4
+# The widths of the lines of the measured edge, and of the one by theory.
+_EDGE_PT = 4.0
+_THEORY_PT = 1.4
+# The ticks of the axis of growth rates.
 _RATES_PER_S = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
 VERDICT_WORDS = (

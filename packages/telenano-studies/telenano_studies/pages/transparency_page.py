@@ -53,9 +53,9 @@ def measure_all(axes: Feel) -> tuple[list[Transparency], list[Spectrum]]:
     return [measure(cell) for cell in cells], [spectrum(cell, axes.frequencies_hz) for cell in cells]
 
 
-def z_width_of(found: Spectrum) -> dict[str, float | None]:
+def z_width_of(spectrum: Spectrum) -> dict[str, float | None]:
     """Return the stiffest spring that is rendered passively [N/m] and the width [dB]."""
-    return {"passive_n_per_m": found.passive_n_per_m, "z_width_db": found.z_width_db}
+    return {"passive_n_per_m": spectrum.passive_n_per_m, "z_width_db": spectrum.z_width_db}
 
 
 def spectrum_figures(spectra: Sequence[Spectrum]) -> "dict[str, Figure]":

@@ -22,16 +22,20 @@ DATAGRAMS_OF = {
 }
 NUMBERS = {topic: number for number, topic in enumerate(DATAGRAM_TOPICS)}
 _FRAMES = tuple(topic.encode() for topic in DATAGRAM_TOPICS)
-REPORT, SHORT_REPORT = struct.Struct("!QQQQQ"), struct.Struct("!Q")
+# A whole report, and a short one, which has the time of sending alone.
+REPORT = struct.Struct("!QQQQQ")
+SHORT_REPORT = struct.Struct("!Q")
 SAMPLE = struct.Struct("!BH")
 # Times [ns] and counts below this (the year 2116) leave room in 64 bits for the difference of any two of them.
 BOUND = 2**62
 _SHORT = 2**63
 # A datagram has so much room for samples.
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
-# These stand where a sample does and carry nothing: a train, of which the sender measures how fast the line carries it;
-# a train that is to be answered with one.
-TRAIN, ASKING_TRAIN = 0xFE, 0xFD
+# The mark of a train, of which the receiver measures how fast the line carries it. Marks stand where a sample does and
+# carry nothing.
+TRAIN = 0xFE
+# The mark of a train that is to be answered with one.
+ASKING_TRAIN = 0xFD
 # This one carries what the line carries that the other end sends over [bit/s].
 CARRIES = 0xFC
 # Raw deflate with a window of 4 KiB, which costs little memory and is more than any sample has.

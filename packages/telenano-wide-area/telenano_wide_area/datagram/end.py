@@ -51,9 +51,11 @@ _REPORT_NS = 500_000_000
 # Due work waits for this time for a turn in which nothing has arrived; a node that is asked in every turn has many of
 # those.
 _PUT_OFF_NS = 20_000_000
-# A process that took no turn for the first time stood still. What waited for it says nothing of the line until it has
-# taken all of that, for the second time at most: one that is slower is a queue itself.
-_STOOD_STILL_NS, _BEHIND_NS = 2 * _MAINTAIN_NS, 2_000_000_000
+# A process that took no turn for this time stood still.
+_STOOD_STILL_NS = 2 * _MAINTAIN_NS
+# The datagrams that waited for it say nothing about the line until it has taken them all, for this time at most: a
+# process that is slower is a queue itself.
+_BEHIND_NS = 2_000_000_000
 # After this time without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent,
 # to find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
@@ -61,13 +63,17 @@ _UNHEARD_NS = 1_000_000_000
 # newest.
 _BLOCKED = 5
 _BETWEEN = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
-# The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
-# datagrams flow and are answered. An end that is started again falls silent first.
-_OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
+# The key is offered at this interval while none is agreed or nothing comes under it.
+_OFFER_NS = 500_000_000
+# The key is offered at this interval once datagrams flow and are answered. An end that is started again falls silent
+# first.
+_CALM_OFFER_NS = 5_000_000_000
 # seconds of exchanges of time stamps in view
 _CLOCK_WINDOW = 64
-# The line is measured so often at the start, because a process that stands still makes it seem narrow.
-_TRAINS, _FURTHER_TRAINS = 9, 6
+# The line is measured by this number of trains at the start, because a process that stands still makes it seem narrow.
+_TRAINS = 9
+# This many of them are sent only while the line seems narrow.
+_FURTHER_TRAINS = 6
 # What else crosses a line at the start may make it seem to carry less than this [bit/s]: then it is measured further.
 _NARROW = 600_000
 # payloads of the other end that a repetition is compared with

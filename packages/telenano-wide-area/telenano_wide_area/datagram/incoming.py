@@ -6,8 +6,10 @@ from telenano_wide_area.datagram.body import ASKING_TRAIN, TRAIN
 from telenano_wide_area.datagram.outgoing import TRAIN_DATAGRAMS
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 
-# A train begins after a pause, and fewer datagrams of one say nothing.
-_PAUSE_NS, _FEWEST = 400_000_000, 10
+# A train begins after a pause of this length.
+_PAUSE_NS = 400_000_000
+# A train of fewer datagrams than this says nothing.
+_FEWEST = 10
 # Faster than this a train is over before the clock of a process shows how long it took [ns].
 _SHORTEST_NS = 500_000
 _RATE_SPAN_NS = 500_000_000

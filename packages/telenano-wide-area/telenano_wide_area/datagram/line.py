@@ -19,11 +19,17 @@ from telenano.timing import ClockLine, Exchange
 _HALF_WINDOW_NS = 50_000_000
 # Two clocks that are not set drift apart by less between two exchanges [ns].
 _STEP_NS = 10_000_000
-# Of this many of them that had this number of delays, the calmest quarter says how much the delay varies by itself.
-_VARIATIONS, _FEWEST_SEEN = 16, 3
-# Least delays are kept for spans of equal length, of which there are this many; a span grows from the first to the last
-# length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
-_SPANS, _FIRST_SPAN_NS, _LAST_SPAN_NS = 64, 250_000_000, 16_000_000_000
+# The variation of the delay by itself is the calmest quarter of this number of half windows.
+_VARIATIONS = 16
+# A half window counts if it had this number of delays.
+_FEWEST_SEEN = 3
+# Least delays are kept for this number of spans of equal length. What is older than all of them (ten minutes) is
+# forgotten, because routes change.
+_SPANS = 64
+# The length of a span doubles from _FIRST_SPAN_NS to _LAST_SPAN_NS.
+_FIRST_SPAN_NS = 250_000_000
+_LAST_SPAN_NS = 16_000_000_000
+# Older spans are forgotten only while there are this number at least.
 _FEWEST_SPANS = 4
 # A time [ns], and a delay at that time [ns].
 Bound = tuple[int, int]
@@ -113,8 +119,8 @@ class Line:
         most = f + b - self._least_both
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
 
-    def _keep(self, found: Least, at: int) -> None:
-        self._now = found if self._now is None else self._now.and_least(found)
+    def _keep(self, least: Least, at: int) -> None:
+        self._now = least if self._now is None else self._now.and_least(least)
         if at < self._now_ends_ns:
             return
         self._now_ends_ns = at + self._span_ns

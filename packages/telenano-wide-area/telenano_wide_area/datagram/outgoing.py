@@ -21,12 +21,16 @@ _REPORTED = "law/status"
 # Over a full line a datagram says what was heard from the other end no more often than this [ns]: some ten times within
 # the time over which a queue is judged.
 _WHOLE_REPORT_NS = 9_000_000
-# A train: this number of datagrams of this number of bytes of padding, back to back.
-TRAIN_DATAGRAMS, _PADDING_BYTES = 40, 400
+# A train is this number of datagrams, back to back.
+TRAIN_DATAGRAMS = 40
+# Each datagram of a train has this number of bytes of padding.
+_PADDING_BYTES = 400
 # No more than one train in this time, whatever asks for it [ns].
 _TRAIN_PAUSE_NS = 700_000_000
-# A queue is reported that lasts the first time, and again after the second [ns].
-_STANDS_NS, _REMIND_NS = 2_000_000_000, 60_000_000_000
+# A queue that lasts this long is reported.
+_STANDS_NS = 2_000_000_000
+# A queue that still lasts is reported again after this time.
+_REMIND_NS = 60_000_000_000
 # Means follow what is sent over some 0.3 s, at twenty updates a second.
 _NEWEST_SHARE = 0.15
 

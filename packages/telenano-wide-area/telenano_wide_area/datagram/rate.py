@@ -29,33 +29,62 @@ from typing import Literal, NamedTuple
 FULL_NS = 4_000_000
 # A queue that lasts this time is a fault to tell of [ns].
 WARN_QUEUE_NS = 10_000_000
-# What is sent of what was delivered, so that the queue drains; less by so much for each nanosecond above FULL_NS.
-_SHARE, _LEAST_SHARE, _SHARE_PER_NS = 0.85, 0.5, 5e-9
-# Growth in a second far from where the line was last full, and near it, from the first to the second share of it: there
-# it begins slowly and is more by so much for each second since then, as that of CUBIC (RFC 9438).
-_GROWTH, _CAREFUL_GROWTH, _MORE_PER_S, _NEAR, _PAST = 1.5, 1.03, 0.02, 0.8, 1.15
+# This share of what was delivered is sent, so that the queue drains.
+_SHARE = 0.85
+# The share falls to this at the lowest.
+_LEAST_SHARE = 0.5
+# The share falls by this for each nanosecond of the queue above FULL_NS.
+_SHARE_PER_NS = 5e-9
+# The rate grows by this factor in a second while it is far from the rate at which the line was last full.
+_GROWTH = 1.5
+# Near that rate growth begins with this factor, slowly, as that of CUBIC (RFC 9438).
+_CAREFUL_GROWTH = 1.03
+# The factor rises by this for each second since the line was full.
+_MORE_PER_S = 0.02
+# The rate is near the one at which the line was last full between these shares of it.
+_NEAR = 0.8
+_PAST = 1.15
 # The effect of a change shows after a round trip and the time over which a queue is judged.
 _JUDGED_NS = 150_000_000
-# A trial is judged when its effect had this long to show; what is measured lags by up to the second [ns].
-_TRIED_NS, _LAG_NS = 250_000_000, 100_000_000
-# A queue of this end falls by at least the first share of what was sent less, and by no more than the second and [ns].
-_TOO_LITTLE, _TOO_MUCH, _TOO_MUCH_NS = 0.5, 1.5, 12_000_000
+# A trial is judged when its effect had this long to show.
+_TRIED_NS = 250_000_000
+# Measured values lag by up to this.
+_LAG_NS = 100_000_000
+# A queue of this end falls by at least this share of the data that was not sent since.
+_TOO_LITTLE = 0.5
+# It falls by no more than this multiple of that data, and _TOO_MUCH_NS.
+_TOO_MUCH = 1.5
+_TOO_MUCH_NS = 12_000_000
 # A line was not full of what it carried if it delivers so many times that while less is sent.
 _MORE = 1.2
-# What is sent now is carried if this share of it is delivered; after this number of reductions the rest is lost anyway.
-_CARRIED, _MOST_STEPS = 0.9, 3
-# A delay that was excused is a queue again from this number of times of it and so much more, or after the first time;
-# where none has stood for the second, none is excused any more [ns].
-_EXCUSED, _EXCUSED_NS, _EXCUSED_FOR_NS, _GONE_NS = 1.5, 6_000_000, 10_000_000_000, 1_000_000_000
-# Of a delay that varies, this number of times the variation is no queue; from the second on a queue may seem to have
-# gone by chance [ns].
-_VARIATION, _VARIES_NS = 2, 14_000_000
-# Where a delay is excused, the rate becomes this number of times what was delivered, and so much greater at each look,
-# until it is this number of times what is sent.
-_RESTORED, _EXCUSED_GROWTH, _UNREACHED = 1.25, 1.05, 1.5
-# A queue that comes back so soon, at less than this share of what was carried before it, continues with the trial.
-_SOON_NS, _WELL_BELOW = 5_000_000_000, 0.9
+# The line carries what is sent now if it delivers this share of it.
+_CARRIED = 0.9
+# After this number of reductions the missing rest is lost for another reason.
+_MOST_STEPS = 3
+# A delay that was excused is a queue again from this multiple of it, and _EXCUSED_NS, on.
+_EXCUSED = 1.5
+_EXCUSED_NS = 6_000_000
+# A delay is excused for this time.
+_EXCUSED_FOR_NS = 10_000_000_000
+# No delay is excused any more where none has stood for this time.
+_GONE_NS = 1_000_000_000
+# Of a delay that varies, this multiple of the variation is no queue.
+_VARIATION = 2
+# From this variation on, a queue may seem to have gone by chance.
+_VARIES_NS = 14_000_000
+# Where a delay is excused, the rate becomes this multiple of what was delivered.
+_RESTORED = 1.25
+# The rate then grows by this factor at each look.
+_EXCUSED_GROWTH = 1.05
+# It grows until it is this multiple of what is sent.
+_UNREACHED = 1.5
+# A queue that comes back within this time of the start of a trial may continue with that trial.
+_SOON_NS = 5_000_000_000
+# It does so if the rate is less than this share of what was carried before it.
+_WELL_BELOW = 0.9
+# A greater share of lost datagrams, beyond those lost anyway, lowers the rate.
 _MUCH_LOST = 0.10
+# Losses are judged at this interval at the shortest.
 _LOSS_PERIOD_NS = 500_000_000
 # Over this time the delivered rate is judged.
 _SPAN_NS = 300_000_000

@@ -19,9 +19,12 @@ from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 # upon.
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
-# TCP is subscribed to after a silence of half the deadline of a sample and this number of mean times between datagrams,
-# and at the latest after a share of the deadline, before which no reader acts on the silence.
-DEADLINE_NS, _GAPS, _LATEST_SHARE = round(LOOP_DEADLINE_S * 1e9), 2.0, 0.9
+# The deadline of a sample.
+DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
+# TCP is subscribed to after a silence of half the deadline and this number of mean times between datagrams.
+_GAPS = 2.0
+# TCP is subscribed to after at most this share of the deadline, before a reader acts on the silence.
+_LATEST_SHARE = 0.9
 # All samples over TCP need this many bits of a line that has room for others as well.
 _BITS_EACH = 8_000.0
 # A mean follows some twenty datagrams.

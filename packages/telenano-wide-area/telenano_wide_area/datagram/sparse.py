@@ -30,10 +30,14 @@ Taken = tuple[Sequence[bytes], int]
 # the other waits, that is within a deadline of 50 ms.
 WANTED_NS = 20_000_000
 CALM_NS = 12_000_000
-# Of a line that is known to be narrow the calm ones take this share, and are no further apart than the second [ns].
-_CALM_SHARE, _FURTHEST_NS = 0.05, 100_000_000
-# Where a reader has no datagrams they take this share of what TCP carries, and are no closer than the second [ns].
-_SHARE, _CLOSEST_NS = 0.3, 2_000_000
+# The calm samples take this share of a line that is known to be narrow.
+_CALM_SHARE = 0.05
+# The calm samples are no further apart than this.
+_FURTHEST_NS = 100_000_000
+# Where a reader has no datagrams, the samples take this share of what TCP carries.
+_SHARE = 0.3
+# Those samples are no closer to one another than this.
+_CLOSEST_NS = 2_000_000
 # What a message takes on the line beside its bytes: topic, CURVE, the headers of TCP and IPv6, and the answer to it.
 _BESIDE_BYTES = 250
 _STATUS = "law/status"

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 
-# A connection that was lost is made again within this time; after that samples are neither sent nor taken [ns]. Where
-# the network loses more than a share of the datagrams, TCP loses connections as well, and is longer about the next
-# one: over 100 ms and 10 % five times in 75 s, and 1.1 to 3.0 s.
-OUT_OF_TOUCH_NS, LOSSY_NS = 1_000_000_000, 4_000_000_000
+# A connection that was lost is made again within this time; after it samples are neither sent nor taken.
+OUT_OF_TOUCH_NS = 1_000_000_000
+# This is the time where the network loses more than LOSSY_SHARE of the datagrams, because TCP loses connections there
+# as well, and takes longer for the next one: over 100 ms and 10 % it lost five in 75 s, for 1.1 to 3.0 s each.
+LOSSY_NS = 4_000_000_000
 LOSSY_SHARE = 0.01
 
 

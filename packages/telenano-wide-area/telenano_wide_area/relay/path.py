@@ -28,16 +28,25 @@ Address = tuple[Any, ...]
 Send = Callable[[bytes, Address], None]
 
 TAG_BYTES = 4
-# Requests come at the first interval until both ends have places, and while nothing comes; then at the second, which
-# keeps the way through the routers open and finds out when the relay has forgotten.
-_ASK_NS, _CALM_ASK_NS = 200_000_000, 2_000_000_000
+# Requests come at this interval until both ends have places, and while nothing comes.
+_ASK_NS = 200_000_000
+# Requests come at this interval afterwards, which keeps the way through the routers open and finds out when the relay
+# has forgotten.
+_CALM_ASK_NS = 2_000_000_000
+# The other end is silent when no sample has come for this time.
 _SILENCE_NS = 150_000_000
-# Pings come at the first interval for this time after something changed, and on the direct way; then at the second.
-_PING_NS, _CALM_PING_NS = 100_000_000, 5_000_000_000
+# Pings come at this interval on the direct way, and for _EAGER_NS after something changed.
+_PING_NS = 100_000_000
+# Pings come at this interval otherwise.
+_CALM_PING_NS = 5_000_000_000
+# Pings stay frequent for this time after something changed.
 _EAGER_NS = 5_000_000_000
-# On a silent direct way answers may stay away for the first time, on one that brings samples for the second.
-_UNANSWERED_NS, _LOST_NS = 300_000_000, 2_000_000_000
+# A silent direct way is given up after this time without an answer.
+_UNANSWERED_NS = 300_000_000
+# A direct way that brings samples is given up after this time without an answer.
+_LOST_NS = 2_000_000_000
 _PING_BYTES = 8
+# Answers to this number of the newest pings are accepted.
 _REMEMBERED_PINGS = 16
 
 

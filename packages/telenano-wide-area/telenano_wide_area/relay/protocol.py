@@ -28,7 +28,9 @@ RELAY = "relay"
 MAGIC = b"tnrelay1"
 CHALLENGE_BYTES = COOKIE_BYTES = 16
 PUBLIC_BYTES = 32
-TO_RELAY, TO_SITE = b"telenano relay, version 1", b"telenano sites behind a relay, version 1"
+# The contexts from which the keys between a site and the relay, and between two sites, are derived.
+TO_RELAY = b"telenano relay, version 1"
+TO_SITE = b"telenano sites behind a relay, version 1"
 _NONCE_BYTES = 12
 _KEY_BYTES = 32
 # magic, tag that the answers shall begin with, cookie, public key
@@ -37,7 +39,10 @@ _REQUEST = struct.Struct(f"!8s4s{COOKIE_BYTES}s{PUBLIC_BYTES}s")
 _BODY_BYTES = 192
 REQUEST_BYTES = _REQUEST.size + _NONCE_BYTES + _BODY_BYTES + 16
 # The byte behind the tag of a datagram that is no sample.
-COOKIE, ANSWER, PING, PONG = b"\x00", b"\x01", b"\x02", b"\x03"
+COOKIE = b"\x00"
+ANSWER = b"\x01"
+PING = b"\x02"
+PONG = b"\x03"
 
 
 class SharedKeys:

@@ -20,20 +20,30 @@ from telenano_wide_area.relay.protocol import key_text
 from telenano_wide_area.sealed import RejectedError
 
 DEFAULT_PORT = 5750
-# Strangers: connections that have not shown a key yet, in all and from one address. A class of ten rigs behind one
-# address makes some 500 connections when it begins.
-_MOST_STRANGERS, _MOST_FROM_ADDRESS = 1024, 512
-# Connections of one address that show no listed key: a burst and this number of a second. A listed key gives its one
-# back, and beyond that a connection has to claim one before its proof is looked at.
-_BURST, _PER_S = 600.0, 20.0
+# The number of strangers, which are connections that have not shown a key yet.
+_MOST_STRANGERS = 1024
+# The number of strangers from one address. A class of ten rigs behind one address makes some 500 connections when it
+# begins.
+_MOST_FROM_ADDRESS = 512
+# Connections of one address that show no listed key may come in a burst of this number. A listed key gives its one
+# back, and beyond the burst a connection has to claim one before its proof is looked at.
+_BURST = 600.0
+# The rate of such connections after a burst.
+_PER_S = 20.0
 # What is refused to one address or key for one reason is logged so often at the most [s].
 _REMIND_S = 60.0
 _MOST_ADDRESSES = 4096
-# Connections that a site may have joined at once, and that may wait for the other site.
-_MOST_STREAMS, _MOST_WAITING = 128, 64
+# The number of connections that a site may have joined at once.
+_MOST_STREAMS = 128
+# The number of connections for each site that may wait for the other one.
+_MOST_WAITING = 64
+# At most this number of sites are connected, and a site meets this number of others at most.
 _MOST_SITES = 64
-# The other site has this long to dial; a site that says nothing for this time is gone.
-_JOIN_S, _SITE_SILENCE_S = 4.0, 15.0
+# The other site has this time to dial.
+_JOIN_S = 4.0
+# A site that sends nothing for this time is gone.
+_SITE_SILENCE_S = 15.0
+# The relay looks for changed keys and unused places at this interval.
 _TIDY_S = 0.5
 _REFUSALS = {
     "unlisted": "the relay does not list this key: run `telenano keys allow NAME KEY --role relay` there",

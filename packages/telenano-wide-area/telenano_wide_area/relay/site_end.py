@@ -18,12 +18,21 @@ from telenano.wire import ConfigError, EndpointError
 from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
 from telenano_wide_area.relay.protocol import RELAY, raw_key, relay_key, split_host_port
 
-_PING_S, _SILENCE_S = 4.0, 12.0
-_AGAIN_S, _AGAIN_MOST_S = 0.5, 5.0
+# The relay is pinged at this interval.
+_PING_S = 4.0
+# A relay that sends nothing for this time is lost.
+_SILENCE_S = 12.0
+# The relay is dialled again after this time, which doubles up to _AGAIN_MOST_S.
+_AGAIN_S = 0.5
+_AGAIN_MOST_S = 5.0
+# A site end that another process has replaced dials again after this time.
 _REPLACED_S = 20.0
+# A fault that stays is reported again after this time.
 _REMIND_S = 60.0
 # A node that does not listen yet is tried for this time; the one that waits for it gives up a little later.
-_NODE_S, _NODE_AGAIN_S = 3.0, 0.1
+_NODE_S = 3.0
+# Such a node is tried at this interval.
+_NODE_AGAIN_S = 0.1
 # A node here that waits for one there gives up after 5 s and connects again: its connection is closed before that.
 _JOIN_S = 4.5
 _RELOAD_S = 0.5
