@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 
-from telenano.hand import DeviceConfig, MotorParams
+from telenano.hand import MotorParams
+from telenano.hand.config import DeviceConfig
 
 
 def device(preset: Any = "paper_bandwidth", **changes: Any) -> MotorParams:
