@@ -88,9 +88,7 @@ def simulated(task_name: str, parameters: dict[str, Any], law: str, delay_ms: fl
     ways = {f"delay_node.{way}.delay_s": 1e-3 * delay_ms for way in ("forward", "backward")}
     planned = trial(task_name, 2, **ways)
     operator = nested(who.settings(task, p, planned), "made")["haptic_node"]["operator"]
-    found = simulate(
-        "touch", law=law, operator=operator, duration_s=task.duration_s(p), settings={**ways, **settings}
-    )
+    found = simulate("touch", law=law, operator=operator, duration_s=task.duration_s(p), settings={**ways, **settings})
     data = TrialData(found.table("afm/state"), found.table("haptic/state"), found.table("haptic/state"))
     data = data._replace(answers=who.answer(task, p, planned, data))
     return task.judge(data, p, planned.seed)
