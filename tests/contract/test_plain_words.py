@@ -82,7 +82,7 @@ def test_the_list_of_printed_texts_has_plain_and_formatted_ones_and_no_docstring
     ]
 
 
-@pytest.mark.check
+@pytest.mark.check("parses every module")
 def test_the_list_of_printed_texts_has_those_of_library_packages_and_page() -> None:
     places = [text.place for text in printed_texts()]
     assert len(places) > 1000

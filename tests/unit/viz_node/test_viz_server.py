@@ -19,8 +19,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from services.viz_node import hub as hubs
-from services.viz_node import page_hand
-from services.viz_node import server
+from services.viz_node import page_hand, server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
