@@ -176,6 +176,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
                     "[0 => 1]",
                     *(f"[0 => 1] ({place})" for place in range(2, 9)),
                 ),
+                "before the first step it is compared with the present time alone": ("[0 => 1] (9)",),
             }.items()
             for change in changes
         },

@@ -76,6 +76,9 @@ def test_a_sample_of_no_period_and_a_repeated_one_command_again_where_the_tick_h
         assert sampled(master_settled(late), ms, repeated=repeated)[0].due == 0
     # before the first sample there is nothing to repeat
     assert sampled(master_begin(), 0, repeated=True) == (master_begin(), REST)
+    # the clock of a rig may have begun with the first sample
+    at_once, _ = master_sampled(master_begin(), MASTER, 0, False, False)
+    assert master_sampled(at_once, MASTER, 0, True, False)[1] == REPEAT
 
 
 def test_the_master_begins_anew_after_a_pause_and_waits_after_a_stall(due: MasterTiming) -> None:
@@ -217,7 +220,7 @@ def test_a_slave_that_begins_anew_owes_no_period_of_the_pause() -> None:
     timing = slave_stepped(signalled(slave_begin(), 0, 7), SLAVE, BEGIN_NS + 5 * MS, 0)
     assert timing.pacing.behind == -3
     again, tick = ticked(timing, BEGIN_NS + 60 * MS, BEGIN_NS + 60 * MS)
-    assert tick.begins
+    assert tick == Tick(True, True)
     assert (again.pacing.elapsed, again.pacing.behind) == (1, 0)
     assert slave_stepped(again, SLAVE, BEGIN_NS + 60 * MS, 1).pacing[1:] == (0, 1)
 
@@ -234,7 +237,9 @@ def test_a_slave_that_understands_no_signal_makes_the_longest_step() -> None:
 
 def test_a_signal_counts_that_came_when_the_clock_began() -> None:
     timing, _ = ticked(slave_begin(), 0, 0)
-    settled = slave_measured(slave_commanded(slave_stepped(timing, SLAVE, 0, 1), 7, True), SLAVE, 0, 7, False, True)[0]
+    stepped = slave_stepped(timing, SLAVE, 0, 1)
+    assert stepped.pacing.step == 1
+    settled = slave_measured(slave_commanded(stepped, 7, True), SLAVE, 0, 7, False, True)[0]
     assert slave_measured(settled, SLAVE, 2 * MS, 7, False, True)[1] == CONTINUES
     # and one that is not understood counts for an endless silence then as well
     assert slave_stepped(ticked(slave_begin(), 0, 0, understood=False)[0], SLAVE, 0, 1).pacing.step == (
