@@ -38,8 +38,8 @@ test("a hand that presses with nothing, or with gaps, is spoken of, and so is on
   expect(over(3000, () => 2, (at) => (at % 400 < 150 && at > 1200 ? 0 : 2)).ever).toBe(true);
   // what is said is how they were apart, also in a moment in which they are not
   expect(over(2750, () => 2, (at) => (at % 400 < 150 && at > 1200 ? 0 : 2)).said).toBe("this page means 2.0 N, and the hand presses with 0.0 N");
-  expect(over(3000, () => 2, () => 2, (at) => Math.min(at, 1000) / 1e3).said).toBe("this page means 2.0 N, and nothing is heard of the hand");
-  expect(over(1500, () => 2, () => NaN).said).toMatch(/nothing is heard of the hand/);
+  expect(over(3000, () => 2, () => 2, (at) => Math.min(at, 1000) / 1e3).said).toBe("this page means 2.0 N, and no data comes from the hand");
+  expect(over(1500, () => 2, () => NaN).said).toMatch(/no data comes from the hand/);
 });
 
 test("it can be read for a while, and ends at once when the hand is let go", () => {
