@@ -214,8 +214,8 @@ class Summary(_Part):
     changed: list[str] = Field(description="What was set while the session ran, each with the node that set it")
     outside_of_shown: list[OutsideSummary] = Field(
         default=[],
-        description="Warnings that the session was outside of what its law was shown to hold by the benchmark "
-        "(`docs/laws.md`); the key is absent where there was none",
+        description="Warnings that the session was outside of the conditions in which the benchmark showed its law to "
+        "hold (`docs/laws.md`); the key is absent where there was none",
     )
     link_round_trip_ms: float | None = Field(
         description="Median of the delays that the link added there and back [ms]; null without `link/status`"
