@@ -355,7 +355,7 @@ FAULTS = {
     "garbage": Fault(garble, "is not the beginning of a message"),
     "half answers": Fault(cut, "has been silent for 50 ms", duration_ms=140, at_ms=110),
     "two answers": Fault(answer_twice, "has sent more answers than there were requests"),
-    "command refused": Fault(refuse, "does not do", at_ms=None),
+    "command refused": Fault(refuse, "did not carry out", at_ms=None),
     "z is not taken": Fault(clamp, "did not set z: 1.93e-06 m was sent, and it reports 1.83e-06 m"),
     "feedback latched": Fault(keep_feedback, "cannot be driven: feedback stays on"),
     "z moved from outside": Fault(others({"todo": "set_feedback", "feedback": False, "zpiezo": 1.9e-6}), SEIZED),
