@@ -222,7 +222,7 @@ class Summary(_Part):
     )
     link_round_trip_range_ms: list[float] | None = Field(
         default=None,
-        description="Least and greatest of those delays, each a mean of 0.1 s [ms]: they tell of a delay that was "
+        description="Least and greatest of those delays, each a mean of 0.1 s [ms]: they differ where the delay was "
         "changed in the session; null without `link/status`",
     )
     loop_round_trip_ms: float | None = Field(

@@ -176,6 +176,6 @@ def value_at(document: Mapping[str, Any], key: str) -> Any:
                 names = known_names(part, value if isinstance(value, Mapping) else document)
                 raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {names}")
             names = known_names(part, value_at(document, ".".join(seen[:-1])))
-            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; in {'.'.join(seen[:-1])} {names}")
+            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; {names} in {'.'.join(seen[:-1])}")
         seen.append(part)
     return value

@@ -79,7 +79,7 @@ class People:
             names = sorted({each.name for each in people if each.is_admitted(self._now_s())})
             if name not in names:
                 raise ConfigError(
-                    f"--revoke {printable(name)}: has no address; these have one: {', '.join(names) or 'no person'}"
+                    f"--revoke {printable(name)}: has no address; addresses exist for {', '.join(names) or 'no person'}"
                 )
             return [msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in people]
 

@@ -15,7 +15,7 @@ def probably_meant(name: str, choices: Iterable[str]) -> str:
     """Return `; did you mean NAME?` with the nearest of some names, empty where none is near."""
     from difflib import get_close_matches
 
-    near = get_close_matches(name, choices, n=1, cutoff=0.7)
+    near = get_close_matches(name, [choice for choice in choices if choice != name], n=1, cutoff=0.7)
     return f"; did you mean {near[0]}?" if near else ""
 
 

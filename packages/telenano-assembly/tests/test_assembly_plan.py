@@ -79,7 +79,7 @@ def test_where_two_wait_for_each_other_one_is_parked(monkeypatch: pytest.MonkeyP
     [
         ([(0, 0)], [(0, 0), (900, 0)], "the pattern has 2 places, and 1 particles were found"),
         ([(0, 0), (5000, 0)], [(0, 0), (100, 0)], "targets 0 and 1 are 100 m apart"),
-        ([(0, 0), (900, 0)], [(700, 0)], "no free path leads to the targets of particles 0|no free path"),
+        ([(0, 0), (900, 0)], [(700, 0)], "no free path leads to the targets of particles 0"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_by_name(

@@ -125,7 +125,7 @@ def test_one_node_of_the_slave_is_reported_by_its_name() -> None:
     rig.tick_alive(10)
     rig.reports.clear()
     rig.tick_alive(80, missing=["afm_node@slave"])
-    assert [text[:27] for text in rig.reports] == ["afm_node@slave is silent si"]
+    assert [text[:31] for text in rig.reports] == ["afm_node@slave has been silent "]
 
 
 def test_the_end_stops_the_own_nodes_only() -> None:

@@ -210,7 +210,7 @@ def test_a_law_that_overlooks_what_a_late_instrument_still_has_to_do_breaks_a_ru
 
     rule = next(rule for rule in RULES if rule.name.startswith("touches a wall"))
     monkeypatch.setitem(LAWS, "model_mediated", replace(law, slave_receive=hasty))
-    assert any("tells the law of it 4 ms later" in fault for fault in rule.broken_by("model_mediated"))
+    assert any("reports it to the law 4 ms later" in fault for fault in rule.broken_by("model_mediated"))
 
 
 @pytest.mark.parametrize("name", LOCAL)
