@@ -170,16 +170,27 @@ def send_controls(
         EndpointError: Another console is at work.
         RefusedError: Somebody else holds control.
     """
-    if by is None:
-        by = os.environ.get(NAME_VARIABLE, "")[:MOST_LETTERS]
-        is_free = all(command.name in FREE_COMMANDS for command in commands)
-        lease: AbstractContextManager[Hold | None] = nullcontext() if is_free else acting()
-        with lease as hold:
-            still = is_wanted if hold is None else (lambda: is_wanted() and hold.is_held())
-            return send_controls(
-                commands, site_file, site, on_answer, still, issued_ns=issued_ns, retry_ns=retry_ns, by=by
-            )
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
+    # Of a page whose lease was looked at, and for what may always be asked, control is not taken.
+    is_free = by is not None or all(command.name in FREE_COMMANDS for command in commands)
+    lease: AbstractContextManager[Hold | None] = nullcontext() if is_free else acting()
+    name = os.environ.get(NAME_VARIABLE, "")[:MOST_LETTERS] if by is None else by
+    wanted = [replace(command, by=name) for command in commands]
+    with lease as hold:
+        still = is_wanted if hold is None else (lambda: is_wanted() and hold.is_held())
+        return _exchange(wanted, site_file, site, on_answer, still, issued_ns, retry_ns)
+
+
+def _exchange(
+    commands: Sequence[Command],
+    site_file: Path,
+    site: Site,
+    on_answer: Callable[[SessionEvent], None],
+    is_wanted: Callable[[], bool],
+    issued_ns: int,
+    retry_ns: int,
+) -> dict[str, SessionEvent]:
+    """Bind the console, send commands until all are answered, and return the answers; the rest as `send_controls`."""
     book = load_site(site_file)
     try:
         console = console_of(book, site)
@@ -190,8 +201,7 @@ def send_controls(
     with open_participant(console, book) as participant:
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
-        wanted = [replace(command, by=by) for command in commands]
-        client = CommandClient(participant.clock, publisher.publish, wanted, retry_ns=retry_ns, issued_ns=issued_ns)
+        client = CommandClient(participant.clock, publisher.publish, commands, retry_ns=retry_ns, issued_ns=issued_ns)
         attention = Attention(time.monotonic())
         while not (given_up := not is_wanted()) and not client.advance():
             if _new_subscriptions(publisher):

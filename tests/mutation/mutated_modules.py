@@ -160,7 +160,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     },
     "telenano/laws/integration.py": {
         "module: _NEVER_NS = -1 [1 => 2]": "any negative time stands for none",
-        "slave_passes_over: return params.local_ns > 0 and outstanding and now_ns < timing.commands.lasts_ns -"
+        "_passes_over: return params.local_ns > 0 and outstanding and now_ns < timing.commands.lasts_ns -"
         " params.period_ns // 2 [0 => 1]": "no half with a loop of its own has a last signal that counts for a"
         " nanosecond",
         "slave_measured: if held or number <= c.carried_out or not 0 < later < _LAST:"
@@ -176,6 +176,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
                     "[0 => 1]",
                     *(f"[0 => 1] ({place})" for place in range(2, 9)),
                 ),
+                "before the first step it is compared with the present time alone": ("[0 => 1] (9)",),
             }.items()
             for change in changes
         },

@@ -19,7 +19,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from services.viz_node import hub as hubs
-from services.viz_node import server
+from services.viz_node import page_hand, server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
@@ -502,7 +502,7 @@ def changes(rig: Rig) -> list[float]:
 def test_one_page_holds_the_hand_until_it_lets_go(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    monkeypatch.setattr(page_hand, "HAND_FRESH_S", 60.0)
     first, second = Page(stack, client), Page(stack, client)
     push(first, 1.5)
     until(lambda: changes(rig) == [1.5])
@@ -517,7 +517,7 @@ def test_one_page_holds_the_hand_until_it_lets_go(
 def test_a_window_that_asks_gets_control_when_the_other_one_has_done_and_each_has_a_letter(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    monkeypatch.setattr(page_hand, "HAND_FRESH_S", 60.0)
     pages = [Page(stack, client) for _ in range(2)]
     snapshots = [page.take("snapshot") for page in pages]
     assert [each["window"] for each in snapshots] == ["A", "B"]
@@ -566,7 +566,7 @@ def test_what_is_read_of_a_page_that_has_left_gives_the_hand_to_nobody(rig: Rig,
 def test_a_page_that_pauses_for_a_moment_keeps_its_force(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    monkeypatch.setattr(page_hand, "HAND_FRESH_S", 60.0)
     push(Page(stack, client), 1.5)
     until(lambda: rig.hand[:4] == [1.5] * 4)
     # the haptic node lets go when it hears nothing for longer than two of these
@@ -579,7 +579,7 @@ def test_a_server_that_stood_still_does_not_take_that_for_silence_of_the_page(
     now_s = 50.0
     monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
     rig.hub._push(Session(server.Role.OPERATOR), HandRequest(1.5, True))
-    now_s += 20.0 * hubs.HAND_FADE_S
+    now_s += 20.0 * page_hand.HAND_FADE_S
     rig.hub.tick()
     assert changes(rig) == [1.5]
     for _ in range(20):
@@ -609,7 +609,7 @@ def test_the_force_of_a_silent_page_fades_and_comes_back_as_slowly(rig: Rig, mon
     go_on(51.3, frames=False)
     faded = [force for _, force in forces if force < 2.0]
     # Never more than what passes in a tick of the time in which it fades.
-    most = 2.0 * hubs.TICK_S / hubs.HAND_FADE_S + 1e-9
+    most = 2.0 * hubs.TICK_S / page_hand.HAND_FADE_S + 1e-9
     steps = [abs(after - before) for (_, before), (_, after) in pairwise(forces)]
     assert max(steps) <= most
     assert 0.0 < faded[-1] < 1.0
@@ -618,11 +618,11 @@ def test_the_force_of_a_silent_page_fades_and_comes_back_as_slowly(rig: Rig, mon
     assert max(steps) <= most
     assert forces[-1][1] == 2.0
     # It is nothing after the fresh time and the fading.
-    go_on(52.0 + hubs.HAND_FRESH_S + hubs.HAND_FADE_S + 2 * hubs.TICK_S, frames=False)
+    go_on(52.0 + page_hand.HAND_FRESH_S + page_hand.HAND_FADE_S + 2 * hubs.TICK_S, frames=False)
     assert forces[-1][1] == 0.0
     told = [msgpack.unpackb(frame) for frame in session._answers]
     late = [frame["late_s"] for frame in told if frame["k"] == "hand"]
-    assert [late_s > hubs.HAND_FRESH_S for late_s in late] == [True, False, True]
+    assert [late_s > page_hand.HAND_FRESH_S for late_s in late] == [True, False, True]
 
 
 def test_a_force_that_waited_or_was_overtaken_is_dropped_and_counted_and_a_hand_is_let_go_at_any_age(
@@ -635,7 +635,7 @@ def test_a_force_that_waited_or_was_overtaken_is_dropped_and_counted_and_a_hand_
     rig.hub._push(session, HandRequest(1.0, True, number=1, stamp_s=7.0))
     now_s = 50.2
     rig.hub._push(session, HandRequest(2.0, True, number=2, stamp_s=7.15))
-    assert rig.hand == [1.0, 2.0 * rig.hub._share]
+    assert rig.hand == [1.0, 2.0 * rig.hub.hand.share]
     pushed = len(rig.hand)
     rig.hub._push(session, HandRequest(3.0, True, number=3, stamp_s=7.05))
     rig.hub._push(session, HandRequest(4.0, True, number=2, stamp_s=7.2))
