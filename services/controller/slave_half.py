@@ -230,7 +230,7 @@ class SlaveController(ControllerHalf):
         silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
         if self.tip.following and silence_s > DEADLINES_S["afm/state"]:
             self._lose_instrument()
-            text = f"the AFM has been silent for {silence_s * 1e3:.0f} ms: the hand is let go"
+            text = f"no data from the AFM for {silence_s * 1e3:.0f} ms: the motor of the hand is switched off"
             self.event("fault", "warning", text, silence_s=silence_s)
 
     def _lose_instrument(self) -> None:
@@ -275,8 +275,8 @@ class SlaveController(ControllerHalf):
         """Report that hand and tip begin apart, because the hand is beyond where the tip may go at once."""
         apart_m = offset_m / self.config.law_config().position_scale
         text = (
-            f"the hand is {1e3 * apart_m:.3g} mm beyond where the tip may go at once: the base begins"
-            f" {1e9 * offset_m:.3g} nm short of it, and is let in at {1e9 * LET_IN_M_PER_S:g} nm/s while the tip"
+            f"the hand is {1e3 * apart_m:.3g} mm further than the tip may go at once: the base starts"
+            f" {1e9 * offset_m:.3g} nm short of it, and follows at {1e9 * LET_IN_M_PER_S:g} nm/s while the tip"
             " presses little"
         )
         self.event("mode", "warning", text, offset_m=offset_m, apart_m=apart_m)

@@ -108,7 +108,7 @@ class Wish:
     def make_void(self, reason: str) -> None:
         """Give up a command, whether it waits or is being sent; what only ends a motion stays wanted."""
         if self._command != _STOP:
-            self.reason = f"{self._command} was given up: {reason}"
+            self.reason = f"{self._command} was cancelled: {reason}"
             self._is_void.set()
 
     def is_wanted(self) -> bool:
@@ -332,7 +332,7 @@ class Hub:
         self.sessions.discard(session)
         for wish in self._wishes:
             if wish.session is session:
-                wish.make_void("its page has left")
+                wish.make_void("its page was closed")
         self.desk.leave(session)
         if session is self.hand.holder:
             self.hand.release()
@@ -411,11 +411,13 @@ class Hub:
         document, counted = self._document, 0
         try:
             if not session.may_ask(time.monotonic()):
-                raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
+                raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
             if document is None:
-                raise RefusedError("a running rig is no document: only a recording can be read in")
+                raise RefusedError("only a recording can be read in parts, and this page shows a running rig")
             if self._reads >= _MOST_READS:
-                raise RefusedError(f"{self._reads} parts of the recording are being read already: ask again")
+                raise RefusedError(
+                    f"{self._reads} parts of the recording are already being read: try again in a moment"
+                )
             self._reads, counted = self._reads + 1, 1
             work: Callable[[], Any] = document.about
             if isinstance(request, PartRequest):
@@ -429,7 +431,7 @@ class Hub:
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
-            raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
+            raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
         if isinstance(request, PanelRequest) and session.role is not Role.OBSERVER:
             return await self._ask_desk(session, request)
         if session.role in (Role.OBSERVER, Role.PARTICIPANT) and not isinstance(request, EstopRequest):
@@ -510,7 +512,7 @@ class Hub:
     def _check_arrival(self, session: Session, request: CommandRequest) -> None:
         """Raise RefusedError for a command that may not even wait for its turn."""
         if session not in self.sessions:
-            raise RefusedError(f"{request.command} was given up: its page has left")
+            raise RefusedError(f"{request.command} was cancelled: its page was closed")
         waiting = sum(wish.session is session for wish in self._wishes)
         if waiting >= MOST_COMMANDS:
             raise RefusedError(

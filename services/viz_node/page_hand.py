@@ -72,7 +72,7 @@ class PageHand:
             TelenanoError: It cannot be opened.
         """
         if self._open_outlet is None:
-            raise RefusedError("a recording cannot be answered")
+            raise RefusedError("this page shows a recording, which takes no answers")
         if self._outlet is None:
             self._outlet = self._open_outlet()
         return self._outlet

@@ -244,14 +244,14 @@ def clock_warning(summary: Mapping[str, Any]) -> str:
     if clocks["applied"]:
         advice = "start a time service on each machine, `telenano doctor` says how"
         return (
-            f"the clocks of the sites are not synchronised: {clocks['reason']}; it is taken off the figures; {advice}"
+            f"the clocks of the sites are not synchronised: {clocks['reason']}; figures are corrected for it; {advice}"
         )
     other = clocks["otherwise"]
     if other is None or other["verdict"] == summary["verdict"]:
         return ""
     return (
-        f"the clocks of the sites may not be synchronised: {clocks['reason']}; as they are the session is "
-        f"{summary['verdict']}, with that difference taken off {other['verdict']}"
+        f"the clocks of the sites may not be synchronised: {clocks['reason']}; uncorrected, the session is "
+        f"{summary['verdict']}, corrected for it {other['verdict']}"
     )
 
 

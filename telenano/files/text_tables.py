@@ -107,7 +107,7 @@ class TextTable(NamedTuple):
         where = f"{option} {given}" if given else in_head
         remedy = f"; {option} gives another" if option and not given else ""
         if unit is None:
-            raise ConfigError(f"{where}: is not known; known are such as {', '.join(wanted)}, with a prefix{remedy}")
+            raise ConfigError(f"{where}: is not known; give one such as {', '.join(wanted)}, with a prefix{remedy}")
         if unit.powers not in [kind.powers for kind in kinds if kind]:
             raise ConfigError(f"{where}: is of another kind than {' or '.join(wanted)}, which is needed here{remedy}")
         return numbers * unit.factor

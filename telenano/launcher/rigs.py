@@ -166,7 +166,7 @@ def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict
     if isinstance(config.cpus, dict):
         claimed = processors.claim_these(config.cpus.values(), folder)
         if others := sorted(set(config.cpus.values()) - set(claimed)):
-            show(f"warning: realtime.cpus: other rigs hold {_list(others)}, and both will be late there")
+            show(f"warning: realtime.cpus: other rigs use processors {_list(others)} too, and both will be late there")
         return claimed, False
     if config.cpus == "free" or len(permitted) < processors.FOR_A_RIG or not _wants_fifo(config):
         return {}, False
@@ -176,7 +176,7 @@ def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict
         os.environ[PROCESSORS_VARIABLE] = ",".join(map(str, sorted(claimed)))
         return claimed, False
     taken = _list(processors.held(permitted, folder))
-    text = f"warning: no {needed} processors are free for this rig: other rigs hold {taken} of {len(permitted)}"
+    text = f"warning: this rig needs {needed} free processors: other rigs use processors {taken} of {len(permitted)}"
     if plan.site is not None:
         show(f"{text}; it shares theirs, and all of them may be late")
         return {}, False

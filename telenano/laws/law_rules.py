@@ -183,7 +183,7 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
     held = [1e8 * force_n for _, force_n in rows[-_HOLD_TICKS:]]
     mean, swing = sum(held) / len(held), max(held) - min(held)
     if not abs(mean - 1.0) <= _HOLD_SHARE or not swing <= _HOLD_SHARE:
-        late = f" and tells the law of it {' and '.join(map(str, lates))} ms later," if any(lates) else ""
+        late = f" and reports it to the law {' and '.join(map(str, lates))} ms later," if any(lates) else ""
         yield (
             f"a hand of 1 N that goes to a wall of {stiffness:.4g} N/m, {1e9 * _WALL_M:g} nm away,{late} presses with"
             f" {mean:.3g} N on average and swings by {swing:.3g} N in the end; 1 N within"

@@ -358,7 +358,7 @@ def simulate_document(
         text = "interactive is a person, who cannot be simulated: give another operator"
         raise ConfigError(f"{origin}: haptic_node.operator.kind: {text}")
     if afm.begin is not None:
-        text = f"{afm.begin.program} moves the tip by a program of the instrument, which a lockstep has not"
+        text = f"{afm.begin.program} moves the tip by a program of the instrument, which simulated time does not have"
         raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
     trip_s = link.forward.delay_s + link.backward.delay_s
     period_s = controller.period_s

@@ -206,7 +206,7 @@ def changed_disturbances(config: M, parameters: Mapping[str, Any], node: str) ->
     try:
         document = merge({section: config.model_dump()}, nested(parameters, "session/control"))
         if others := sorted(set(document) - {section}):
-            raise RefusedError(f"{node}.{', '.join(others)}: unknown key, known is {section}")
+            raise RefusedError(f"{node}.{', '.join(others)}: unknown key; keys here begin with {section}")
         return validate(type(config), document[section], "session/control", f"{node}.{section}")
     except ConfigError as error:
         raise RefusedError(str(error)) from error

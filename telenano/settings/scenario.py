@@ -48,7 +48,9 @@ class Scenario(Settings):
         description="Named disturbances that the keys below change: ideal, real, real_drifting, or a file's name in"
         " the folder TELENANO_INSTRUMENTS",
     )
-    realtime: RealtimeConfig = Field(default=RealtimeConfig(), description="What nodes ask of the machine")
+    realtime: RealtimeConfig = Field(
+        default=RealtimeConfig(), description="Rate, scheduling and memory of the processes"
+    )
     haptic_node: dict[str, Any] = Field(default={}, description="Section of the haptic node")
     controller: dict[str, Any] = Field(default={}, description="Section of both halves of the law")
     delay_node: dict[str, Any] = Field(default={}, description="Section of the link")

@@ -151,7 +151,7 @@ class RequestDriver(TcpDriver[K]):
     def take_sample(self, z_m: float, value: float, sampled_ns: int) -> None:
         """Take a sample of z [m] and the deflection's signal, taken at a time of the monotonic clock [ns]."""
         if not (math.isfinite(z_m) and math.isfinite(value)):
-            raise DeviceError(f"answered with what is no number: z = {z_m} m, a signal of {value}")
+            raise DeviceError(f"answered with a value that is not a number: z = {z_m} m, a signal of {value}")
         self.fresh += (z_m, value) != self._values
         self._values = z_m, value
         self._readings = self.calibration.readings(z_m, value)
@@ -191,7 +191,7 @@ class RequestDriver(TcpDriver[K]):
                 raise DeviceError(f"is connected and does not answer requests: is it a {self._model}?")
             return
         if self._incoming.pending:
-            raise DeviceError("has answered more than it was asked")
+            raise DeviceError("has sent more answers than there were requests")
         self._send(talk.send(answer), now_ns, line)
 
     def _send(self, request: bytes | None, now_ns: int, line: Line) -> None:

@@ -415,7 +415,7 @@ FAULTS = {
     "server swallows": fault(swallow, "does not answer: check address, cable and firewall", duration_ms=500, at_ms=30),
     "garbage": fault(garble, "is not the beginning of a message"),
     "half answers": fault(cut, "the connection is gone", duration_ms=90, at_ms=80),
-    "two answers": fault(answer_twice, "has answered more than it was asked"),
+    "two answers": fault(answer_twice, "has sent more answers than there were requests"),
     "command refused": fault(refuse, "The module is locked.", at_ms=None),
     "z is not taken": fault(clamp, SEIZED, at_ms=None, end=unclamp, moves=True),
     "safe tip latched": fault(press_safe_tip, "The Safe Tip has been triggered", end=release_safe_tip),

@@ -26,11 +26,11 @@ _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Any file of an instrument, or of a line.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File of an instrument, or log of a line.")],
     lacking: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="Of a curve without a head: columns=1,2, way_unit=nm, value_unit=nN."
+            "--set", metavar="KEY=VALUE", help="For a curve without headings: columns=1,2, way_unit=nm, value_unit=nN."
         ),
     ] = None,
     as_json: JsonOption = False,

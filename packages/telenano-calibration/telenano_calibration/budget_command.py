@@ -72,7 +72,7 @@ def _tables(figures: Any, stages: Any) -> list[tuple[str, list[dict[str, str]]]]
 
 def _sentences(figures: Any, document: dict[str, Any]) -> list[str]:
     trip_ms = document["link_round_trip_ms"]
-    sentences = [] if trip_ms is None else [f"The link delays by {trip_ms:g} ms there and back on purpose."]
+    sentences = [] if trip_ms is None else [f"The link adds a delay of {trip_ms:g} ms there and back, as set."]
     without = dict.fromkeys(scale for one in figures for scale in one.without)
     return [*sentences, *([f"{_WITHOUT} {', '.join(without)}."] if without else [])]
 
@@ -96,7 +96,7 @@ def _page(figures: Any, stages: Any, document: dict[str, Any]) -> Any:
         if rows:
             page.table(list(rows[0]), [list(row.values()) for row in rows])
         else:
-            page.paragraph("The session has no figure with an interval: it has no hold that was judged.")
+            page.paragraph("No figure of the session has an interval, because no hold was judged.")
     for sentence in _sentences(figures, document):
         page.paragraph(sentence)
     return page

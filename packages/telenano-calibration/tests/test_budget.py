@@ -151,7 +151,7 @@ def test_the_command_prints_and_writes_both_tables(
     assert [one["stage"] for one in document["delay"]][-1] == "loop"
     page = (tmp_path / "out" / "budget.html").read_text()
     assert "deflection for a volt" in page
-    assert "The link delays by 8 ms there and back on purpose." in page
+    assert "The link adds a delay of 8 ms there and back, as set." in page
     # without noise no mean has a scatter that says how well it is known, so the scales alone are in the budget
     shown = CliRunner().invoke(app, ["budget", path, "--stage", str(files[1])], env={"COLUMNS": "200"})
     assert shown.exit_code == 0

@@ -33,7 +33,7 @@ def analyse(
     ] = None,
     category: Annotated[
         list[str] | None,
-        typer.Option("--category", metavar="FACTOR", help="Numeric factor that is not to be a slope (repeatable)."),
+        typer.Option("--category", metavar="FACTOR", help="Numeric factor to treat as categories (repeatable)."),
     ] = None,
     within: Annotated[
         str, typer.Option("--within", metavar="FACTOR", help="Compare levels of the others at each level of this one.")

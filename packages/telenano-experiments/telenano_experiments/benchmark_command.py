@@ -22,7 +22,7 @@ def benchmark(
         typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to run, also of packages.", autocompletion=law_names),
     ] = "all",
     network: Annotated[
-        str, typer.Option("--network", metavar="NAME[,NAME]", help="Other networks than those of the benchmark.")
+        str, typer.Option("--network", metavar="NAME[,NAME]", help="Networks instead of those of the benchmark.")
     ] = "",
     instrument: Annotated[
         str, typer.Option("--instrument", metavar="NAME[,NAME]", help="Instruments instead of ideal,real.")

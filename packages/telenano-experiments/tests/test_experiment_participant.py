@@ -317,7 +317,8 @@ def test_who_answers_no_experiment_is_told_so(
     rig.takes = False
     operator, observer = (Page(stack, client, token) for token in (ACCESS.operator_token, ACCESS.observer_token))
     assert (
-        operator.answer(**given(values={"action": "skip"}))["text"] == "no experiment takes the answer: does one run?"
+        operator.answer(**given(values={"action": "skip"}))["text"]
+        == "no experiment received the answer: check that one is running"
     )
     assert "token of an observer" in observer.answer(**given(values={"action": "skip"}))["text"]
 

@@ -178,9 +178,7 @@ class ServoLoop:
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
-                error = (
-                    f"the device is now {capabilities.identity}, and it was {self._found.identity}: restart the node"
-                )
+                error = f"{capabilities.identity} is connected instead of {self._found.identity}: restart the node"
             except Exception as still:  # noqa: BLE001
                 error = cause(still)
             self._let_go()

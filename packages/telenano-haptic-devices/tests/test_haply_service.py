@@ -147,7 +147,7 @@ def test_messages_that_nobody_asked_for_make_no_place_older_than_it_is_told() ->
 
 
 def test_service_that_answers_twice_is_lost_before_its_places_are_old() -> None:
-    lost = r"has sent \d+ messages that it was not asked for, and continues: end other"
+    lost = r"has sent \d+ messages that were not requested, and continues: end other"
     with clocked(lambda number: (2, 0.0)) as (found, wire):
         with pytest.raises(DeviceError, match=lost):
             wire.run(ages(found, 5000))

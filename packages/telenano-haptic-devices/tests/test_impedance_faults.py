@@ -90,7 +90,7 @@ FAULTS: dict[str, Fault] = {
     "silent scheduler": Fault(
         do("stopped"),
         do("stopped", False),
-        "its scheduler calls no more (none for 0.05 s)",
+        "its scheduler has stopped (no call for 0.05 s)",
         after_s=0.07,
         devices=("hd",),
     ),

@@ -57,13 +57,15 @@ def curve(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="What its file lacks: stiffness_n_per_m, sensitivity_m_per_v; of a text table columns=1,2, "
+            help="What the measured file lacks: stiffness_n_per_m, sensitivity_m_per_v; for a text table columns=1,2, "
             "way_unit=nm, value_unit=nN.",
         ),
     ] = None,
     reduced_modulus: Annotated[
         float | None,
-        typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
+        typer.Option(
+            "--reduced-modulus", metavar="PA", help="Reduced modulus of the measured contact [Pa]; default: of --afm."
+        ),
     ] = None,
     live: LiveOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,

@@ -143,7 +143,7 @@ def curve_of_samples(
     for way in (slice(first, turn + 1), slice(turn, last + 1)):
         moved = np.flatnonzero(np.diff(base[way], prepend=np.nan) != 0.0)
         if len(moved) < 10:
-            raise RigError("fewer than 10 samples came of a way of the curve: is the speed too high?")
+            raise RigError("fewer than 10 samples were taken on one way of the curve: give a lower speed")
         halves.append(Half(base[way][moved], zeta[way][moved], force[way][moved]))
     far = zeta[way] != 0.0
     k = float(np.median(force[way][far] / zeta[way][far])) if far.any() else 0.0

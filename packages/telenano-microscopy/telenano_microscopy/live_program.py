@@ -149,7 +149,7 @@ def _await_instrument(observer: Observer) -> None:
             message = observed.received.message
             if isinstance(message, NodeHealth) and message.src == TIP:
                 return
-    raise RigError(f"{TIP} is not heard: {RIG_HINT}")
+    raise RigError(f"nothing is received from {TIP}: {RIG_HINT}")
 
 
 def _send(site_file: Path, parameters: Mapping[str, Scalar]) -> None:

@@ -114,7 +114,7 @@ def udp(
     else:
         print_rows(_rows(document))
         if keeper is not None:
-            typer.echo(f"{keeper.path}: `telenano link report {keeper.path}` reads it")
+            typer.echo(f"{keeper.path} is recorded: `telenano link report {keeper.path}` shows it")
     if keeper is not None and keeper.fault:
         fail_incomplete([keeper.fault])
 

@@ -23,7 +23,9 @@ def fetch(
     ] = None,
     kbit_per_s: Annotated[
         float | None,
-        typer.Option("--kbit-per-s", min=64.0, max=1e6, metavar="R", help="Most that is fetched; 1000 beside a rig."),
+        typer.Option(
+            "--kbit-per-s", min=64.0, max=1e6, metavar="R", help="Rate of the fetch [kbit/s]; 1000 beside a rig."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

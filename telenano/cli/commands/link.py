@@ -133,7 +133,7 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
         return []
     ways = [network.get(direction, {}) for direction in _DIRECTIONS]
     rows = [_row(f"network: {key}", *(way.get(key, "") for way in ways)) for key in _NETWORK_COUNTS]
-    rows.append(_row("network: lost of settled [%]", *map(_lost_percent, ways)))
+    rows.append(_row("network: lost, of those known [%]", *map(_lost_percent, ways)))
     if any(way.get("blocked_since_ns") for way in ways):
         rows.append(_row("network: UDP blocked since", *map(_blocked_since, ways)))
     queues_s = [way.get("queue_s") for way in ways]

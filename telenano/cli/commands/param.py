@@ -46,7 +46,7 @@ def list_all(
         if not keys:
             parts = {".".join(key.name.split(".")[: prefix.count(".") + 1]) for key in known}
             near = probably_meant(prefix, parts)
-            raise ConfigError(f"{prefix}: no key begins so; `telenano param list --all` has them all{near}")
+            raise ConfigError(f"{prefix}: no key begins so{near}; `telenano param list --all` has them all")
     rows: list[dict[str, Any]] = [
         {
             "key": key.name,

@@ -80,7 +80,7 @@ def print_rigs(rigs: Sequence[RigFacts], *, as_json: bool) -> None:
 def processors_text(about: Mapping[str, Any]) -> str:
     """Return in words which processors a rig has for itself."""
     if about.get("behind"):
-        return "none: behind the other rigs"
+        return "none of its own: other rigs have them"
     return ", ".join(map(str, about.get("processors", ()))) or "any"
 
 

@@ -195,7 +195,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         if self._heart is not None:
             trips, words = words[count:], words[:count]
             if len(trips) == self._heart.trips.count and self._heart.trips.decode(trips, order):
-                raise DeviceError("got no beat for too long, and its script has retracted the stage")
+                raise DeviceError("received no heartbeat in time, and its script has retracted the stage")
         if len(words) != count:
             raise DeviceError(f"answered {len(words)} registers, {count} were asked for")
         return (

@@ -67,7 +67,9 @@ class HandleCalibration(Settings):
     """A calibration file of a handle."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this file's form")
-    device_id: str = Field(pattern=r"^[0-9a-f]{16}$", description="Device that it belongs to, as `device probe` tells")
+    device_id: str = Field(
+        pattern=r"^[0-9a-f]{16}$", description="Device that it belongs to, as `device probe` shows it"
+    )
     calibrated: AwareDatetime = Field(description="When, with time zone")
     position: PositionCalibration
     force: ForceCalibration

@@ -17,7 +17,7 @@ from telenano.runtime.bus.local_endpoint import local_endpoint
 from telenano.runtime.wiring.participant import Participant
 from telenano.settings.package_topics import installed_topics, problem_with, row_of
 from telenano.wire import TOPICS
-from telenano.wire.errors import ConfigError, RigError, probably_meant
+from telenano.wire.errors import ConfigError, RigError, known_names, probably_meant
 from telenano.wire.nodes import is_visitor, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import SequenceTracker
@@ -45,8 +45,7 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
     topic, _, site = name.partition("@")
     meant = probably_meant(topic, TOPICS)
     if row_of(topic) is None and not (unknown and not meant and keep_unknown(topic)):
-        names = f"known are {', '.join(TOPICS)}, with @site for what left the link"
-        reason = problem_with(topic) or f"{names}{meant}"
+        reason = problem_with(topic) or f"{known_names(topic, TOPICS)}, with @site for what left the link"
         raise ConfigError(f"unknown topic {name!r}: {reason}")
     if site and TOPICS[topic].bridged is None:
         raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")

@@ -114,7 +114,7 @@ def test_a_key_is_revoked_for_ever_by_name_or_by_itself(folder: Path, by: str) -
     [
         (["new", "Master"], "'Master' is not a valid machine name"),
         (["allow", "slave", "abc", "--role", "data"], "is not a public key, which has 40 characters of Z85"),
-        (["allow", "slave", "/nowhere/slave.key", "--role", "data"], "/nowhere/slave.key: holds no public key"),
+        (["allow", "slave", "/nowhere/slave.key", "--role", "data"], "/nowhere/slave.key: cannot be read"),
         (["revoke", "slave"], "there is no key of slave, listed keys are none"),
     ],
 )

@@ -128,7 +128,7 @@ def test_what_param_dumps_is_a_scenario_that_runs_the_same(tmp_path: Path) -> No
         value_at(dumped, "link.x")
     # below a value the keys beside it are those that can be meant
     with pytest.raises(
-        ConfigError, match=r"controller\.law is 'virtual_impedance' and has no keys; in controller known"
+        ConfigError, match=r"controller\.law is 'virtual_impedance' and has no keys; known are law, period_s"
     ):
         value_at(dumped, "controller.law.period_s")
     with pytest.raises(ConfigError, match=r"name\.x: name has no key x; known are name, "):

@@ -429,7 +429,7 @@ def test_all_rigs_are_listed_with_what_each_has(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(status, "permitted", lambda: {0, 1, 2, 3})
     result = CliRunner().invoke(app, ["status", "--all"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
-    for words in ("4711", "fig12", "2, 3", "none: behind the other rigs", "lab@slave", "/out/1"):
+    for words in ("4711", "fig12", "2, 3", "none of its own: other rigs have them", "lab@slave", "/out/1"):
         assert words in result.stdout
     assert "processors: 2 free, enough for 1 more rig" in result.stdout
     document = json.loads(CliRunner().invoke(app, ["status", "--all", "--json"]).stdout)
@@ -446,7 +446,7 @@ def test_no_rig_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "no rig of this user runs on this machine" in CliRunner().invoke(app, ["status", "--all"]).stdout
 
 
-@pytest.mark.parametrize(("behind", "words"), [(False, "2, 3"), (True, "none: behind the other rigs")])
+@pytest.mark.parametrize(("behind", "words"), [(False, "2, 3"), (True, "none of its own: other rigs have them")])
 def test_a_rig_is_shown_with_its_processors(monkeypatch: pytest.MonkeyPatch, behind: bool, words: str) -> None:
     about = {"processors": [] if behind else [2, 3], "behind": behind}
     monkeypatch.setattr(status, "about_rig", lambda name: about)

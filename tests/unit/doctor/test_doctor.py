@@ -110,12 +110,12 @@ def test_without_packaging_versions_are_not_compared(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("held", "level", "words"),
     [
-        ((), "ok", "none is held by a rig, 4 free, enough for 2 more rigs"),
-        ((2, 3), "ok", "2, 3 held by rigs that run; 2 free, enough for 1 more rig"),
+        ((), "ok", "no rig is running; 4 free, enough for 2 more rigs"),
+        ((2, 3), "ok", "running rigs use processors 2, 3; 2 free, enough for 1 more rig"),
         (
             (1, 2, 3),
             "warning",
-            "1, 2, 3 held by rigs that run; 1 free, enough for 0 more rigs: a further one",
+            "running rigs use processors 1, 2, 3; 1 free, enough for 0 more rigs: a further rig",
         ),
     ],
 )

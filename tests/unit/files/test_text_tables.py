@@ -88,7 +88,7 @@ def test_what_is_no_table_or_could_be_two_is_refused_with_its_line(text: str, re
 @pytest.mark.parametrize(
     ("head", "wanted", "reason"),
     [
-        ("z [furlong]", "m", r"t, line 1: the unit 'furlong' of 'z \[furlong\]': is not known; known are such as m"),
+        ("z [furlong]", "m", r"t, line 1: the unit 'furlong' of 'z \[furlong\]': is not known; give one such as m"),
         ("z [V]", "m", "line 1: the unit 'V' of .*: is of another kind than m"),
         ("f (mhz)", "Hz", "line 1: the unit 'mhz'"),
     ],

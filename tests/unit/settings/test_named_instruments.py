@@ -126,7 +126,8 @@ def test_an_unknown_instrument_is_refused_with_what_was_meant() -> None:
         read_yaml(Path(telenano.__file__).parent / "settings/scenarios/fig12.yaml"), {"instrument": "raal"}
     )
     with pytest.raises(
-        ConfigError, match="unknown instrument 'raal'; known are ideal, paper_bridge, real, real_drifting; d"
+        ConfigError,
+        match=r"unknown instrument 'raal'; did you mean real\? Known are ideal, paper_bridge, real, real_drifting",
     ):
         LoadedScenario.of(document, "here")
     with pytest.raises(ConfigError, match=r"instrument: Input should be a valid string"):

@@ -123,7 +123,10 @@ def test_a_law_is_chosen_and_changed_by_its_key(said: dict[str, Any]) -> None:
 
 
 def test_what_is_wrong_with_such_a_section_is_named_by_its_key(said: dict[str, Any]) -> None:
-    assert "afm_node.doubts.stifness_n_per_m: unknown key, known are stiffness_n_per_m" in said["sample refused"]
+    assert (
+        "afm_node.doubts.stifness_n_per_m: unknown key, did you mean stiffness_n_per_m? Known are stiffness_n_per_m"
+        in said["sample refused"]
+    )
     assert "afm_node.package_doubts: unknown key" in said["attribute refused"]
     assert "controller.law_config.force_gain" in said["law refused"]
     assert "allowed is from 0 to 1e+09" in said["law refused"]

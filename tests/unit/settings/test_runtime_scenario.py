@@ -55,7 +55,7 @@ def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.M
         ("name=Fig 12", "name: String should match pattern"),
         (
             "duration=8.0",
-            "duration: unknown key, known are name, description, duration_s, instrument, realtime, haptic_node",
+            "duration: unknown key, did you mean duration_s? Known are name, description, duration_s, instrument",
         ),
         (
             "realtime.priority=99",
@@ -80,7 +80,7 @@ def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, message: str
             "afm_node.gap_m: Input should be less than or equal to 1 (allowed is from 0 to 1), got 10.0",
         ),
         ("afm_node.gap_m=.nan", "afm_node.gap_m: "),
-        ("afm_node.gap_nm=10", "afm_node.gap_nm: unknown key, known are gap_m, ambient"),
+        ("afm_node.gap_nm=10", "afm_node.gap_nm: unknown key, did you mean gap_m? Known are gap_m, ambient"),
     ],
 )
 def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, message: str) -> None:

@@ -727,7 +727,7 @@ def test_who_only_looks_may_read_in_a_recording(page: Path, stack: ExitStack) ->
 
 def test_a_running_rig_is_no_document(client: TestClient, stack: ExitStack) -> None:
     answer = Page(stack, client).ask(k="document")
-    assert (answer["ok"], "a running rig is no document" in answer["text"]) == (False, True)
+    assert (answer["ok"], "only a recording can be read in parts" in answer["text"]) == (False, True)
 
 
 def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack) -> None:
@@ -739,6 +739,6 @@ def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack
     for number in range(hubs._MOST_READS + 1):
         reader.send({"k": "part", "id": f"a-{number}", "from_s": 0.0, "to_s": 1.0, "spans": 10})
     refused = reader.take("answer")
-    assert (refused["ok"], "are being read already" in refused["text"]) == (False, True)
+    assert (refused["ok"], "are already being read" in refused["text"]) == (False, True)
     document.held.set()
     assert all(reader.take("answer")["ok"] for _ in range(hubs._MOST_READS))

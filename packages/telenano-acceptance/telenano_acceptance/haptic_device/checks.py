@@ -175,7 +175,7 @@ def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
         moved_m = float(rows["place_m"][last, axis].mean() - rows["place_m"][first, axis])
         good &= moved_m > MOVED_M
         wrong.append(f"{name} {1e3 * moved_m:+.2f}")
-    return passes(good), f"{', '.join(wrong)} mm along a force of +"
+    return passes(good), f"{', '.join(wrong)} mm of motion for a force towards +"
 
 
 def _why(rows: Rows) -> str:
@@ -210,7 +210,7 @@ def _stiffness(take: Take[Facts]) -> tuple[Result, str]:
             break
         best = level
     stiffness = take.facts.settings.stiffness_n_per_m[2]
-    beyond = ", the most that was tried" if best == LEVELS[-1] else ", and refused for its swing" if swung else ""
+    beyond = ", the most that was tried" if best == LEVELS[-1] else ", above it the device oscillated" if swung else ""
     text = f"quiet up to {best * stiffness:.0f} N/m{beyond}"
     return passes(best >= 1.0), text
 
@@ -305,7 +305,7 @@ def _stop(take: Take[Facts]) -> tuple[Result, str]:
     if take.facts.independent_stop:
         return "pass", take.facts.independent_stop
     most = take.facts.settings.max_force_n
-    return passes(most <= MOST_WITHOUT_STOP_N), f"none stated, and up to {most:.3g} N"
+    return passes(most <= MOST_WITHOUT_STOP_N), f"no emergency stop is stated, and the device gives up to {most:.3g} N"
 
 
 _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
@@ -315,8 +315,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
     ("age of samples", _age, f"{1e3 * AGE_S:.0f} ms at most in the median", ("rest",)),
     ("gaps", _gaps, f"no silence of more than {1e3 * GAP_S:.0f} ms but for the cable", ("rest",)),
     ("fresh positions", _fresh, "half of the samples new, or as many as the rate gives", ("fast",)),
-    ("no jumps", _never(Gate.JUMP), "no change in one sample that no hand makes", ()),
-    ("no frozen readings", _never(Gate.FROZEN), "a place that moves when the force changes", ("hold",)),
+    ("no jumps", _never(Gate.JUMP), "no jump from one sample to the next that a hand cannot make", ()),
+    ("no frozen readings", _never(Gate.FROZEN), "a position that changes when the force changes", ("hold",)),
     ("noise at rest", _noise, f"{1e6 * NOISE_M:.0f} um at most", ("rest",)),
     ("drift at rest", _drift, f"{1e6 * DRIFT_M:.0f} um at most", ("rest",)),
     ("resolution", _resolution, f"{1e6 * RESOLUTION_M:.0f} um at most", ("slow",)),

@@ -81,8 +81,8 @@ class Facts(NamedTuple):
     def tables(self) -> list[Table]:
         sentence = bounds_of(self.settings, self.device).sentence()
         text = (
-            f"{sentence}. What the check of the rendering stiffness found is a K for"
-            " haptic_node.coupling.stiffness_n_per_m, with a margin of your own."
+            f"{sentence}. Set haptic_node.coupling.stiffness_n_per_m below the rendering stiffness that was found here,"
+            " with a margin of your own."
         )
         return [
             Table("What was declared", "", self.device._asdict()),

@@ -158,7 +158,7 @@ class LinearLoop:
         import control
 
         if self._direct is None or self.arm is not None:
-            what = "wave has no sampled form here" if self._direct is None else "an arm is not sampled"
+            what = "the law wave has no sampled form" if self._direct is None else "an arm is not sampled"
             raise ConfigError(f"{what}: take transfer_function(), or response() for the exact delay")
         loop = control.ss(sampled_loop(transfer_function(self._direct), self.period_s))
         count = int(self.round_trip_s / self.period_s + 1e-9)

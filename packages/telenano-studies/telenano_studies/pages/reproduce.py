@@ -141,7 +141,9 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             summary[name] = _add_curve(page, curve)
             if name == "fig6":
                 noisy = force_curve(_with_its_bridge(config), 20e-9, 20e-9, speed_m_per_s=_FIG6_SPEED_M_PER_S)
-                summary["fig6_with_noise"] = _add_curve(page, noisy, "The same with the noise of the paper's bridge.")
+                summary["fig6_with_noise"] = _add_curve(
+                    page, noisy, "The same curve with the noise of the paper's read-out bridge."
+                )
             page.paragraph(_BESIDE_THE_PAPER[name])
     if "models" in figures:
         page.heading("The quasi-static cantilever beside Eq. 4 in full")

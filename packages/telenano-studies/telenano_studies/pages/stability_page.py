@@ -282,7 +282,7 @@ def broken_assumption(cell: Cell, result: CellResult) -> str:
             "the two-port held its bound: the energy comes from the contact itself, which snaps in and out"
             " (an environment with adhesion is not passive over a cycle that jumps), and from a hand of constant force"
         )
-    return "the two-port held its bound: the hand of constant force puts in what the loop lives on"
+    return "the two-port held its bound: the hand of constant force supplies the energy of the motion"
 
 
 def _page(results: Sequence[LineResult], images: dict[str, bytes], command: str) -> Page:

@@ -22,7 +22,9 @@ def relay(
     ] = f"0.0.0.0:{DEFAULT_PORT}",
     mbit_per_s: Annotated[
         float,
-        typer.Option("--mbit-per-s", metavar="MBIT", min=0.1, max=1e5, help="Most that is carried for each site."),
+        typer.Option(
+            "--mbit-per-s", metavar="MBIT", min=0.1, max=1e5, help="Most that is carried for each site [Mbit/s]."
+        ),
     ] = 50.0,
     join: Annotated[
         str | None,
