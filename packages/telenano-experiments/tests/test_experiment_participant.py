@@ -7,7 +7,6 @@ but for what a participant sees and feels: where hand and tip are, and the force
 import random
 import struct
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from typing import Any
@@ -18,6 +17,7 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
+from made_source import MadeSource
 from starlette.testclient import TestClient
 from telenano_experiments import panel as panels
 from telenano_experiments.messages import CUE, Question
@@ -29,7 +29,7 @@ from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.requests import COMMANDS
-from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import described
 from telenano.serving.access import Access
 from telenano.wire import Array, Message
@@ -49,21 +49,6 @@ WORDS = ("model_mediated", "leo_satellite", "very_late", "condition")
 DELAY_S = 0.12345
 PICTURE_S = 0.28675
 SEEN = ("position_m", "operator_force_n", "force_n", "base_position_m", "deflection_m", "tip_force_n", "separation_m")
-
-
-class Source(NoTransport):
-    def __init__(self) -> None:
-        # filled by the test while the server takes from it
-        self.waiting: deque[Seen] = deque()
-
-    def poll(self, *, watched: bool) -> list[Seen]:
-        return [self.waiting.popleft() for _ in range(len(self.waiting))]
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "/rigs/leo_satellite.yaml"}
-
-    def close(self) -> None:
-        pass
 
 
 class Commander:
@@ -96,7 +81,8 @@ class Outlet:
 
 class Rig:
     def __init__(self) -> None:
-        self.source, self.pushed, self.answers, self.takes, self.seq = Source(), [], [], True, 0
+        self.source, self.seq = MadeSource("/rigs/leo_satellite.yaml"), 0
+        self.pushed, self.answers, self.takes = [], [], True
         self.hub = Hub(self.source, Commander(), lambda: {"laws": list(WORDS)}, lambda: Outlet(self))
 
     def tell(self, topic: str, fields: Mapping[str, Any], src: str) -> None:

@@ -5,12 +5,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
 import msgpack
 import pytest
+from made_source import MadeSource
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
@@ -24,7 +25,6 @@ from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_server import PageServer
 from services.viz_node.requests import PROTOCOL
-from services.viz_node.source import NoTransport
 from telenano.console import lease
 from telenano.serving import connections as limits
 from telenano.serving.access import Access
@@ -37,22 +37,15 @@ ACCESS = Access("operator-token-0123", "observer-token-0123")
 PATIENCE_S = 30.0
 
 
-class Source(NoTransport):
+class Source(MadeSource):
     """A rig that says something whenever it is asked."""
 
-    def __init__(self) -> None:
-        self.polled = 0
+    polled = 0
 
     def poll(self, *, watched: bool) -> list[Seen]:
         self.polled += 1
         fields = {"kind": "mode", "level": "info", "text": str(self.polled), "seq": self.polled, "data": {}}
         return [Seen("session/event", "afm_node@slave", 10**18 + self.polled, fields)]
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "test"}
-
-    def close(self) -> None:
-        pass
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgpack
 import pytest
+from made_source import MadeSource
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
@@ -24,30 +25,12 @@ from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
-from services.viz_node.source import NoTransport
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.serving.access import Access, Role
 from telenano.wire.errors import RigError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
 HEADERS = {"origin": "http://testserver"}
-
-
-class Source(NoTransport):
-    """A rig of which each message is put in by hand."""
-
-    def __init__(self) -> None:
-        self.waiting: list[Seen] = []
-
-    def poll(self, *, watched: bool) -> list[Seen]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "test"}
-
-    def close(self) -> None:
-        pass
 
 
 class Commander:
@@ -96,7 +79,7 @@ class Hand:
 
 class Rig:
     def __init__(self) -> None:
-        self.source, self.commander = Source(), Commander()
+        self.source, self.commander = MadeSource(), Commander()
         self.hand: list[Any] = []
         self.hub = Hub(self.source, self.commander, lambda: {"laws": ["wave"]}, lambda: Hand(self.hand))
 
@@ -718,7 +701,7 @@ class ShortDocument:
 
 
 def test_who_only_looks_may_read_in_a_recording(page: Path, stack: ExitStack) -> None:
-    hub = Hub(Source(), document=ShortDocument())
+    hub = Hub(MadeSource(), document=ShortDocument())
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     observer = Page(stack, client, ACCESS.observer_token)
     assert observer.ask(k="document")["found"]["length_s"] == 10.0
@@ -732,7 +715,7 @@ def test_a_running_rig_is_no_document(client: TestClient, stack: ExitStack) -> N
 
 def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack) -> None:
     document = ShortDocument()
-    hub = Hub(Source(), document=document)
+    hub = Hub(MadeSource(), document=document)
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     reader = Page(stack, client)
     document.held.clear()
