@@ -74,9 +74,9 @@ def owner_of_results(out: Path, project_file: Path) -> Owner:
 
     The engine makes a missing folder as root. It is given to the owner of the project.
     """
-    found = out.stat()
-    if found.st_uid != ROOT:
-        return Owner(found.st_uid, found.st_gid)
+    status = out.stat()
+    if status.st_uid != ROOT:
+        return Owner(status.st_uid, status.st_gid)
     project = project_file.stat()
     if project.st_uid != ROOT:
         os.chown(out, project.st_uid, project.st_gid)

@@ -47,8 +47,8 @@ class Table(ColumnTable):
 
     def __init__(self, topic: str, columns: Mapping[str, Column]) -> None:
         facts = {name: quantity(topic, name) for name in columns}
-        units = {name: found.unit for name, found in facts.items()} | {"time_s": "s"}
-        descriptions = {name: found.description for name, found in facts.items()}
+        units = {name: fact.unit for name, fact in facts.items()} | {"time_s": "s"}
+        descriptions = {name: fact.description for name, fact in facts.items()}
         descriptions["time_s"] = "Time of sending since the start of the operator's force profile"
         super().__init__(topic, columns, units, descriptions)
         self.topic = topic
@@ -73,10 +73,10 @@ class RecordedSession:
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
         """The publishers of each channel; `teleop/forward@slave` is what came out of the link there."""
-        found: dict[str, list[str]] = {}
+        fields_of: dict[str, list[str]] = {}
         for channel in self._source.channels:
-            found.setdefault(channel.channel_topic, []).append(channel.src)
-        return {name: tuple(sorted(sources)) for name, sources in sorted(found.items())}
+            fields_of.setdefault(channel.channel_topic, []).append(channel.src)
+        return {name: tuple(sorted(sources)) for name, sources in sorted(fields_of.items())}
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -175,11 +175,11 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> Reco
 
 
 def _recording_at(path: Path) -> Path:
-    found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    if len(found) != 1:
-        names = f" of {', '.join(each.name for each in found)}" if found else ""
-        raise NoRecordingError(f"{path}: is a folder with {len(found)} recordings (.mcap); give the file{names}")
-    return found[0]
+    paths = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if len(paths) != 1:
+        names = f" of {', '.join(each.name for each in paths)}" if paths else ""
+        raise NoRecordingError(f"{path}: is a folder with {len(paths)} recordings (.mcap); give the file{names}")
+    return paths[0]
 
 
 def check_law(name: str) -> dict[str, list[str]]:

@@ -39,9 +39,9 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
         module = None if name.startswith("__") else module_of(name)
         if module is None:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
-        found = getattr(importlib.import_module(module), name)
-        setattr(package, name, found)
-        return found
+        attribute = getattr(importlib.import_module(module), name)
+        setattr(package, name, attribute)
+        return attribute
 
     def names() -> list[str]:
         module_of("")

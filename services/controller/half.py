@@ -298,7 +298,7 @@ class ControllerHalf(Node):
         account: EnergyAccount = self.energy_account()
         if self.lateral.depth.enabled:
             account = account._replace(granted_j=account.granted_j + 0.5 * self.lateral.feel.granted_j)
-        known = other_energy_j is not None
+        has_other_energy = other_energy_j is not None
         across = self.lateral_account()
         port_j = self.port.energy_j + across.entered_j
         net_j = port_j + (other_energy_j or 0.0)
@@ -310,12 +310,12 @@ class ControllerHalf(Node):
             "switching": self.switching,
             "port_energy_j": port_j,
             "port_power_w": entered_j / (self._status_ticks * self.config.period_s),
-            "net_valid": known,
-            "net_energy_j": net_j if known else 0.0,
+            "net_valid": has_other_energy,
+            "net_energy_j": net_j if has_other_energy else 0.0,
             "left_j": account.remaining_j,
             "dissipated_j": account.dissipated_j + across.spilled_j,
             # Each is judged by itself, so that what enters across hides nothing of the law.
-            "passive": bool(energy.is_passive(net_j - across.entered_j, known, account))
+            "passive": bool(energy.is_passive(net_j - across.entered_j, has_other_energy, account))
             and self._is_passive_across(across),
             "saved_percent": 100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
             "heard": self.heard.received_ns >= 0,

@@ -176,15 +176,15 @@ class MasterController(ControllerHalf):
 
     def _on_hand(self, message: HapticState) -> None:
         commanded, repeated = self._settle(), message.device == "stale"
-        self.timing, found = integration.master_sampled(
+        self.timing, step = integration.master_sampled(
             self.timing, self.timing_params, message.t_ns, repeated, commanded
         )
         if not repeated:
-            self._take_sample(message, found.periods * self.config.period_s, begins=found.begins)
-        if found.repeats:
+            self._take_sample(message, step.periods * self.config.period_s, begins=step.begins)
+        if step.repeats:
             self._send_reference()
-        if found.periods:
-            self._send_signal(found.periods * self.config.period_s)
+        if step.periods:
+            self._send_signal(step.periods * self.config.period_s)
 
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
         """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on the way."""
@@ -249,8 +249,8 @@ class MasterController(ControllerHalf):
         speed_x, speed_y, _ = message.velocity_m_per_s
         follows = self.hand.following and not self.switching
         hand = LateralHand(x, y, self.hand.position_m, speed_x, speed_y, self.hand.velocity_m_per_s, following=follows)
-        known = self.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
-        far = LateralFar(*self.across.far, *self.across.far_m, known=known)
+        is_signal_current = self.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
+        far = LateralFar(*self.across.far, *self.across.far_m, known=is_signal_current)
         self._across = lateral_master_step(self.lateral, self._across, hand, far, dt_s)
         travel = self._across.travel
         self.across.own_m = travel.x_m, travel.y_m

@@ -181,13 +181,13 @@ class SlaveController(ControllerHalf):
             self.law_state = self.law.slave_start(self.params, self.tip)
         elif begins and not self.switching:
             self.law_state = self._interrupted()
-        goes_on = not (begins or self._instrument_lost or self.switching)
+        continues = not (begins or self._instrument_lost or self.switching)
         if self.lateral.motion.mode != DIRECT:
-            follows = goes_on and understood and message.active and self.tip.following
+            follows = continues and understood and message.active and self.tip.following
             elapsed_s = self.timing.pacing.elapsed * self.config.period_s
             across = self.across
             self._across = lateral_slave_step(self.lateral, self._across, across.far, across.own_m, follows, elapsed_s)
-        if goes_on and integration.slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
+        if continues and integration.slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
             self.timing = integration.slave_passed_over(self.timing)
         else:
             if self._instrument_lost:
@@ -292,7 +292,7 @@ class SlaveController(ControllerHalf):
 
     def _settle(self, settled: Settled) -> None:
         """Carry out what is due after a state of the instrument, or where none came."""
-        if settled.what not in (integration.NOTHING, integration.GO_ON):
+        if settled.what not in (integration.NOTHING, integration.CONTINUE):
             if settled.what == integration.ANSWER and self.switching:
                 self.law_state = self._standing()
             dt_s = settled.periods * self.config.period_s
@@ -301,7 +301,7 @@ class SlaveController(ControllerHalf):
                 self.law_state = state
             if settled.answers:
                 self._publish_answer(signal)
-        if settled.what == integration.GO_ON or settled.goes_on:
+        if settled.what == integration.CONTINUE or settled.continues:
             self._receive(self.latest_signal(), 0)
             self._publish_command(answers=False)
 

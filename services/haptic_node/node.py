@@ -100,7 +100,7 @@ class HapticNode(DeviceNode):
         self._switch_pressed = False
         self._reported = (MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
         if device.report is not None:
-            self.take_up_report(device.report)
+            self.process_haptic_report(device.report)
         if caution := DRIVERS.caution(config.driver):
             self.event("node", "warning", caution)
         # The steps are compiled before the grid starts, not in its first tick.
@@ -190,8 +190,8 @@ class HapticNode(DeviceNode):
                 raise RefusedError("disturbances: a real device has its own")
             if not control.parameters:
                 raise RefusedError("set needs parameters, such as disturbances.tremor.enabled=true")
-            found = changed_disturbances(self.device.disturbances, control.parameters, "haptic_node")
-            self.device.configure(found)
+            changed = changed_disturbances(self.device.disturbances, control.parameters, "haptic_node")
+            self.device.configure(changed)
             return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         return super().on_control(control)
 
@@ -270,22 +270,22 @@ class HapticNode(DeviceNode):
             mode=MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
             # a device that is refused, such as one with a lost encoder, is no hand to follow either
-            armed=applied.armed and tick.said.get("device") != "lost",
+            armed=applied.armed and tick.added_fields.get("device") != "lost",
             limited=applied.reason in _LIMITS or _device_limited(reading),
             session_s=tick.session_s,
             answered_seq=command.hand_seq,
             answered_t_ns=command.hand_t_ns,
             answered_at_ns=self._memory.command_received_ns,
             step_s=tick.elapsed_s,
-            **tick.said,
+            **tick.added_fields,
         )
 
-    def take_up_report(self, report: HapticReport) -> None:
-        """Take up the report of a real device, whose own emergency stop latches here."""
+    def process_haptic_report(self, report: HapticReport) -> None:
+        """Process the report of a real device, whose own emergency stop latches here."""
         self._memory.estop_requested |= report.estop_pressed
         self.own_stops += report.estop_pressed and not self._switch_pressed
         self._switch_pressed = report.estop_pressed
-        self.take_up(report, is_late=report.age_s > _FRESH_PERIODS * self.period_s)
+        self.process_report(report, is_late=report.age_s > _FRESH_PERIODS * self.period_s)
 
     def _report_changes(self, applied: safety.SafetyOutputs) -> None:
         self.state = "running" if applied.mode != MODE_OFF else "safe"

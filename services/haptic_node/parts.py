@@ -76,7 +76,7 @@ class Tick:
     spatial: SpatialCommand = _NO_SIDE
     reading: DeviceReading = field(init=False)
     across: Across = (_ZERO, _ZERO, _ZERO, _ZERO)
-    said: dict[str, Any] = field(default_factory=dict)
+    added_fields: dict[str, Any] = field(default_factory=dict)
 
     @property
     def shown_n(self) -> Pair:
@@ -89,15 +89,15 @@ TickPart = StepPart[Tick, HapticMemory]
 class RealHandle(TickPart):
     """Takes up what a real device reports."""
 
-    def __init__(self, device: HapticDevice, take_up: Callable[[HapticReport], None]) -> None:
-        self._device, self._take_up = device, take_up
+    def __init__(self, device: HapticDevice, process_report: Callable[[HapticReport], None]) -> None:
+        self._device, self._process_report = device, process_report
 
     def measure(self, tick: Tick, memory: HapticMemory) -> None:
         self._report = report = cast(HapticReport, self._device.report)
-        tick.said.update({"device": report.status, "sample_age_s": report.age_s, **report.counts})
+        tick.added_fields.update({"device": report.status, "sample_age_s": report.age_s, **report.counts})
 
     def report(self, tick: Tick, memory: HapticMemory) -> None:
-        self._take_up(self._report)
+        self._process_report(self._report)
 
 
 class PushedHand(TickPart):
@@ -129,17 +129,17 @@ class SpatialDevice(TickPart):
         tick.spatial = SpatialCommand(_ZERO if is_off else tick.command.position_m[:2], tick.shown_n, tick.armed)
 
     def measure(self, tick: Tick, memory: HapticMemory) -> None:
-        found = tick.reading.spatial or SpatialReading()
-        memory.gate = found.gate
-        tick.across = found[:4]
-        tick.said.update(hand_energy_j=found.hand_energy_j, coupling_energy_j=found.coupling_energy_j)
+        spatial = tick.reading.spatial or SpatialReading()
+        memory.gate = spatial.gate
+        tick.across = spatial[:4]
+        tick.added_fields.update(hand_energy_j=spatial.hand_energy_j, coupling_energy_j=spatial.coupling_energy_j)
         if self._has_orientation:
-            tick.said["orientation"] = found.orientation
+            tick.added_fields["orientation"] = spatial.orientation
         if self._has_buttons:
-            tick.said["buttons"] = found.buttons
+            tick.added_fields["buttons"] = spatial.buttons
         if memory.gate in FAULTS:
             # What cannot be believed until a person arms is no hand, simulated or not.
-            tick.said["device"] = "lost"
+            tick.added_fields["device"] = "lost"
 
 
 class LateralHand(TickPart):
@@ -162,7 +162,7 @@ def parts_of(node: Any, config: HapticConfig, device: HapticDevice) -> list[Tick
     if isinstance(operator, InteractiveConfig):
         parts.append(PushedHand(device, operator.force_deadline_s, node.clock.now_ns))
     if device.report is not None:
-        parts.append(RealHandle(device, node.take_up_report))
+        parts.append(RealHandle(device, node.process_haptic_report))
     if able.kind == "impedance" or able.axes == 3:
         parts.append(SpatialDevice(able))
     elif config.lateral is not None:

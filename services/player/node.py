@@ -288,10 +288,10 @@ class PlayerNode(Node):
             raise RefusedError(f"player.step is {count}, it must be 1 or more")
 
     def _next_event_ns(self) -> int:
-        found = self.playback.next_event_ns()
-        if found is None:
+        next_ns = self.playback.next_event_ns()
+        if next_ns is None:
             raise RefusedError(f"there is no event after {self.playback.time_s:.3f} s")
-        return found
+        return next_ns
 
     def _set_loop(self, loop: bool) -> None:
         self.playback.loop = loop
@@ -312,16 +312,16 @@ class PlayerNode(Node):
                     return
                 self._pending_state.popleft()
                 continue
-            found = self.playback.next()
-            if found is None:
+            sent = self.playback.next()
+            if sent is None:
                 self._handle_end()
                 return
-            due = now_ns if self._steps else self.playback_clock.due_ns(found.time_ns)
+            due = now_ns if self._steps else self.playback_clock.due_ns(sent.time_ns)
             if due is not None and due > now_ns:
                 self._use_gap(due)
-            if due is None or due > now_ns or not self._send(found.message):
+            if due is None or due > now_ns or not self._send(sent.message):
                 return
-            self.playback.advance(found)
+            self.playback.advance(sent)
             if self._steps:
                 self._steps -= 1
 

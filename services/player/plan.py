@@ -39,11 +39,11 @@ class ReplayPlan:
         self.nodes = sorted({node_of(channel) for channel in self.channels})
         absent = [node for node in self.nodes if node not in book.nodes]
         if absent:
-            known = ", ".join(sorted(book.nodes))
+            names = ", ".join(sorted(book.nodes))
             others = " ".join(f"--nodes {node}" for node in self.nodes if node in book.nodes)
             others = f", or play the others alone: `{others}`" if others else ""
             raise ConfigError(
-                f"{recording.path}: {', '.join(absent)} is not in the site file, which has {known}; name one that has "
+                f"{recording.path}: {', '.join(absent)} is not in the site file, which has {names}; name one that has "
                 f"it with --site-file{others}"
             )
 

@@ -69,8 +69,8 @@ class Playback:
     def next(self) -> Sent | None:
         """Return the next message with the time [ns] at which it was sent; None at the end of the span."""
         ready = self._order.ready
-        found = ready[0] if ready else self._order.peek()
-        return None if found is None or found[0] >= self.end_ns else found
+        sent = ready[0] if ready else self._order.peek()
+        return None if sent is None or sent[0] >= self.end_ns else sent
 
     def advance(self, found: Sent) -> None:
         """Move past the next message, which is `found`."""
@@ -88,22 +88,22 @@ class Playback:
 
     def peek(self) -> RecordedMessage | None:
         """Return the next message without moving on; None at the end of the span."""
-        found = self.next()
-        return None if found is None else found.message
+        sent = self.next()
+        return None if sent is None else sent.message
 
     @property
     def next_ns(self) -> int:
         """When the next message was sent [ns]; the end of the span where there is none."""
-        found = self.next()
-        return self.end_ns if found is None else found.time_ns
+        sent = self.next()
+        return self.end_ns if sent is None else sent.time_ns
 
     def pop(self) -> RecordedMessage:
         """Return the next message and move past it; RecordingError at the end."""
-        found = self.next()
-        if found is None:
+        sent = self.next()
+        if sent is None:
             raise RecordingError(f"{self.recording.path}: there is no message after {self.time_s:.3f} s")
-        self.advance(found)
-        return found.message
+        self.advance(sent)
+        return sent.message
 
     def seek(self, position_ns: int) -> list[RecordedMessage]:
         """Move to a position [ns], clamped to the recording; return the state there, as `state`."""
@@ -127,10 +127,10 @@ class Playback:
             return self.channel_filter(channel) and is_state(channel)
 
         earlier = self.recording.newest_before(self.position_ns, is_wanted)
-        found = {channel: (self._clock.time_ns(message), message) for channel, message in earlier.items()}
+        newest = {channel: (self._clock.time_ns(message), message) for channel, message in earlier.items()}
         # what was sent before the position and received after it
-        found |= {channel: sent[::2] for channel, sent in self._order.before.items() if is_wanted(channel)}
-        return [message for _, message in sorted(found.values(), key=lambda row: row[0])]
+        newest |= {channel: sent[::2] for channel, sent in self._order.before.items() if is_wanted(channel)}
+        return [message for _, message in sorted(newest.values(), key=lambda row: row[0])]
 
     def next_event_ns(self) -> int | None:
         """Return the time [ns] of the next session/event of the recording after the position; None without one."""

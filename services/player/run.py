@@ -74,7 +74,7 @@ def run_replay(
     warnings = [*refused_messages(recording, playback), *absent_topics(plan, book), *remote_control(plan, book)]
     for text in warnings:
         warn(text)
-    signals, told = StopSignals(), list[str]()
+    signals, messages = StopSignals(), list[str]()
     # As fast as possible is nothing to be in time for, and would keep others from their processors.
     scheduling = on_time() if request.settings.rate > 0.0 else contextlib.nullcontext()
     with scheduling, open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
@@ -85,9 +85,9 @@ def run_replay(
         bus = participant.bus_of(publisher, participant.subscribers(live))
 
         def watch(player: PlayerNode) -> None:
-            if player.started and not told and not any(publisher.was_read for publisher in publishers.values()):
-                told.append(f"no node reads what is played: {_RIG}")
-                warn(told[0])
+            if player.started and not messages and not any(publisher.was_read for publisher in publishers.values()):
+                messages.append(f"no node reads what is played: {_RIG}")
+                warn(messages[0])
             observe(player)
 
         player = PlayerNode(

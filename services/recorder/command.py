@@ -14,7 +14,7 @@ from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, Topi
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
+from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
 from telenano.settings.config import validate
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import TelenanoError
@@ -71,16 +71,16 @@ def record(
         config = validate(
             RecorderConfig, {**given, **place, "topics": topics or (), "exclude": exclude or ()}, "telenano record"
         )
-        nobody = "no rig of this site file runs on this machine" if nobody_runs(load_site(site_file)) else ""
-        if nobody and not as_json:
+        reason = "no rig of this site file runs on this machine" if runs_no_node(load_site(site_file)) else ""
+        if reason and not as_json:
             # A rig may be started after its recorder.
-            typer.echo(f"telenano: {nobody} yet; waiting for one", err=True)
+            typer.echo(f"telenano: {reason} yet; waiting for one", err=True)
         with RawKeyboard() as keys:
             done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))
-        if not done.fault and not done.messages and not nobody:
-            nobody = "nothing was received"
-        if nobody and not done.messages:
-            fail(f"{nobody}: {RIG_HINT} The recording is empty: {done.path}", as_json=as_json, **done.model_dump())
+        if not done.fault and not done.messages and not reason:
+            reason = "nothing was received"
+        if reason and not done.messages:
+            fail(f"{reason}: {RIG_HINT} The recording is empty: {done.path}", as_json=as_json, **done.model_dump())
         if done.fault:
             fail(done.fault, as_json=as_json, **done.model_dump())
         text = f"recorded {done.messages} messages, {done.lost} lost, {done.files} file(s), newest {done.path}"

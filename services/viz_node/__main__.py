@@ -16,10 +16,10 @@ def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, NodeBus]:
         raise ConfigError(f"the view cannot be served: {reason}")
     from services.viz_node.node import page_of_rig
 
-    tls, access, given = config.tls(), config.access(), inherited()
-    bound = wiring.resources.enter_context(given or config.bind())
+    tls, access, sockets = config.tls(), config.access(), inherited()
+    bound = wiring.resources.enter_context(sockets or config.bind())
     node, bus = page_of_rig(wiring, wiring.site_file, bound, access, tls)
-    if given is None:
+    if sockets is None:
         # after the last thing that could fail: whoever reads this may open it
         addresses = addresses_of(bound, access, tls, config.name)
         wiring.resources.enter_context(announced(addresses, partial(print, flush=True)))

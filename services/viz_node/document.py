@@ -116,11 +116,11 @@ class RecordingDocument:
                 self._read_piece(piece)
         else:
             self._asked = (from_s, to_s)
-        found, width_s = {}, 0.0
+        curves, width_s = {}, 0.0
         for stream in STREAMS:
             times, values, width_s = self._levels.between(stream.name, from_s, to_s, min(spans, _MOST_SPANS))
-            found[stream.name] = packed(times, values)
-        return {"from_s": from_s, "to_s": to_s, "width_s": width_s, "streams": found}
+            curves[stream.name] = packed(times, values)
+        return {"from_s": from_s, "to_s": to_s, "width_s": width_s, "streams": curves}
 
     def wait(self) -> None:
         """Wait until everything has been read."""
@@ -142,9 +142,9 @@ class RecordingDocument:
 
     def _read_all(self) -> None:
         """Fill the levels and judge, unless both were kept."""
-        known = self._kept.load(self._levels) if self._kept is not None else None
-        if known is not None:
-            self._facts = known
+        is_kept = self._kept.load(self._levels) if self._kept is not None else None
+        if is_kept is not None:
+            self._facts = is_kept
             self._left.clear()
         else:
             try:
@@ -210,9 +210,9 @@ class RecordingDocument:
         for name, times, values in read_samples(messages, before, self._known_timeline(), self._start_ns):
             inside = (times >= from_s) & (times <= to_s)
             pieces[name].append((times[inside], values[:, inside]))
-        found = {}
+        samples = {}
         for stream in STREAMS:
             parts = pieces[stream.name] or [(np.empty(0), np.empty((len(stream.columns), 0)))]
             times, values = (np.concatenate([part[i] for part in parts], axis=-1) for i in (0, 1))
-            found[stream.name] = packed(times, values)
-        return found
+            samples[stream.name] = packed(times, values)
+        return samples

@@ -51,7 +51,7 @@ IDLE_S = 0.25
 # time is dropped: over a queue that grows, old forces would be those of now.
 HAND_FRESH_S, HAND_FADE_S = 0.1, 0.25
 # A page whose hand is too slow is told so this often [s].
-_SLOW_TOLD_S = 0.5
+_SLOW_REPORT_PERIOD_S = 0.5
 # Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
 _LONGEST_LOOK_S = 3.0 * TICK_S
 # Of one page, with the one that is being carried out.
@@ -246,7 +246,7 @@ class Hub:
         if self._make_forms is None:
             return
         self._forms = await asyncio.wrap_future(_in_thread(self._make_forms))
-        for session in self._told():
+        for session in self._recipients():
             session.answer(_packed({"k": "forms", "forms": self._forms}))
 
     def tick(self) -> None:
@@ -272,9 +272,9 @@ class Hub:
             changes["source"] = about
         self._hold()
         for picture in self._picture.take(changes, time.monotonic()):
-            self._offer(picture, self.sessions - self._told())
+            self._offer(picture, self.sessions - self._recipients())
         if changes:
-            self._offer(changes, self._told())
+            self._offer(changes, self._recipients())
 
     def _take_age(self) -> dict[str, Any]:
         """Return the age of the loop by its parts for the pages, once a second, and each page the way to itself."""
@@ -282,7 +282,7 @@ class Hub:
         if now_s - self._age_s < _AGE_S:
             return {}
         self._age_s, self._parts = now_s, self._age.parts() if self.sessions else []
-        for session in self._told():
+        for session in self._recipients():
             way_s = sorted(session.ways_s)[len(session.ways_s) // 2] if session.ways_s else None
             session.answer(_packed({"k": "way", "stamp_s": now_s, "way_s": way_s}))
         return {"age": [[part.name, part.p50_s, part.p99_s] for part in self._parts]} if self._parts else {}
@@ -297,14 +297,14 @@ class Hub:
             self.desk.refused.note("revoked", f"{session.party.label}: the address was revoked, or has expired")
             self.leave(session)
             session.end(_packed({"k": "refused", "text": REVOKED}))
-        found = self.desk.tick(self.sessions, time.monotonic())
-        if found is not None and self._holder is not None and not self.desk.may_press(self._holder):
+        changes = self.desk.tick(self.sessions, time.monotonic())
+        if changes is not None and self._holder is not None and not self.desk.may_press(self._holder):
             self._holder.answer(_packed({"k": "hand", "held": False, "text": f"Let go: {self._who_has_it()}"}))
             self._release()
         holder = self.desk.lease.holder
-        if found is not None:
+        if changes is not None:
             self.on_lease(holder)
-        if found is not None and holder is not None:
+        if changes is not None and holder is not None:
             for wish in self._wishes:
                 if wish.session.party.id != holder.id and wish.needs_lease:
                     wish.make_void(self._who_has_it())
@@ -312,7 +312,7 @@ class Hub:
         if self.desk.lease.withdraw and self._commander is not None and is_free:
             with contextlib.suppress(RuntimeError):
                 self._withdrawing = asyncio.get_running_loop().create_task(self._withdraw(self._commander))
-        return found
+        return changes
 
     async def _withdraw(self, commander: Commander) -> None:
         """Withdraw the tip of a holder who has vanished, as that of a hand that is lost, unless somebody has it now."""
@@ -326,7 +326,7 @@ class Hub:
         holder = self.desk.lease.holder
         return f"{holder.label} holds control now" if holder else "control is free now"
 
-    def _told(self) -> set[Session]:
+    def _recipients(self) -> set[Session]:
         """Return the pages that are told everything: all but those of participants."""
         return {session for session in self.sessions if session.role is not Role.PARTICIPANT}
 
@@ -432,7 +432,7 @@ class Hub:
             # whatever went wrong: who asked for an emergency stop has to be told that there was none
             is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
         if session.role is Role.PARTICIPANT:
-            text = self._picture.said(is_ok=is_ok)
+            text = self._picture.acknowledgement(is_ok=is_ok)
         lease = {"lease": self.desk.facts()} if is_ok and isinstance(request, LeaseRequest) else {}
         session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text, **lease}))
 
@@ -450,12 +450,12 @@ class Hub:
             work: Callable[[], Any] = document.about
             if isinstance(request, PartRequest):
                 work = partial(document.part, request.from_s, request.to_s, request.spans)
-            found = await asyncio.wrap_future(_in_thread(work))
+            answer = await asyncio.wrap_future(_in_thread(work))
         except TelenanoError as error:
             return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
         finally:
             self._reads -= counted
-        return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": found}
+        return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": answer}
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
@@ -476,10 +476,10 @@ class Hub:
             # Opening the way of the hand may take as long as a lease lasts without its holder.
             with contextlib.suppress(TelenanoError):
                 self._outlet()
-            said = self.desk.ask_for(session, request)
+            text = self.desk.ask_for(session, request)
             # the former holder lets go before the answer
             self.tick()
-            return {"lease": ("ack", said)}
+            return {"lease": ("ack", text)}
         if isinstance(request, CommandRequest):
             return await self._command(self._commander, session, request, arrived_s)
         raise RefusedError("a page says hello once")
@@ -616,13 +616,13 @@ class Hub:
 
     def _tell_slow(self, session: Session, late_s: float) -> None:
         """Tell a page how late its hand is [s], twice a second, and once that it is late no longer, for 0."""
-        told_s, now_s = session.slow_told_s, time.monotonic()
-        if late_s > 0.0 and (told_s is None or now_s - told_s >= _SLOW_TOLD_S):
-            session.slow_told_s = now_s
-        elif late_s > 0.0 or told_s is None or now_s - told_s < _SLOW_TOLD_S:
+        reported_s, now_s = session.slow_reported_s, time.monotonic()
+        if late_s > 0.0 and (reported_s is None or now_s - reported_s >= _SLOW_REPORT_PERIOD_S):
+            session.slow_reported_s = now_s
+        elif late_s > 0.0 or reported_s is None or now_s - reported_s < _SLOW_REPORT_PERIOD_S:
             return
         else:
-            session.slow_told_s = None
+            session.slow_reported_s = None
         session.answer(_packed({"k": "hand", "held": True, "text": "", "late_s": late_s}))
 
     def _end_act(self, session: Session) -> None:
@@ -677,7 +677,7 @@ class _NoPicture:
     def snapshot(self, snapshot: Mapping[str, Any], *, hand: bool) -> dict[str, Any]:
         return {"k": "refused", "text": "no installed package has a page for this address"}
 
-    def said(self, *, is_ok: bool) -> str:
+    def acknowledgement(self, *, is_ok: bool) -> str:
         return "done" if is_ok else "not carried out"
 
 

@@ -53,7 +53,7 @@ class LeaseDesk:
         self.lease = Lease()
         self.refused = LeftOut()
         self._register = register
-        self._told: Mapping[str, Any] = {}
+        self._sent_facts: Mapping[str, Any] = {}
         self._sessions: Collection[Session] = ()
         self._clock, self._looked_s = clock, clock()
         self._beat_s, self._asked_s = 0.0, 0.0
@@ -112,9 +112,9 @@ class LeaseDesk:
                 self._asked_s = now_s
                 self.lease = self._register.change(lambda lease, now_ns: still_asks(lease, asked, now_ns))
         facts = self.facts()
-        if facts == self._told:
+        if facts == self._sent_facts:
             return None
-        self._told = facts
+        self._sent_facts = facts
         return facts
 
     def _forgive(self, now_s: float) -> None:

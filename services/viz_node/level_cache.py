@@ -15,7 +15,7 @@ import msgpack
 import zstandard
 
 from services.viz_node.levels import Levels
-from telenano.files.whole_files import whole_file
+from telenano.files.atomic_files import atomic_file
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16
@@ -40,9 +40,9 @@ class LevelCache:
             data = path.read_bytes()
             if not 0 < zstandard.frame_content_size(data) <= _MOST_BYTES:
                 return None
-            found = msgpack.unpackb(zstandard.ZstdDecompressor().decompress(data))
-            levels.restore(found["levels"])
-            facts = found["facts"]
+            document = msgpack.unpackb(zstandard.ZstdDecompressor().decompress(data))
+            levels.restore(document["levels"])
+            facts = document["facts"]
             os.utime(path)
         except (*_UNUSABLE, KeyError, msgpack.UnpackException):
             return None
@@ -56,7 +56,7 @@ class LevelCache:
             if len(packed) > _MOST_BYTES:
                 return
             path.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(path) as part:
+            with atomic_file(path) as part:
                 part.write_bytes(zstandard.ZstdCompressor(level=1, write_checksum=True).compress(packed))
             self._prune(path)
 
@@ -64,10 +64,10 @@ class LevelCache:
         digest = hashlib.sha256(f"{_FORMAT} {_program()}".encode())
         for path in self._paths:
             with path.open("rb") as file:
-                known = os.fstat(file.fileno())
-                digest.update(f"{known.st_size} {known.st_mtime_ns} ".encode())
+                status = os.fstat(file.fileno())
+                digest.update(f"{status.st_size} {status.st_mtime_ns} ".encode())
                 digest.update(file.read(_ENDS_BYTES))
-                file.seek(max(0, known.st_size - _ENDS_BYTES))
+                file.seek(max(0, status.st_size - _ENDS_BYTES))
                 digest.update(file.read(_ENDS_BYTES))
         # a process without a home has no cache
         folder = self._given or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano/recordings"
@@ -75,9 +75,9 @@ class LevelCache:
 
     @staticmethod
     def _prune(kept: Path) -> None:
-        found = sorted(kept.parent.glob("*.levels"), key=lambda path: path.stat().st_mtime, reverse=True)
+        files = sorted(kept.parent.glob("*.levels"), key=lambda path: path.stat().st_mtime, reverse=True)
         together = 0
-        for path in found:
+        for path in files:
             together += path.stat().st_size
             if together > _MOST_TOGETHER and path != kept:
                 path.unlink()

@@ -44,8 +44,8 @@ class Samples:
 
     def _add(self, message: RecordedMessage) -> None:
         fields = message.checked_fields()
-        known = self._loss.added(fields) if self.stream.name == "link" else fields
-        row = [column.value(known) for column in self.stream.columns]
+        complete = self._loss.added(fields) if self.stream.name == "link" else fields
+        row = [column.value(complete) for column in self.stream.columns]
         self.src = message.src
         self._stamps.append(message.publish_ns)
         self._rows.append(row)
@@ -81,9 +81,9 @@ class Levels:
         place = (times_s[inside] / self.width_s).astype(np.int64)
         least, greatest = self._least[name], self._greatest[name]
         for row, column in enumerate(values[:, inside]):
-            known = np.isfinite(column)
-            np.minimum.at(least[row], place[known], column[known].astype(np.float32))
-            np.maximum.at(greatest[row], place[known], column[known].astype(np.float32))
+            finite = np.isfinite(column)
+            np.minimum.at(least[row], place[finite], column[finite].astype(np.float32))
+            np.maximum.at(greatest[row], place[finite], column[finite].astype(np.float32))
 
     def kept(self) -> dict[str, list[bytes]]:
         """Return all values as bytes, by stream the least and the greatest."""
@@ -92,8 +92,8 @@ class Levels:
     def restore(self, kept: Mapping[str, Sequence[bytes]]) -> None:
         """Take what `kept` has returned for a recording of the same length; ValueError where it is something else."""
         shapes = {name: least.shape for name, least in self._least.items()}
-        found = {n: [np.frombuffer(each, dtype="<f4").reshape(size) for each in kept[n]] for n, size in shapes.items()}
-        for name, (least, greatest) in found.items():
+        arrays = {n: [np.frombuffer(each, dtype="<f4").reshape(size) for each in kept[n]] for n, size in shapes.items()}
+        for name, (least, greatest) in arrays.items():
             self._least[name][:], self._greatest[name][:] = least, greatest
 
     def between(self, name: str, from_s: float, to_s: float, most: int) -> tuple[Floats, Floats, float]:

@@ -48,7 +48,7 @@ class PageNode(Node):
         super().__init__(context)
         self._hub, self._server = hub, server
         hub.on_tick, hub.on_lease = self._count, self._say_who
-        self._said: Party | None = None
+        self._reported_party: Party | None = None
 
     def on_message(self, received: Received) -> None:
         """Ignore a message: the hub has connections of its own."""
@@ -64,8 +64,8 @@ class PageNode(Node):
     def _say_who(self, holder: Party | None) -> None:
         """Publish who holds control, for a recording; a party without a name that acts for a moment is not named."""
         named = holder if holder is not None and (holder.name or self._hub.desk.lease.kept) else None
-        if named != self._said:
-            self._said = named
+        if named != self._reported_party:
+            self._reported_party = named
             by = {"by": named.name} if named is not None and named.name else {}
             text = f"{named.label} holds control" if named else "control is free"
             self.event("node", "info", text, role=named.role if named else "", **by)

@@ -33,7 +33,7 @@ class Session:
         self.way_at_s = 0.0
         self.hand = HandAge()
         # When it was told last that its hand is too slow [s]; None where that is not so.
-        self.slow_told_s: float | None = None
+        self.slow_reported_s: float | None = None
         # An address that is revoked ends its pages, after the frame that reports it.
         self.ended = False
         self.ready = asyncio.Event()

@@ -30,8 +30,12 @@ class _Frame(msgspec.Struct, frozen=True, tag_field="k"):
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
             value: Scalar | dict[str, Scalar] = getattr(self, name)
-            found = {f"{name}.{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
-            if wrong := [key for key, each in found.items() if isinstance(each, float) and not math.isfinite(each)]:
+            parameters = (
+                {f"{name}.{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
+            )
+            if wrong := [
+                key for key, each in parameters.items() if isinstance(each, float) and not math.isfinite(each)
+            ]:
                 raise ValueError(f"{wrong[0][:80]}: must be a finite number")
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from telenano.afm.layers import Ground as Ground
     from telenano.afm.layers import Height as Height
     from telenano.afm.layers import Layer as Layer
-    from telenano.afm.layers import Said as Said
+    from telenano.afm.layers import TruthMessage as TruthMessage
     from telenano.afm.made_samples import SampleConfig as SampleConfig
     from telenano.afm.part import Part as Part
     from telenano.afm.part import inputs_over as inputs_over

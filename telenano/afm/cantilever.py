@@ -125,11 +125,11 @@ def equilibrium(plant: Plant, state: PlantState, base_m: float) -> PlantState:
         before = h
         if _excess(tip, spring, b, h)[0] > 0.0:
             direction = 1
-            h, found = _ascend(tip, spring, branches, b, h)
+            h, has_converged = _ascend(tip, spring, branches, b, h)
         else:
             direction = -1
-            h, found = _descend(tip, spring, branches, b, h)
-        if found:
+            h, has_converged = _descend(tip, spring, branches, b, h)
+        if has_converged:
             break
         if arrived == -direction and h == before:
             # Pushed back at once through the end it came in by: it rests at the switch, which counts as contact.

@@ -231,8 +231,8 @@ class _OwnSections(Settings):
         span, k = self.map_span, self.cantilever.stiffness_n_per_m
         if span is None:
             return
-        given = span.stiffness_n_per_m and "stiffness_n_per_m" in self.cantilever.model_fields_set
-        if given and not math.isclose(span.stiffness_n_per_m, k, rel_tol=1e-3):
+        is_stiffness_set = span.stiffness_n_per_m and "stiffness_n_per_m" in self.cantilever.model_fields_set
+        if is_stiffness_set and not math.isclose(span.stiffness_n_per_m, k, rel_tol=1e-3):
             raise ValueError(
                 f"cantilever.stiffness_n_per_m = {k:g} N/m contradicts sample.map {path}, which was measured with"
                 f" {span.stiffness_n_per_m:g} N/m: leave it out"
@@ -253,10 +253,10 @@ class _OwnSections(Settings):
         limits = SafetyParams(**s.model_dump())
         if span is None:
             return limits
-        given, low, high = s.model_fields_set, rest_m - span.high_m, rest_m - span.low_m
-        low = max(low, s.base_min_m) if "base_min_m" in given else low
-        high = min(high, s.base_max_m) if "base_max_m" in given else high
-        retracted = s.retract_position_m if "retract_position_m" in given else low
+        set_keys, low, high = s.model_fields_set, rest_m - span.high_m, rest_m - span.low_m
+        low = max(low, s.base_min_m) if "base_min_m" in set_keys else low
+        high = min(high, s.base_max_m) if "base_max_m" in set_keys else high
+        retracted = s.retract_position_m if "retract_position_m" in set_keys else low
         if not low <= retracted < high:
             raise ValueError(
                 f"sample.map: with rest_distance_m = {rest_m:g} m the map is for a base from {rest_m - span.high_m:g}"
@@ -274,12 +274,12 @@ class _OwnSections(Settings):
         assert self.sample is not None and self.sample.map is not None
         c, limits, (x_m, y_m) = self.cantilever, self.to_guard(), self.places_m
         gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
-        found = over_map(Path(self.sample.map), self.rest_distance_m, c.stiffness_n_per_m, gain)
+        sample = over_map(Path(self.sample.map), self.rest_distance_m, c.stiffness_n_per_m, gain)
         text = (
-            f"recorded map {found.about}; the tip stays within x ± {x_m:.3g} m, y ± {y_m:.3g} m and with its base from"
+            f"recorded map {sample.about}; the tip stays within x ± {x_m:.3g} m, y ± {y_m:.3g} m and with its base from"
             f" {limits.base_min_m:.3g} to {limits.base_max_m:.3g} m"
         )
-        return found._replace(about=text)
+        return sample._replace(about=text)
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)

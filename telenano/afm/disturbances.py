@@ -159,8 +159,8 @@ def instrument_name(name: str, section: Mapping[str, Any]) -> str:
         # A recording from elsewhere names what is not known here.
         return name
     there, here = (
-        validate(DisturbanceConfig, {**given, "seed": 0}, "scenario", "afm_node.disturbances")
-        for given in (own, section.get("disturbances", {}))
+        validate(DisturbanceConfig, {**section_of_part, "seed": 0}, "scenario", "afm_node.disturbances")
+        for section_of_part in (own, section.get("disturbances", {}))
     )
     if here == there or not (here.any_enabled or there.any_enabled):
         return name

@@ -44,7 +44,7 @@ class Height(NamedTuple):
     what: str
 
 
-class Said(NamedTuple):
+class TruthMessage(NamedTuple):
     """A message of the truth: its topic and fields, and whether anything changes, so that it is said more often."""
 
     topic: str
@@ -69,7 +69,7 @@ class Layer:
     config: type[BaseModel]
     height: Callable[[Any], Height]
     around: Callable[[Any, Any, Ground], Any]
-    says: Callable[[Any], Said] | None = None
+    says: Callable[[Any], TruthMessage] | None = None
 
 
 def checked_layer(name: str, value: Any) -> Layer:

@@ -155,6 +155,6 @@ class SampleConfig(_LayerSections):
 
 def layers_on(sample: SampleConfig | None) -> list[tuple[Layer, Any]]:
     """Return what lies on a sample, with the settings of each, from below upwards."""
-    given = [(name, None if sample is None else section_of(sample, name)) for name in LAYERS.names]
-    found = [(LAYERS.find(name), settings) for name, settings in given if settings is not None]
-    return [(layer, settings) for layer, settings in found if layer is not None]
+    sections = [(name, None if sample is None else section_of(sample, name)) for name in LAYERS.names]
+    layers = [(LAYERS.find(name), settings) for name, settings in sections if settings is not None]
+    return [(layer, settings) for layer, settings in layers if layer is not None]

@@ -109,9 +109,9 @@ def motion_around(
         return None
 
     def settle(params: Any, state: Any, inputs: PlantInputs) -> tuple[Any, bool]:
-        given = inputs if inputs_of is None else inputs_of(params, state, inputs)
-        after, goes_on = inner.settle(getattr(params, within), getattr(state, within), given)
-        return state._replace(**{within: after}), goes_on
+        inner_inputs = inputs if inputs_of is None else inputs_of(params, state, inputs)
+        after, continues = inner.settle(getattr(params, within), getattr(state, within), inner_inputs)
+        return state._replace(**{within: after}), continues
 
     return Motion(settle, lambda state: inner.oscillation(getattr(state, within)))
 

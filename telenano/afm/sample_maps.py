@@ -26,8 +26,8 @@ def _checked(name: str, value: Any) -> MapFormat:
 def _format_of(suffix: str) -> tuple[MapFormat | None, str]:
     """Return the format of files with that end, and why there is none."""
     loaded = plugins.load("maps", _checked, only=suffix)
-    known = ", ".join(f".{name}" for name in plugins.installed("maps")) or "none"
-    absent = where_it_is(f"map {suffix}") or f"is of no format that is felt here; known are {known}"
+    names = ", ".join(f".{name}" for name in plugins.installed("maps")) or "none"
+    absent = where_it_is(f"map {suffix}") or f"is of no format that is felt here; known are {names}"
     return loaded.found.get(suffix), loaded.problems.get(suffix, absent)
 
 
@@ -37,8 +37,8 @@ def _suffix(path: Path) -> str:
 
 def span_of(path: Path) -> Span | None:
     """Return where a map is; None where its file or its package is not on this machine."""
-    found, _ = _format_of(_suffix(path))
-    return None if found is None else found.span(path)
+    reader, _ = _format_of(_suffix(path))
+    return None if reader is None else reader.span(path)
 
 
 def over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> OverMap:
@@ -47,7 +47,7 @@ def over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts
     Raises:
         ConfigError: The map cannot be used, or its package is missing; the message names it.
     """
-    found, problem = _format_of(_suffix(path))
-    if found is None:
+    reader, problem = _format_of(_suffix(path))
+    if reader is None:
         raise ConfigError(f"{path}: {problem}")
-    return found.read(path, rest_distance_m, stiffness_n_per_m, volts_per_m)
+    return reader.read(path, rest_distance_m, stiffness_n_per_m, volts_per_m)

@@ -142,12 +142,12 @@ class SimulatedInstrument:
     @property
     def channels(self) -> dict[str, float]:
         """Return what was measured at the last exchange besides the deflection: values in SI units by channel."""
-        found = {}
+        values = {}
         if self._motion is not None:
-            found = {"amplitude": self.oscillation.amplitude_m, "phase": self.oscillation.phase_rad}
+            values = {"amplitude": self.oscillation.amplitude_m, "phase": self.oscillation.phase_rad}
         if self._channel and self.state.part is not None:
-            found[self._channel] = self.state.part.value
-        return found
+            values[self._channel] = self.state.part.value
+        return values
 
     @property
     def disturbances(self) -> DisturbanceConfig | None:
@@ -197,8 +197,8 @@ class SimulatedInstrument:
         state = self.state
         if self._motion is None or state.part is None:
             return False
-        state.part, goes_on = self._motion.settle(self._params.plant, state.part, state.inputs)
-        return goes_on
+        state.part, continues = self._motion.settle(self._params.plant, state.part, state.inputs)
+        return continues
 
     def open(self) -> None:
         """Start at rest in the safe position.

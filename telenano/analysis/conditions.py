@@ -109,12 +109,12 @@ def described(scenario: str, found: dict[str, Any]) -> str:
 def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple[list[str], float | None]:
     if not any(channel.channel_topic == "law/status" for channel in recording.channels):
         return [], None
-    found = columns(recording, "law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
-    inside = (found["src"] == _MASTER) & (found["t_ns"] >= start_ns) & (found["t_ns"] <= end_ns)
-    laws = [str(law) for law in found["law"][inside]]
+    status = columns(recording, "law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
+    inside = (status["src"] == _MASTER) & (status["t_ns"] >= start_ns) & (status["t_ns"] <= end_ns)
+    laws = [str(law) for law in status["law"][inside]]
     in_turn = [law for before, law in zip(["", *laws], laws, strict=False) if law != before]
-    told_s = found["round_trip_s"][inside & found["round_trip_valid"].astype(bool)]
-    return in_turn, round(1e3 * float(np.median(told_s)), 3) if told_s.size else None
+    round_trips_s = status["round_trip_s"][inside & status["round_trip_valid"].astype(bool)]
+    return in_turn, round(1e3 * float(np.median(round_trips_s)), 3) if round_trips_s.size else None
 
 
 def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> npt.NDArray[np.float64] | None:
@@ -122,13 +122,13 @@ def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int)
     if not any(channel.channel_topic == "link/status" for channel in recording.channels):
         return None
     ways = [(f"{way}.delay_mean_s", f"{way}.delay_valid") for way in ("forward", "backward")]
-    found = columns(recording, "link/status", ("t_ns", *(name for way in ways for name in way)))
-    inside = (found["t_ns"] >= start_ns) & (found["t_ns"] <= end_ns)
+    status = columns(recording, "link/status", ("t_ns", *(name for way in ways for name in way)))
+    inside = (status["t_ns"] >= start_ns) & (status["t_ns"] <= end_ns)
     for _, valid in ways:
-        inside &= found[valid].astype(bool)
+        inside &= status[valid].astype(bool)
     if not inside.any():
         return None
-    there, back = (found[mean_s][inside] for mean_s, _ in ways)
+    there, back = (status[mean_s][inside] for mean_s, _ in ways)
     return np.asarray(1e3 * (there + back), dtype=np.float64)
 
 

@@ -224,21 +224,21 @@ def retracting(separation_m: Series, in_contact: Flags) -> Flags:
     Returns:
         Shape (n,), False before the tip first moves.
     """
-    found = np.zeros(len(separation_m), dtype=bool)
-    known = np.isfinite(separation_m)
+    is_retracting = np.zeros(len(separation_m), dtype=bool)
+    is_finite = np.isfinite(separation_m)
     least_m = np.zeros(len(separation_m))
-    for touching in (known & in_contact, known & ~in_contact):
+    for touching in (is_finite & in_contact, is_finite & ~in_contact):
         if touching.any():
             least_m[touching] = _TURN_SHARE * float(np.ptp(separation_m[touching]))
-    ends = np.flatnonzero(np.diff(known, prepend=False, append=False))
+    ends = np.flatnonzero(np.diff(is_finite, prepend=False, append=False))
     for first, last in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
-        found[first:last] = _away(separation_m[first:last].tolist(), least_m[first:last].tolist())
-    return found
+        is_retracting[first:last] = _away(separation_m[first:last].tolist(), least_m[first:last].tolist())
+    return is_retracting
 
 
 def _away(distances_m: Sequence[float], least_m: Sequence[float]) -> list[bool]:
     """Return for each sample of one path whether it leads away; a way back counts from its extreme on."""
-    found = [False] * len(distances_m)
+    is_away = [False] * len(distances_m)
     away, turned_m, turn = False, distances_m[0], 0
     for index, distance in enumerate(distances_m):
         # the last extreme, and whether the tip has left it by more than noise and ripple
@@ -246,10 +246,10 @@ def _away(distances_m: Sequence[float], least_m: Sequence[float]) -> list[bool]:
             turned_m, turn = distance, index
         if abs(distance - turned_m) > least_m[index]:
             away = not away
-            found[turn + 1 : index] = [away] * (index - turn - 1)
+            is_away[turn + 1 : index] = [away] * (index - turn - 1)
             turned_m, turn = distance, index
-        found[index] = away
-    return found
+        is_away[index] = away
+    return is_away
 
 
 def _mark_states(axes: "Axes", path: TipPath) -> None:
@@ -257,8 +257,8 @@ def _mark_states(axes: "Axes", path: TipPath) -> None:
 
     An arrow points at the last sample before the change, from which the tip jumps.
     """
-    known = np.isfinite(path.separation_m)
-    seen = known[:-1] & known[1:]
+    is_finite = np.isfinite(path.separation_m)
+    seen = is_finite[:-1] & is_finite[1:]
     words: dict[int, list[str]] = {}
     for name, texts in _WORDS.items():
         steps = np.diff(getattr(path, name).astype(int))

@@ -110,9 +110,9 @@ def _alike(message: Forwarded, recorded: Forwarded) -> bool:
 def _difference(message: Forwarded, recorded: Forwarded) -> tuple[str, str]:
     """Return the field in which two messages of one name differ, and what differs in words."""
     if message.name == recorded.name:
-        found = first_difference(_fields(message), _fields(recorded), Tolerances())
-        if found is not None:
-            return found.field, f"re-run {found.text} recorded"
+        difference = first_difference(_fields(message), _fields(recorded), Tolerances())
+        if difference is not None:
+            return difference.field, f"re-run {difference.text} recorded"
         different = sum(left != right for left, right in zip(message.payload, recorded.payload, strict=False))
         different += abs(len(message.payload) - len(recorded.payload))
         return "", f"{different} bytes of {message.name} differ from those recorded"

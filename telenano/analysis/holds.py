@@ -184,7 +184,7 @@ class Lack(NamedTuple):
         return f"{self.topic}: {what} from {self.start_s:.3f} s to {self.end_s:.3f} s of the session"
 
 
-class Programme(NamedTuple):
+class SessionContext(NamedTuple):
     """What else is known of a session.
 
     planned: holds of the operator's force profile, start [s], end [s], force [N]; answered_s:
@@ -211,7 +211,7 @@ class Programme(NamedTuple):
     rest_force: Callable[[float], float] | None = None
 
 
-NO_PROGRAMME = Programme()
+NO_CONTEXT = SessionContext()
 
 
 def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> list[tuple[float, float]]:
@@ -273,7 +273,7 @@ def judge_holds(
     tip_time_s: Series,
     scaled_force_n: Series,
     tip: Instrument | None = None,
-    programme: Programme = NO_PROGRAMME,
+    context: SessionContext = NO_CONTEXT,
     spans: Sequence[tuple[float, float, float]] | None = None,
 ) -> list[Hold]:
     """Return the holds of a session, each with its verdict.
@@ -289,11 +289,11 @@ def judge_holds(
         tip_time_s: The times of the tip's samples [s], shape (m,).
         scaled_force_n: alpha_f F_s at those times [N], shape (m,).
         tip: What the instrument says at those times; None if that is not known.
-        programme: What else is known of the operator's force profile.
+        context: What else is known of the operator's force profile.
         spans: Start [s], end [s] and force [N] of the holds, where they are known although the force of the hand, an
             arm, does not stand still; None looks for them.
     """
-    forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in programme.planned)]
+    forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in context.planned)]
     greatest = float(max(forces, default=0.0))
     if greatest == 0.0:
         return []
@@ -303,18 +303,18 @@ def judge_holds(
     if not tip.knows_contact:
         tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
     step_n = rounding_of(scaled_force_n)
-    late = _late(programme)
-    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest, step_n, late)
+    late = _late(context)
+    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, context, greatest, step_n, late)
     if spans is not None:
         return [found for hold in spans if (found := _judge_hold(session, hold, spans)) is not None]
-    away = absences(tip_time_s, tip, programme)
+    away = absences(tip_time_s, tip, context)
     stretches = constant_stretches(hand_time_s, hand_force_n, STEADY_SHARE * greatest)
     holds = []
     for start, end in [part for stretch in stretches for part in outside(stretch, away)]:
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
         holds.append((start, end, force))
     # A hold that was planned and that the recording does not show at the hand has no data.
-    for start, end, force in programme.planned:
+    for start, end, force in context.planned:
         shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
         if shown_s >= 0.5 * (end - start):
             continue
@@ -322,12 +322,12 @@ def judge_holds(
         is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest
         if lacks_of(hand_time_s, hand_time_s, (start, end)):
             holds.append((start, end, force))
-        elif is_held and not programme.by_hand:
+        elif is_held and not context.by_hand:
             # the hand trembles about what was planned
             parts = outside((start, end), away)
             holds = [hold for hold in holds if not _covered(hold, [(start, end)])]
             holds += [(first, last, force) for first, last in parts]
-    swings = swings_of(tip_time_s, scaled_force_n) if programme.by_hand else []
+    swings = swings_of(tip_time_s, scaled_force_n) if context.by_hand else []
     swings = [swing for swing in swings if not _covered(swing, [*holds, *away])]
     # between its stops a hand that swings stands still now and then
     holds = sorted(hold for hold in holds if not _covered(hold, swings))
@@ -336,17 +336,17 @@ def judge_holds(
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
-def _late(known: Programme) -> list[Late]:
+def _late(known: SessionContext) -> list[Late]:
     """Return when machine or link were late in a session, in the order of time."""
-    found = list(known.late)
+    late = list(known.late)
     if known.answered_s is not None and len(known.answered_s) > 1:
         steps_s = np.diff(known.answered_s)
         # over a link that is uneven anyway what is usual is not late
         places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
         # what did not come had been due at the tip for up to the transit before
         since_s = known.answered_s[places] - known.transit_s
-        found += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
-    return sorted(found)
+        late += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
+    return sorted(late)
 
 
 class _Session(NamedTuple):
@@ -361,7 +361,7 @@ class _Session(NamedTuple):
     tip_s: Series
     tip_n: Series
     tip: Instrument
-    known: Programme
+    known: SessionContext
     greatest_n: float
     step_n: float
     late: list[Late]
@@ -395,7 +395,7 @@ class Episode(NamedTuple):
 
 def episodes_of(session: "_Session", start_s: float, end_s: float) -> list[Episode]:
     """Return the episodes of a hold, one after the other."""
-    found: list[Episode] = []
+    episodes: list[Episode] = []
     now_s = start_s
     away_s, away_why = _withdrawn(session, start_s, end_s)
     for first_s, last_s, why in [*_openings(session, start_s, away_s), (away_s, away_s, "")]:
@@ -406,15 +406,15 @@ def episodes_of(session: "_Session", start_s: float, end_s: float) -> list[Episo
             touching = np.flatnonzero(session.tip.in_contact[part])
             arrived_s = float(session.tip_s[part][touching[0]]) if touching.size else first_s
             if arrived_s > now_s:
-                found.append(Episode("approach", now_s, min(arrived_s, first_s)))
+                episodes.append(Episode("approach", now_s, min(arrived_s, first_s)))
             if arrived_s < first_s:
-                found.append(Episode("contact", max(arrived_s, now_s), first_s, why))
+                episodes.append(Episode("contact", max(arrived_s, now_s), first_s, why))
         if last_s > first_s:
-            found.append(Episode("open", max(first_s, now_s), last_s, why))
+            episodes.append(Episode("open", max(first_s, now_s), last_s, why))
         now_s = max(now_s, last_s)
     if away_s < end_s:
-        found.append(Episode("away", away_s, end_s, away_why))
-    return found
+        episodes.append(Episode("away", away_s, end_s, away_why))
+    return episodes
 
 
 def _press_s(session: _Session, start_s: float) -> float:
@@ -425,17 +425,17 @@ def _press_s(session: _Session, start_s: float) -> float:
 
 def _openings(session: _Session, start_s: float, end_s: float) -> list[tuple[float, float, str]]:
     """Return from the cause to the end [s] of each time with the loop open in a span, and its words, joined."""
-    known, found = session.known, []
-    for one in known.interruptions:
-        back_s = known.deadline_s + known.transit_s if one.starved else 0.0
+    session_context, openings = session.known, []
+    for one in session_context.interruptions:
+        back_s = session_context.deadline_s + session_context.transit_s if one.starved else 0.0
         if one.kind != "process_ended":
-            found.append((one.start_s - back_s, one.end_s, in_words([one])))
+            openings.append((one.start_s - back_s, one.end_s, in_words([one])))
     if session.tip.held is not None:
         edges = np.flatnonzero(np.diff(session.tip.held, prepend=False, append=False)).reshape(-1, 2)
         ends = [(float(session.tip_s[i]), float(session.tip_s[min(j, len(session.tip_s) - 1)])) for i, j in edges]
-        found += [(first, last, f"at {first:.3f} s the tip was held as somebody asked") for first, last in ends]
+        openings += [(first, last, f"at {first:.3f} s the tip was held as somebody asked") for first, last in ends]
     joined: list[tuple[float, float, str]] = []
-    for first, last, why in sorted(found):
+    for first, last, why in sorted(openings):
         if last < start_s or first >= end_s:
             continue
         if joined and first <= joined[-1][1]:
@@ -664,11 +664,11 @@ def _guard_s(session: _Session, away: Episode) -> float:
 def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s: float, rest_n: Series) -> list[Fact]:
     """Return what else is true of a hold; before_s: the end of the one before [s]; rest_n: the tip's force at rest."""
     start, end, force = hold[:3]
-    found, known = [], session.known
+    facts, session_context = [], session.known
     first = next((one for one in episodes if one.kind == "contact"), None)
     if first is not None and episodes[0].kind == "approach" and episodes[0].end_s == first.start_s:
         late_s = first.start_s - start
-        found.append(Fact("arrived_late", late_s, f"arrived late, {late_s:.2g} s after the hand stood still"))
+        facts.append(Fact("arrived_late", late_s, f"arrived late, {late_s:.2g} s after the hand stood still"))
     part = session.at(before_s, end)
     hand = slice(*np.searchsorted(session.hand_s, (before_s, end)).tolist())
     pressed_n = float(session.hand_n[hand].max(initial=max(abs(force), session.small_n)))
@@ -677,43 +677,43 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
     blow_n = float(pressing.max(initial=0.0)) - reach_of(noise_of(pressing, session.step_n), len(pressing))
     if blow_n > STRUCK_FORCES * pressed_n:
         text = f"struck with {blow_n:.3g} N, {blow_n / pressed_n:.3g} times the force of the hand"
-        found.append(Fact("struck", blow_n, text))
+        facts.append(Fact("struck", blow_n, text))
     if len(rest_n):
-        found += _rest_facts(session, hold, before_s, float(np.cumsum(rest_n)[-1]) / len(rest_n))
-    for one in known.interruptions:
+        facts += _rest_facts(session, hold, before_s, float(np.cumsum(rest_n)[-1]) / len(rest_n))
+    for one in session_context.interruptions:
         if one.start_s < end and one.end_s > start and one.kind != "process_ended":
             away_s = one.end_s - one.start_s
-            found.append(Fact("interrupted", away_s, f"interrupted for {1e3 * away_s:.0f} ms: {in_words([one])}"))
+            facts.append(Fact("interrupted", away_s, f"interrupted for {1e3 * away_s:.0f} ms: {in_words([one])}"))
     kinds: tuple[FactKind, ...] = ("machine_late", "link_late")
     for kind in kinds:
         if late := [one for one in session.late_in(start, end) if f"{one.who}_late" == kind]:
-            found.append(Fact(kind, max(one.by_s for one in late), _late_words(late)))
+            facts.append(Fact(kind, max(one.by_s for one in late), _late_words(late)))
     if not session.tip.knows_contact:
         text = f"contact is taken from the force, above {session.small_n:.2g} N"
-        found.append(Fact("contact_by_force", session.small_n, text))
-    return found
+        facts.append(Fact("contact_by_force", session.small_n, text))
+    return facts
 
 
 def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -> list[Fact]:
     """Return how a tip rests that presses with a mean force: right, with the hand, and other than before it."""
-    found, force_n = [], hold.hand_force_n
+    facts, force_n = [], hold.hand_force_n
     due_n = session.rest_n(force_n)
     if due_n is not None and abs(mean_n - due_n) > max(ERROR_SHARE * abs(due_n), session.small_n):
         text = f"off its force by {mean_n - due_n:.3g} N: the tip rests at {mean_n:.3g} N, the law at {due_n:.3g} N"
-        found.append(Fact("off_force", mean_n - due_n, text))
+        facts.append(Fact("off_force", mean_n - due_n, text))
     if session.tip.apart_m is not None:
         last = session.at(0.5 * ((hold.rest_from_s or 0.0) + (hold.judged_to_s or 0.0)), hold.judged_to_s or 0.0)
         apart_m = float(session.tip.apart_m[last].mean())
         if abs(apart_m) > PARTED_M:
-            found.append(Fact("parted", apart_m, f"hand and tip parted by {1e3 * apart_m:.3g} mm"))
+            facts.append(Fact("parted", apart_m, f"hand and tip parted by {1e3 * apart_m:.3g} mm"))
     then = session.at(before_s, before_s + LONGEST_STEP_S)
     asked_n = force_n - float(np.interp(before_s, session.hand_s, session.hand_n))
     if then.stop > then.start and abs(asked_n) > session.small_n:
         moved_n = mean_n - float(session.tip_n[then].mean())
         if abs(moved_n) < ERROR_SHARE * abs(asked_n):
             text = f"nothing moved: the hand changed by {asked_n:.3g} N and the tip by less than a tenth of that"
-            found.append(Fact("nothing_moved", moved_n, text))
-    return found
+            facts.append(Fact("nothing_moved", moved_n, text))
+    return facts
 
 
 def _judge_swing(session: _Session, swing: Swing) -> Hold:
@@ -722,30 +722,32 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
     part = session.at(swing.start_s, at_s)
     hand = (session.hand_s >= swing.start_s) & (session.hand_s <= swing.end_s)
     force = float(session.hand_n[hand].mean()) if hand.any() else 0.0
-    found = judge(session.tip_s[part], session.tip_n[part], session.greatest_n, step_n=session.step_n)
+    verdict = judge(session.tip_s[part], session.tip_n[part], session.greatest_n, step_n=session.step_n)
     if why:
-        found = _guarded(session, Episode("away", at_s, swing.end_s, why), found)
+        verdict = _guarded(session, Episode("away", at_s, swing.end_s, why), verdict)
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
-    if found.kind not in ("diverged", "guarded"):
+    if verdict.kind not in ("diverged", "guarded"):
         # The last turn says what becomes of a swing of a few turns that the models do not fit.
         last_s = max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz)
         left_n = float(np.ptp(session.tip_n[session.at(last_s, at_s)]))
         dies_out = left_n < 0.5 * swing.peak_to_peak_n
         reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "continues")
         kind: Kind = "stable" if dies_out else "limit_cycle"
-        found = found._replace(kind=kind, peak_to_peak_n=swing.peak_to_peak_n, reason=reason)
-    return Hold(swing.start_s, swing.end_s, force, *found[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz)
+        verdict = verdict._replace(kind=kind, peak_to_peak_n=swing.peak_to_peak_n, reason=reason)
+    return Hold(
+        swing.start_s, swing.end_s, force, *verdict[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz
+    )
 
 
-def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -> list[tuple[float, float]]:
+def absences(tip_time_s: Series, tip: Instrument | None, context: SessionContext) -> list[tuple[float, float]]:
     """Return from when to when [s] the tip does not follow the hand because somebody wanted that."""
-    spans = list(programme.programs)
+    spans = list(context.programs)
     if tip is None or not tip_time_s.size:
         return spans
     follows = np.concatenate([np.ones(1, dtype=bool), tip.following, np.ones(1, dtype=bool)])
     for first, after in np.flatnonzero(np.diff(follows)).reshape(-1, 2).tolist():
         from_s = float(tip_time_s[first])
-        near = [guard for guard in programme.guards if abs(guard.time_s - from_s) <= REPORTED_WITHIN_S]
+        near = [guard for guard in context.guards if abs(guard.time_s - from_s) <= REPORTED_WITHIN_S]
         if near and min(near, key=lambda guard: abs(guard.time_s - from_s)).reason in _ASKED:
             spans.append((from_s, float(tip_time_s[min(after, len(tip_time_s) - 1)])))
     return spans
@@ -766,19 +768,19 @@ def _covered(stretch: tuple[float, ...], spans: Sequence[tuple[float, ...]]) -> 
     return sum(max(0.0, min(end_s, span[1]) - max(start_s, span[0])) for span in spans) > 0.5 * (end_s - start_s)
 
 
-def _in_words(at_s: float, reason: str, programme: Programme) -> tuple[str, bool]:
+def _in_words(at_s: float, reason: str, context: SessionContext) -> tuple[str, bool]:
     """Return when, why and at which limit the guard acted, and whether it did because commands were missing."""
-    limit = programme.limits.words(reason) if programme.limits is not None else ""
+    limit = context.limits.words(reason) if context.limits is not None else ""
     why = ": ".join(part for part in (reason, limit) if part)
     if reason in _STARVED:
         words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
-        return "; ".join([words, *_causes(programme, at_s, at_s)]), True
+        return "; ".join([words, *_causes(context, at_s, at_s)]), True
     when = f"at {at_s:.3f} s" + (", before the hand's force profile" if at_s < 0.0 else "")
     return f"{GUARD_ACTED} {when}" + (f" ({why})" if why else ""), False
 
 
-def guard_of(tip_time_s: Series, tip: Instrument, programme: Programme = NO_PROGRAMME) -> str:
+def guard_of(tip_time_s: Series, tip: Instrument, context: SessionContext = NO_CONTEXT) -> str:
     """Return when, why and at which limit the guard first ended a session, in or between its holds; empty if never.
 
     A stop that a person asked for is none, nor is one of which no reason is known.
@@ -786,19 +788,19 @@ def guard_of(tip_time_s: Series, tip: Instrument, programme: Programme = NO_PROG
     before = np.concatenate([np.ones(1, dtype=bool), tip.following[:-1]])[: len(tip_time_s)]
     for index in np.flatnonzero(~tip.following & before).tolist():
         at_s = float(tip_time_s[index])
-        near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
+        near = [guard for guard in context.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
         # a session that begins withdrawn was ended by what the guard did last
-        near = near or [guard for guard in programme.guards if index == 0 and guard.time_s <= at_s][-1:]
+        near = near or [guard for guard in context.guards if index == 0 and guard.time_s <= at_s][-1:]
         if near and near[0].reason in _GUARDING:
-            return _in_words(near[0].time_s if index == 0 else at_s, near[0].reason, programme)[0]
+            return _in_words(near[0].time_s if index == 0 else at_s, near[0].reason, context)[0]
     return ""
 
 
-def _causes(programme: Programme, start_s: float, end_s: float) -> list[str]:
+def _causes(context: SessionContext, start_s: float, end_s: float) -> list[str]:
     """Return the incidents that a stretch without samples or commands may be due to."""
     return [
         f"at {incident.time_s:.3f} s: {incident.text}"
-        for incident in programme.incidents
+        for incident in context.incidents
         if start_s - _CAUSED_WITHIN_S <= incident.time_s <= end_s + _NOTICED_WITHIN_S
     ]
 

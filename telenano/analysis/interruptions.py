@@ -34,7 +34,7 @@ class Interruption(NamedTuple):
         return self.kind == "tip_held" or self.reason.startswith(_HAND_DEADLINE)
 
 
-class Told(NamedTuple):
+class ModeReport(NamedTuple):
     """What a device reported of its mode: when in the session [s], the mode, and why."""
 
     time_s: float
@@ -46,8 +46,8 @@ def interruptions_of(
     kind: InterruptionKind,
     time_s: npt.NDArray[np.float64],
     is_open: npt.NDArray[np.bool_],
-    told: Sequence[Told],
-    anew: Iterable[int] = (),
+    reports: Sequence[ModeReport],
+    restarts: Iterable[int] = (),
 ) -> list[Interruption]:
     """Return each stretch in which a device was held or let go, but for one that the series begins with.
 
@@ -57,20 +57,22 @@ def interruptions_of(
         kind: What the stretches are.
         time_s: The times of the device's samples [s], shape (n,).
         is_open: Whether the device was held, or let go, at those times.
-        told: The device's reports of modes held or let go.
-        anew: The indices of the first samples of processes that were started again, which begin with nothing.
+        reports: The device's reports of modes held or let go.
+        restarts: The indices of the first samples of processes that were started again, which begin with nothing.
     """
-    begun_anew, found = set(anew), []
+    restarted, interruptions = set(restarts), []
     edges = np.flatnonzero(np.diff(is_open, prepend=False, append=False))
     for first, after in edges.reshape(-1, 2).tolist():
-        if first == 0 or first in begun_anew:
+        if first == 0 or first in restarted:
             continue
         begins_s, ends_s = float(time_s[first]), float(time_s[min(after, len(time_s) - 1)])
-        near = [report for report in told if abs(report.time_s - begins_s) <= REPORTED_WITHIN_S]
+        near = [report for report in reports if abs(report.time_s - begins_s) <= REPORTED_WITHIN_S]
         reason = min(near, key=lambda report: abs(report.time_s - begins_s)).reason if near else ""
         if kind == "hand_let_go" or reason in (DEADLINE, ""):
-            found.append(Interruption(kind, begins_s, ends_s, reason or (DEADLINE if kind == "tip_held" else "")))
-    return found
+            interruptions.append(
+                Interruption(kind, begins_s, ends_s, reason or (DEADLINE if kind == "tip_held" else ""))
+            )
+    return interruptions
 
 
 def in_words(interruptions: Sequence[Interruption]) -> str:

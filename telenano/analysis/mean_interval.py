@@ -191,9 +191,9 @@ def _first_order(corner: float, count: int) -> Series:
     """Return the covariance of the means of parts of a process of first order with a corner [cycles a window]."""
     rate = 2.0 * math.pi * corner / count
     gone = -math.expm1(-rate)
-    found: Series = (gone / rate) ** 2 * np.exp(-rate * (np.arange(count) - 1.0))
-    found[0] = 2.0 * (rate - gone) / rate**2 if rate > 1e-4 else 1.0
-    return found
+    weights: Series = (gone / rate) ** 2 * np.exp(-rate * (np.arange(count) - 1.0))
+    weights[0] = 2.0 * (rate - gone) / rate**2 if rate > 1e-4 else 1.0
+    return weights
 
 
 def _slow(exponent: float, corner: float, count: int) -> Series:
@@ -202,15 +202,15 @@ def _slow(exponent: float, corner: float, count: int) -> Series:
     Between 1 and 2 it is a sum of processes of first order an octave apart; at 4 it is one of second order.
     """
     if exponent == 2.0:
-        found = _first_order(corner, count)
+        weights = _first_order(corner, count)
     elif exponent == 4.0:
         rate = 2.0 * math.pi * corner / count * np.arange(count)
-        found = (1.0 + rate) * np.exp(-rate)
+        weights = (1.0 + rate) * np.exp(-rate)
     else:
         octaves = range(1 + int(math.log2(20.0 * count / corner)))
         parts = [(corner * 2.0**n) ** (1.0 - exponent) * _first_order(corner * 2.0**n, count) for n in octaves]
-        found = np.sum(parts, axis=0)
-    return np.asarray(found / found[0])
+        weights = np.sum(parts, axis=0)
+    return np.asarray(weights / weights[0])
 
 
 def _band(middle: float, quality: float, count: int) -> Series:

@@ -35,13 +35,13 @@ def cut_off(
     if hand in replayed_sources(recording):
         # The operator chose the beginning and the end of what is played.
         return []
-    found = []
+    sentences = []
     first_s = float(session_s[running[0]])
     if first_s > _LATE_START_S:
-        found.append(f"the recording begins {first_s:.3f} s after the operator's force profile")
+        sentences.append(f"the recording begins {first_s:.3f} s after the operator's force profile")
     if running[-1] == session_s.size - 1 and not _has_ended(recording, hand):
-        found.append(f"the recording ends within the operator's force profile, {length_s:.3f} s after its start")
-    return found
+        sentences.append(f"the recording ends within the operator's force profile, {length_s:.3f} s after its start")
+    return sentences
 
 
 def _has_ended(recording: RecordingSource, src: str) -> bool:
@@ -79,7 +79,7 @@ def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) 
         missing: Sentences on what is missing besides those of `info`.
     """
     sentences = list(dict.fromkeys([*info.missing, *missing]))
-    found: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "file": info.path,
         "complete": not sentences,
         "missing": sentences,
@@ -87,9 +87,9 @@ def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) 
         "messages": info.messages,
     }
     if info.odd:
-        found["odd"] = list(info.odd)
+        facts["odd"] = list(info.odd)
     if info.parts:
-        found["parts"] = [
+        facts["parts"] = [
             {
                 "file": Path(part.path).name,
                 "begins_s": round((part.start_ns - start_ns) * 1e-9, 3),
@@ -99,4 +99,4 @@ def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) 
             }
             for part in info.parts
         ]
-    return found
+    return facts

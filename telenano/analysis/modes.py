@@ -39,7 +39,7 @@ _RESIDUE = 1e-3
 # a swing that turns by less in its stretch [rad] may be an exponential; a growth is no greater [1/length]
 _REAL_TURN = math.pi
 # lines that are less apart than three turns [rad] are one in a third of the stretch
-_TOLD_APART = 6.0 * math.pi
+_SEPARABLE_PHASE = 6.0 * math.pi
 # the octave below this bin has too few bins for a median
 _LEAST_BIN = 4.0
 _MOST_GROWTH = 400.0
@@ -147,10 +147,10 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
     floor = max(floor_n, _RESIDUE * rms(motion)) / scale
     whole = False
     while len(state.poles) < _MOST_MODES:
-        found = _strongest(times, state.left)
+        strongest = _strongest(times, state.left)
         # a slow swing is looked for from both sides of the grid
-        growth, turn = found
-        starts = [found] if turn > 2.0 * math.pi else [found, (0.0, 1.5), (0.0, 4.5), (growth, turn + 1.5)]
+        growth, turn = strongest
+        starts = [strongest] if turn > 2.0 * math.pi else [strongest, (0.0, 1.5), (0.0, 4.5), (growth, turn + 1.5)]
         start = min(starts, key=lambda one: _solve(times, bare, [*state.poles, one]).power)
         more = _refined(times, bare, [*state.poles, start])
         for place, (growth, turn) in enumerate(more.poles):
@@ -217,28 +217,28 @@ def _pair(times: Series, growth: float, turn: float) -> tuple[Series, Series, Se
 
 def _columns(times: Series, poles: list[tuple[float, float]]) -> list[Series]:
     """Return the constant, and of each pole its columns: two, or one of a turn of 0."""
-    found = [np.ones_like(times)]
+    columns = [np.ones_like(times)]
     for growth, turn in poles:
-        found += _pair(times, growth, turn)[: 2 if turn else 1]
-    return found
+        columns += _pair(times, growth, turn)[: 2 if turn else 1]
+    return columns
 
 
 def _tangents(times: Series, state: _State) -> list[Series]:
     """Return how the fit changes with the growth of each pole, and with its turn unless that is 0."""
-    found: list[Series] = []
+    tangents: list[Series] = []
     place = 1
     for growth, turn in state.poles:
         cosine, sine, since = _pair(times, growth, turn)
         a = state.weights[place]
         if not turn:
-            found.append(a * since * cosine)
+            tangents.append(a * since * cosine)
             place += 1
             continue
         b, slow = state.weights[place + 1], min(turn, 1.0)
         turned = since * cosine if turn >= 1.0 else (since * cosine - sine) / turn
-        found += [since * (a * cosine + b * sine), b * turned - a * slow * since * sine]
+        tangents += [since * (a * cosine + b * sine), b * turned - a * slow * since * sine]
         place += 2
-    return found
+    return tangents
 
 
 def _normal(columns: list[Series]) -> list[list[float]]:
@@ -252,11 +252,11 @@ def _normal(columns: list[Series]) -> list[list[float]]:
 def _solve(times: Series, values: Series, poles: list[tuple[float, float]]) -> _State:
     """Return the best weights of given poles, and what they leave."""
     columns = _columns(times, poles)
-    found = solved(_normal(columns), [[_total(column * values)] for column in columns])
+    amplitudes = solved(_normal(columns), [[_total(column * values)] for column in columns])
     left = values
-    for (weight,), column in zip(found, columns, strict=True):
+    for (weight,), column in zip(amplitudes, columns, strict=True):
         left = left - weight * column
-    return _State(poles, [row[0] for row in found], left)
+    return _State(poles, [row[0] for row in amplitudes], left)
 
 
 def solved(matrix: list[list[float]], right: list[list[float]]) -> list[list[float]]:
@@ -277,7 +277,7 @@ def solved(matrix: list[list[float]], right: list[list[float]]) -> list[list[flo
 
 def _strongest(times: Series, left: Series) -> tuple[float, float]:
     """Return growth and turn of the mode that explains most of what is left, on a grid of half a cycle."""
-    best, found = -1.0, (0.0, 0.0)
+    best, peak = -1.0, (0.0, 0.0)
     count = len(left)
     for growth in _GROWTHS:
         since = times - 1.0 if growth > 0.0 else times
@@ -285,8 +285,8 @@ def _strongest(times: Series, left: Series) -> tuple[float, float]:
         power = np.abs(np.fft.rfft(left * swell, 2 * count)) ** 2 / _total(swell * swell)
         index = int(np.argmax(power[:count]))
         if power[index] > best:
-            best, found = float(power[index]), (growth, math.pi * index * (count - 1.0) / count)
-    return found
+            best, peak = float(power[index]), (growth, math.pi * index * (count - 1.0) / count)
+    return peak
 
 
 def _refined(times: Series, values: Series, poles: list[tuple[float, float]], held: int = -1) -> _State:
@@ -327,8 +327,8 @@ def _amplitude(times: Series, values: Series, growth: float, turn: float) -> flo
     cosine, sine, _ = _pair(times - 0.5 * float(times[0] + times[-1]), 0.0, max(turn, 1.0))
     swell = np.exp(growth * (times - 0.5 * float(times[0] + times[-1])))
     columns = [np.ones_like(times), swell * cosine, swell * sine]
-    found = solved(_normal(columns), [[_total(column * values)] for column in columns])
-    return math.hypot(found[1][0], found[2][0])
+    amplitudes = solved(_normal(columns), [[_total(column * values)] for column in columns])
+    return math.hypot(amplitudes[1][0], amplitudes[2][0])
 
 
 def _modes(times: Series, values: Series, state: _State, length_s: float, scale: float) -> list[Mode]:
@@ -342,7 +342,7 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
     # what each block of what is left pulls at the unknowns with
     edges = np.linspace(0, len(times), _BLOCKS + 1).astype(int)
     sums = [np.concatenate([[0.0], np.cumsum(column * state.left)])[edges].tolist() for column in columns]
-    found = []
+    modes = []
     for number, (growth, turn) in enumerate(state.poles):
         row = inverse[of_growth]
         pulls = [sum(w * (own[b + 1] - own[b]) for w, own in zip(row, sums, strict=True)) for b in range(_BLOCKS)]
@@ -375,11 +375,11 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
         own, column = state.left, 1
         for _, other in state.poles:
             for _ in range(2 if other else 1):
-                near = abs(other - turn) < _TOLD_APART
+                near = abs(other - turn) < _SEPARABLE_PHASE
                 own = own + state.weights[column] * columns[column] if near else own
                 column += 1
         edges = np.linspace(0, len(times), 4).astype(int).tolist()
         thirds = tuple(scale * _amplitude(times[i:j], own[i:j], growth, turn) for i, j in pairwise(edges))
-        found.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end, thirds))
+        modes.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end, thirds))
         place, of_growth = place + (2 if turn else 1), of_growth + (2 if turn else 1)
-    return found
+    return modes

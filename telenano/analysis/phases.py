@@ -41,23 +41,23 @@ class Moment(NamedTuple):
 def contacts_of(time_s: npt.NDArray[np.float64], in_contact: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Return from when to when [s] the tip touches the sample, bounces left out; both arrays of shape (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], in_contact, [False]]).astype(np.int8)))
-    found: list[tuple[float, float]] = []
+    contacts: list[tuple[float, float]] = []
     for first, end in edges.reshape(-1, 2):
         begin_s, end_s = float(time_s[first]), float(time_s[min(end, len(time_s) - 1)])
-        if found and begin_s - found[-1][1] < _LEAST_GAP_S:
-            begin_s = found.pop()[0]
-        found.append((begin_s, end_s))
-    return found
+        if contacts and begin_s - contacts[-1][1] < _LEAST_GAP_S:
+            begin_s = contacts.pop()[0]
+        contacts.append((begin_s, end_s))
+    return contacts
 
 
 def moments_of(contacts: Sequence[tuple[float, float]], end_s: float) -> list[Moment]:
     """Return when the tip came into contact, and when it came off again."""
-    found = []
+    moments = []
     for begin_s, off_s in contacts:
-        found.append(Moment("contact", begin_s, "the tip jumps into contact"))
+        moments.append(Moment("contact", begin_s, "the tip jumps into contact"))
         if off_s < end_s - _SHORTEST_S:
-            found.append(Moment("lost", off_s, "the tip comes off the sample"))
-    return found
+            moments.append(Moment("lost", off_s, "the tip comes off the sample"))
+    return moments
 
 
 def phases_of(
@@ -81,7 +81,7 @@ def phases_of(
     # a hold is one phase, also where the tip comes into contact during it
     free = [at for span in contacts for at in span if not any(begin < at < end for begin, end in held)]
     edges = {0.0, end_s, begins_s, *free, *(at for span in held for at in span)}
-    found: list[Span] = []
+    spans: list[Span] = []
     for first, last in pairwise(sorted(at for at in edges if 0.0 <= at <= end_s)):
         if last - first < _SHORTEST_S:
             continue
@@ -96,7 +96,7 @@ def phases_of(
             kind = "released"
         else:
             kind = "approach" if middle > begins_s else "apart"
-        if found and found[-1].kind == kind and kind != "hold":
-            first = found.pop().from_s
-        found.append(Span(kind, first, last))
-    return found
+        if spans and spans[-1].kind == kind and kind != "hold":
+            first = spans.pop().from_s
+        spans.append(Span(kind, first, last))
+    return spans

@@ -24,7 +24,7 @@ def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) ->
         RecordingError: The recording names a package that no index can have: the sender of the file wrote that text.
     """
     kept = recording.metadata.get("plugins", {})
-    found = {}
+    plugins = {}
     for kind, name in named_in(document):
         if text := kept.get(f"{kind}.{name}"):
             words = text.split()
@@ -33,8 +33,8 @@ def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) ->
                 raise RecordingError(
                     f"{what} must have the name, the version and the digest of a package, such as my-laws 1.0 sha256:0a"
                 )
-            found[f"{kind}.{name}"] = dict(zip(("package", "version", "digest"), words, strict=True))
-    return found
+            plugins[f"{kind}.{name}"] = dict(zip(("package", "version", "digest"), words, strict=True))
+    return plugins
 
 
 def _is_package(name: str = "", version: str = "", digest: str = "", *rest: str) -> bool:

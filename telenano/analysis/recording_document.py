@@ -25,14 +25,14 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     force that the hand is shown, of which the banner of a live rig is made.
     """
     start_ns = recording.span_ns[0]
-    found: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
+    document: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
     try:
         session = read_session(recording)
         summary = summarise(session, recording)
     except RecordingError as error:
-        return {**found, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
+        return {**document, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
     moments = _events(recording, start_ns, session.timeline)
-    return {**found, **_session_facts(session, summary, (session.start_ns - start_ns) * 1e-9, moments)}
+    return {**document, **_session_facts(session, summary, (session.start_ns - start_ns) * 1e-9, moments)}
 
 
 def _session_facts(
@@ -68,7 +68,7 @@ def _session_facts(
 
 def _events(recording: RecordingSource, start_ns: int, timeline: Timeline) -> list[dict[str, Any]]:
     """Return marks and what nodes reported, the newest left out where there are too many."""
-    found = []
+    rows = []
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
     for message, fields in readable(events, recording.left_out):
         if fields.get("kind") in ("ack", "refused"):
@@ -76,7 +76,7 @@ def _events(recording: RecordingSource, start_ns: int, timeline: Timeline) -> li
         at_ns = int(timeline.times_ns(message.src, np.array([message.publish_ns], dtype=np.int64))[0])
         text = str(fields.get("text", ""))
         row = {"kind": str(fields.get("kind", "")), "level": str(fields.get("level", "info")), "src": message.src}
-        found.append({**row, "t_s": (at_ns - start_ns) * 1e-9, "text": text})
-        if len(found) >= _MOST_EVENTS:
+        rows.append({**row, "t_s": (at_ns - start_ns) * 1e-9, "text": text})
+        if len(rows) >= _MOST_EVENTS:
             break
-    return found
+    return rows

@@ -21,7 +21,7 @@ from telenano.analysis.holds import (
     HAND,
     LATE_S,
     LONGEST_STEP_S,
-    NO_PROGRAMME,
+    NO_CONTEXT,
     SHORTEST_HOLD_S,
     TIP,
     Guard,
@@ -30,7 +30,7 @@ from telenano.analysis.holds import (
     Instrument,
     Late,
     Limits,
-    Programme,
+    SessionContext,
     gaps_in,
     guard_of,
     hold_forces,
@@ -38,12 +38,12 @@ from telenano.analysis.holds import (
     lacks_of,
     verdict_of,
 )
-from telenano.analysis.interruptions import Interruption, Told, in_words, interruptions_of
+from telenano.analysis.interruptions import Interruption, ModeReport, in_words, interruptions_of
 from telenano.analysis.intervals import half_width, with_error
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import Spans, cut_off, gaps, recording_facts
 from telenano.analysis.summary import Summary
-from telenano.files.whole_files import whole_results
+from telenano.files.atomic_files import whole_results
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
@@ -79,7 +79,7 @@ _ALARMS = ("warning", "error")
 _LEAST_SHARE, _LEAST_N = 0.1, 0.1
 # A launcher that is busy reports the end of a process this long after it [s].
 _EXIT_WITHIN_S = 2.0
-_NOT_ANEW = "its force profile was not started again, which `telenano session start` does"
+_NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
 _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
 _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
@@ -93,7 +93,7 @@ _TIP_FIELDS = (
 class Session:
     """The part of a recording in which the operator's force profile ran, and the series that the report needs.
 
-    `missing` has a sentence for each end of it that the recording lacks; `programme` is what is known of its holds
+    `missing` has a sentence for each end of it that the recording lacks; `context` is what is known of its holds
     besides the series; `timeline` puts stamps on the master's clock, on which the series are; `otherwise` is the same
     session with the measured offset of the slave's clock taken off, where that is neither shown to be right nor wrong.
     """
@@ -108,7 +108,7 @@ class Session:
     conditions: dict[str, Any]
     timeline: Timeline
     missing: tuple[str, ...] = ()
-    programme: Programme = NO_PROGRAMME
+    context: SessionContext = NO_CONTEXT
     otherwise: "Session | None" = None
     knows_contact: bool = True
 
@@ -229,9 +229,9 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
     document = scenario_in(recording)
-    found = conditions(recording, document, start_ns, end_ns, timeline)
+    facts = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
-        found["lines"] = lines
+        facts["lines"] = lines
     missing = cut_off(recording, hand["session_s"], running, (end_ns - start_ns) * 1e-9)
     is_cut = any(sentence.startswith("the recording ends") for sentence in missing)
     hand = {name: values[running] for name, values in hand.items()}
@@ -245,25 +245,25 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         hand=hand,
         command=_within(_series(recording, "haptic/command", _COMMAND_FIELDS, timeline), start_ns, end_ns),
         tip=tip,
-        force_scale=found["parameters"]["force_scale"],
+        force_scale=facts["parameters"]["force_scale"],
         scenario=document.name,
-        conditions=found,
+        conditions=facts,
         timeline=timeline,
         missing=tuple(missing),
-        programme=Programme(
+        context=SessionContext(
             # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
             planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
             (hand["t_ns"][new] - start_ns) * 1e-9,
             reported.guards,
             reported.incidents,
-            _limits(document, found["changed"]),
+            _limits(document, facts["changed"]),
             _programs(recording, timeline, start_ns, end_ns),
             is_by_hand(document),
             _interruptions(hand, tip, reported, start_ns, end_ns),
             sorted([*_late(hand, start_ns), *_late(tip, start_ns)]),
             _deadline_s(document),
             _transit_s(hand),
-            _rest_force(document, found, f"{recording.path}: scenario.yaml"),
+            _rest_force(document, facts, f"{recording.path}: scenario.yaml"),
         ),
         knows_contact=_knows_contact(document, tip["separation_m"]),
     )
@@ -275,8 +275,8 @@ def _late(series: Mapping[str, Series], start_ns: int) -> list[Late]:
     if not steps_s.size:
         return []
     late_s = steps_s - float(np.median(steps_s))
-    found = 1 + np.flatnonzero((late_s > LATE_S) & (np.diff(series["seq"]) == 1))
-    return [Late((int(series["t_ns"][i - 1]) - start_ns) * 1e-9, float(late_s[i - 1])) for i in found.tolist()]
+    late_places = 1 + np.flatnonzero((late_s > LATE_S) & (np.diff(series["seq"]) == 1))
+    return [Late((int(series["t_ns"][i - 1]) - start_ns) * 1e-9, float(late_s[i - 1])) for i in late_places.tolist()]
 
 
 def _deadline_s(document: Scenario) -> float:
@@ -311,7 +311,7 @@ def _knows_contact(document: Scenario, separation_m: Series) -> bool:
 
 def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
     """Return from when to when the instrument ran programs of its own, in session time [s]."""
-    found, begun_s = [], None
+    programs, begun_s = [], None
     reports = recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct")
     for report, fields in readable(reports, recording.left_out):
         at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
@@ -320,9 +320,9 @@ def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end
             # its first step is reported before it
             begun_s = at_s - _FIRST_STEP_S
         elif not runs and begun_s is not None:
-            found.append((begun_s, at_s))
+            programs.append((begun_s, at_s))
             begun_s = None
-    return found if begun_s is None else [*found, (begun_s, (end_ns - start_ns) * 1e-9)]
+    return programs if begun_s is None else [*programs, (begun_s, (end_ns - start_ns) * 1e-9)]
 
 
 def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
@@ -376,31 +376,31 @@ class _Reported(NamedTuple):
 
     guards: list[Guard]
     incidents: list[Incident]
-    held: list[Told]
-    let_go: list[Told]
+    held: list[ModeReport]
+    let_go: list[ModeReport]
     exits: list[tuple[str, Incident]]
 
 
 def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> _Reported:
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
-    found = _Reported([], [], [], [], [])
+    reports = _Reported([], [], [], [], [])
     for event, fields in readable(events, recording.left_out):
         name, data, kind, text = name_of(event.src), fields["data"], fields["kind"], fields["text"]
         at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
         at_s = (at_ns - start_ns) * 1e-9
-        told = Told(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
-        if name == "afm_node" and kind == "mode" and told.mode in _WITHDRAWN:
-            found.guards.append(Guard(at_s, str(data.get("reason", ""))))
-        elif kind == "mode" and told.mode in ("hold", "off"):
-            (found.held if name == "afm_node" else found.let_go).append(told)
+        report = ModeReport(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
+        if name == "afm_node" and kind == "mode" and report.mode in _WITHDRAWN:
+            reports.guards.append(Guard(at_s, str(data.get("reason", ""))))
+        elif kind == "mode" and report.mode in ("hold", "off"):
+            (reports.held if name == "afm_node" else reports.let_go).append(report)
         elif "outside" in data:
             # It is advice, and no cause of what happened to a device.
             continue
         elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:
-            found.incidents.append(Incident(at_s, text))
+            reports.incidents.append(Incident(at_s, text))
             if "exit_code" in data:
-                found.exits.append((str(data.get("about_node", "")), found.incidents[-1]))
-    return found
+                reports.exits.append((str(data.get("about_node", "")), reports.incidents[-1]))
+    return reports
 
 
 def _interruptions(
@@ -409,24 +409,24 @@ def _interruptions(
     """Return what interrupted the loop while the session ran, in session time [s] and in the order of time."""
     hand_s, tip_s = ((series["t_ns"] - start_ns) * 1e-9 for series in (hand, tip))
     length_s = (end_ns - start_ns) * 1e-9
-    anew = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
-    found = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, anew)
-    found += interruptions_of("tip_held", tip_s, tip["mode"] == "hold", reported.held)
+    restarts = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
+    interruptions = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, restarts)
+    interruptions += interruptions_of("tip_held", tip_s, tip["mode"] == "hold", reported.held)
     exits = [(node, incident) for node, incident in reported.exits if 0.0 <= incident.time_s <= length_s]
-    for first in anew:
+    for first in restarts:
         begins_s, runs = float(hand_s[first - 1]), np.flatnonzero(hand["session_s"][first:] >= 0.0)
         own = [exit for exit in exits if exit[0] == HAND_NODE and abs(exit[1].time_s - begins_s) < _EXIT_WITHIN_S]
         text = own[0][1].text if own else f"the process of {HAND_NODE} ended and was started again"
         ends_s = float(hand_s[first + runs[0]]) if runs.size else length_s
-        then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_ANEW
-        found.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
+        then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_RESTARTED
+        interruptions.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
         exits = [exit for exit in exits if exit not in own]
-    found += [
+    interruptions += [
         Interruption("process_ended", incident.time_s, incident.time_s, incident.text)
         for node, incident in exits
         if node in (*START_ORDER, RECORDER)
     ]
-    return sorted(found, key=lambda one: one.start_s)
+    return sorted(interruptions, key=lambda one: one.start_s)
 
 
 def summarise(
@@ -439,7 +439,7 @@ def summarise(
     """
     info, sent, overruns = _counted(session, recording, recording.left_out if left_out is None else left_out)
     series, holds, judged = _judged(session)
-    interruptions = session.programme.interruptions
+    interruptions = session.context.interruptions
     unread = () if left_out is None else left_out.sentences()
     missing = [*session.missing, *_lacking(session, series, holds), *missing, *unread]
     last_s = session.duration_s - RELEASE_WINDOW_S
@@ -449,7 +449,7 @@ def summarise(
         "release_force_nn": 1e9 * series.tip_force_n[series.tip_time_s >= last_s],
     }
     ages_ms = _loop_ages_ms(session)
-    found = {
+    summary = {
         "scenario": session.scenario,
         **session.conditions,
         "duration_s": round(session.duration_s, 3),
@@ -474,7 +474,7 @@ def summarise(
         "clocks": _clocks(session),
         "recording": recording_facts(info, session.start_ns, missing),
     }
-    return Summary.model_validate(found).model_dump(exclude_unset=True)
+    return Summary.model_validate(summary).model_dump(exclude_unset=True)
 
 
 def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
@@ -483,10 +483,10 @@ def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
     Args:
         placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.
     """
-    said = np.asarray(placed, dtype=np.float64)
-    if np.isnan(said).all():
-        return np.ones(said.shape, dtype=np.bool_)
-    return np.asarray(np.maximum.accumulate(np.nan_to_num(said) > 0.0), dtype=np.bool_)
+    is_placed = np.asarray(placed, dtype=np.float64)
+    if np.isnan(is_placed).all():
+        return np.ones(is_placed.shape, dtype=np.bool_)
+    return np.asarray(np.maximum.accumulate(np.nan_to_num(is_placed) > 0.0), dtype=np.bool_)
 
 
 def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]]:
@@ -502,30 +502,32 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
         hand_m + session.tip["base_position_m.2"] / session.conditions["parameters"]["position_scale"],
         session.knows_contact,
     )
-    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
-    guard = guard_of(series.tip_time_s, tip, session.programme)
+    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.context)
+    guard = guard_of(series.tip_time_s, tip, session.context)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
-    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.programme.interruptions))
+    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.context.interruptions))
     # a hold whose fate is not known cannot be said to be unstable
     stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
-    found = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
-    return series, holds, found
+    judged = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
+    return series, holds, judged
 
 
 def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> list[str]:
     """Return a sentence for each span that makes a hold one without data, as long as it is in the session."""
-    programme = session.programme
-    times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: programme.answered_s}
+    context = session.context
+    times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: context.answered_s}
     # The holds after the end of a recording that ends early are lacking as well.
     end_s = max([session.duration_s, *(hold.end_s for hold in holds)])
-    found = []
+    sentences = []
     for hold in holds:
-        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), programme.answered_s)
+        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), context.answered_s)
         for lack in lacks if hold.verdict == "no_data" else ():
             own = times[lack.topic]
             whole = gaps_in(series.hand_time_s if own is None else own, 0.0, end_s)
-            found += [str(lack._replace(start_s=a, end_s=b)) for a, b in whole if a < lack.end_s and b > lack.start_s]
-    return list(dict.fromkeys(found))
+            sentences += [
+                str(lack._replace(start_s=a, end_s=b)) for a, b in whole if a < lack.end_s and b > lack.start_s
+            ]
+    return list(dict.fromkeys(sentences))
 
 
 def _clocks(session: Session) -> dict[str, Any] | None:
@@ -546,20 +548,23 @@ def _clocks(session: Session) -> dict[str, Any] | None:
 def lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
     """Return the figures of each direction while the session ran; none without reports of a queue or of a block."""
     reports: dict[str, dict[tuple[str, int], Mapping[str, Any]]] = {}
-    found = recording.select(lambda channel: channel.topic == "link/network")
-    for message, fields in readable(found, recording.left_out):
+    channels = recording.select(lambda channel: channel.topic == "link/network")
+    for message, fields in readable(channels, recording.left_out):
         first_ns, last_ns = (timeline.stamp_ns(message.src, end) for end in (start_ns, end_ns))
         # The report of the slave is in the master's recording twice, as it came and through the link.
         is_known = fields.get("queue_s") is not None or fields.get("blocked_since_ns") is not None
         if first_ns <= message.publish_ns <= last_ns and is_known:
             reports.setdefault(fields["direction"], {})[message.src, message.seq] = fields
-    told = {way: list(found.values()) for way, found in reports.items()}
+    reports_of_way = {way: list(channels.values()) for way, channels in reports.items()}
     # Whether a line is full says who sends over it, and that is who receives the other direction.
     others = {"forward": "backward", "backward": "forward"}
-    figures = [_line_figures(way, own, told.get(others[way], [])) for way, own in sorted(told.items(), reverse=True)]
+    figures = [
+        _line_figures(way, own, reports_of_way.get(others[way], []))
+        for way, own in sorted(reports_of_way.items(), reverse=True)
+    ]
     for way in figures:
-        begin_ns = timeline.stamp_ns(told[way["direction"]][0]["src"], start_ns)
-        way["blocked_s"] = _blocked_s(told[way["direction"]], begin_ns)
+        begin_ns = timeline.stamp_ns(reports_of_way[way["direction"]][0]["src"], start_ns)
+        way["blocked_s"] = _blocked_s(reports_of_way[way["direction"]], begin_ns)
     return figures
 
 
@@ -654,15 +659,17 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
         end_ns: When it ended.
     """
     # A topic is followed at its publisher, or else as the link brought it.
-    known = {each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)}
-    topics = [topic for topic in loop_age.STAGES if topic in known]
-    if not topics or "link/delay" not in known:
+    channel_of = {
+        each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)
+    }
+    topics = [topic for topic in loop_age.STAGES if topic in channel_of]
+    if not topics or "link/delay" not in channel_of:
         return {}
     hand = columns(recording, "haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
     ways = []
     for topic in topics:
-        sent = columns(recording, known[topic].channel_topic, ("hand_t_ns", "publish_ns"))
-        at_ns = timeline.times_ns(known[topic].src, sent["publish_ns"].astype(np.int64))
+        sent = columns(recording, channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
+        at_ns = timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
         ways.append(_first(sent["hand_t_ns"], at_ns))
     ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
     keys = reduce(np.intersect1d, [own for own, _ in ways])
@@ -670,11 +677,11 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
     if keys.size < _LEAST_FOLLOWED:
         return {}
     passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
-    said = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+    series = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
     delays, datagrams = {}, _datagrams(recording, timeline)
     for way in loop_age.WAYS:
         # The newest delay that was said of a sample counts from that sample on.
-        of_way = {name: values[said["direction"] == way][::-1] for name, values in said.items()}
+        of_way = {name: values[series["direction"] == way][::-1] for name, values in series.items()}
         from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
         at = np.searchsorted(from_ns, keys, side="right")
         added_ns, line_ns = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
@@ -737,8 +744,8 @@ def _loop_age_parts(split_s: Mapping[str, Series]) -> dict[str, Any]:
         return {}
     parts = loop_age.parts_of(split_s)
     # a simulated device has no age, and on one machine there is no line
-    found = {part.name: [round(1e3 * each, 4) for each in (part.p50_s, part.p99_s)] for part in parts if part.p99_s}
-    return {"loop_age_parts_ms": found, "loop_age_largest": loop_age.in_words(parts)}
+    parts_ms = {part.name: [round(1e3 * each, 4) for each in (part.p50_s, part.p99_s)] for part in parts if part.p99_s}
+    return {"loop_age_parts_ms": parts_ms, "loop_age_largest": loop_age.in_words(parts)}
 
 
 def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list[float]]:
@@ -747,13 +754,13 @@ def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list
     A mean whose record does not say how well it is known has none.
     """
     halves = {name: mean_half_width(values) for name, values in samples.items()}
-    found = {name: (float(samples[name].mean()), half) for name, half in halves.items() if half is not None}
+    means = {name: (float(samples[name].mean()), half) for name, half in halves.items() if half is not None}
     if ages_ms.size >= _AGE_PARTS * _LEAST_AGES:
         parts = np.array([np.percentile(part, [50.0, 99.0]) for part in np.array_split(ages_ms, _AGE_PARTS)])
         for name, of_parts in zip(("p50", "p99"), parts.T, strict=True):
             half = half_width(float(np.std(of_parts, ddof=1)), _AGE_PARTS)
-            found[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half)
-    return {name: [round(mean - half, 9) + 0.0, round(mean + half, 9) + 0.0] for name, (mean, half) in found.items()}
+            means[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half)
+    return {name: [round(mean - half, 9) + 0.0, round(mean + half, 9) + 0.0] for name, (mean, half) in means.items()}
 
 
 def _gaps(info: RecordingInfo) -> dict[str, int]:

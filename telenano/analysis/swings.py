@@ -49,23 +49,23 @@ def swings_of(time_s: Series, force_n: Series) -> list[Swing]:
         time_s: Times [s], shape (n,), rising.
         force_n: Force [N] at those times, shape (n,).
     """
-    known = np.isfinite(force_n)
-    times, values = _sampled(time_s[known], force_n[known])
-    found: list[Swing] = []
+    is_finite = np.isfinite(force_n)
+    times, values = _sampled(time_s[is_finite], force_n[is_finite])
+    swings: list[Swing] = []
     height_n, places = FELT_N, turning_points(values, range(len(values)), FELT_N)
     while len(places) > 2 * TURNS + 1:
-        found += _even(times, values, places)
+        swings += _even(times, values, places)
         height_n *= 2.0
         places = turning_points(values, places, height_n)
-    return _joined(found)
+    return _joined(swings)
 
 
 def turning_points(values: Sequence[float], places: Sequence[int], height: float) -> list[int]:
     """Return the places, of those given, from which a motion comes back by a height, and that at which it begins."""
-    found: list[int] = []
+    turns: list[int] = []
     rises: bool | None = None
     if not places:
-        return found
+        return turns
     low = high = places[0]
     for i in places:
         now = values[i]
@@ -74,12 +74,12 @@ def turning_points(values: Sequence[float], places: Sequence[int], height: float
         if now <= values[low]:
             low = i
         if rises is not False and now <= values[high] - height:
-            found.append(high)
+            turns.append(high)
             rises, low = False, i
         elif rises is not True and now >= values[low] + height:
-            found.append(low)
+            turns.append(low)
             rises, high = True, i
-    return found
+    return turns
 
 
 def _sampled(time_s: Series, force_n: Series) -> tuple[list[float], list[float]]:
@@ -99,7 +99,7 @@ def _even(times: Sequence[float], values: Sequence[float], places: Sequence[int]
     turns = [after - before for before, after in zip(middles, middles[2:], strict=False)]
     ways = [abs(values[last] - values[first]) for first, last in pairwise(places)]
     alike = [max(ways[i : i + 3]) <= _LIKENESS * min(ways[i : i + 3]) for i in range(len(turns))]
-    found, first = [], 0
+    evened, first = [], 0
     for i in range(1, len(turns) + 1):
         is_even = i < len(turns) and 1.0 / _EVENNESS <= turns[i] / max(turns[i - 1], 1e-9) <= _EVENNESS
         if is_even and turns[i] <= _LONGEST_TURN_S and alike[i - 1] and alike[i]:
@@ -110,9 +110,9 @@ def _even(times: Sequence[float], values: Sequence[float], places: Sequence[int]
             # before its first way and after its last the force may have stood for long
             begin_s = max(times[places[first]], middles[first] - 0.5 * turn_s)
             end_s = min(times[places[i + 2]], middles[i + 1] + 0.5 * turn_s)
-            found.append(Swing(begin_s, end_s, 1.0 / turn_s, max(ways[first : i + 2])))
+            evened.append(Swing(begin_s, end_s, 1.0 / turn_s, max(ways[first : i + 2])))
         first = i
-    return found
+    return evened
 
 
 def _crossing(values: Sequence[float], first: int, last: int) -> int:
@@ -123,11 +123,13 @@ def _crossing(values: Sequence[float], first: int, last: int) -> int:
 
 def _joined(swings: Sequence[Swing]) -> list[Swing]:
     """Return the swings with those joined that overlap, or that a turn or two part; of the larger one the frequency."""
-    found: list[Swing] = []
+    joined: list[Swing] = []
     for swing in sorted(swings):
-        if found and swing.start_s - found[-1].end_s <= _UNEVEN_TURNS / max(found[-1].frequency_hz, swing.frequency_hz):
-            before = found.pop()
+        if joined and swing.start_s - joined[-1].end_s <= _UNEVEN_TURNS / max(
+            joined[-1].frequency_hz, swing.frequency_hz
+        ):
+            before = joined.pop()
             larger = max(before, swing, key=lambda one: one.peak_to_peak_n)
             swing = larger._replace(start_s=before.start_s, end_s=max(before.end_s, swing.end_s))
-        found.append(swing)
-    return found
+        joined.append(swing)
+    return joined

@@ -117,20 +117,20 @@ def judge(
         if _explains(fit, hand_force_n):
             least = (small, 1.5 * step, SMALL_SHARE * hand_force_n)
             ends_s = (period_s * len(tail), float(time_s[-1]))
-            found = _by_modes(fit, ends_s, least, tail, noise)
-            if found.kind == "stable" and not fit.modes and (gone_n := _gone(tail)) > ERROR_SHARE * hand_force_n:
+            verdict = _by_modes(fit, ends_s, least, tail, noise)
+            if verdict.kind == "stable" and not fit.modes and (gone_n := _gone(tail)) > ERROR_SHARE * hand_force_n:
                 # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
                 words = f"{_ON_ITS_WAY}, {gone_n:.3g} N: a hold of {4.0 * ends_s[0]:.2g} s or more would decide"
-                found = found._replace(kind="cannot_say", reason=words)
-            if found.kind == "cannot_say" and rest_n is not None:
-                found = _approaching(found, tail, rest_n)
+                verdict = verdict._replace(kind="cannot_say", reason=words)
+            if verdict.kind == "cannot_say" and rest_n is not None:
+                verdict = _approaching(verdict, tail, rest_n)
             # a part in which a swing of the whole turns less than twice shows no rest of it
             hidden = any(mode.frequency_hz * period_s * len(tail) < LEAST_TURNS for mode in swings)
-            if found.kind == "stable" and share < 1.0 and (hidden or _recurs(_sizes(values, noise), small)):
+            if verdict.kind == "stable" and share < 1.0 and (hidden or _recurs(_sizes(values, noise), small)):
                 break
-            if found.kind != "cannot_say" and (doubt is None or _is_at_rest(found, doubt, fit)):
-                return found
-            doubt = doubt or found
+            if verdict.kind != "cannot_say" and (doubt is None or _is_at_rest(verdict, doubt, fit)):
+                return verdict
+            doubt = doubt or verdict
             if doubt.reason.startswith(_ON_ITS_WAY):
                 break
     if doubt is not None:

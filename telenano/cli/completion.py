@@ -30,8 +30,8 @@ def scenario_keys(incomplete: str) -> list[str]:
     for name in names:
         choices = _properties(schema, choices.get(name, {}))
     if sign:
-        given = [text for part in _alternatives(schema, choices.get(last, {})) for text in _values(part)]
-        return [f"{key}={text}" for text in given if text.startswith(value)]
+        texts = [text for part in _alternatives(schema, choices.get(last, {})) for text in _values(part)]
+        return [f"{key}={text}" for text in texts if text.startswith(value)]
     before = "".join(f"{name}." for name in names)
     return [
         f"{before}{name}{'.' if _properties(schema, part) else '='}"
@@ -42,7 +42,11 @@ def scenario_keys(incomplete: str) -> list[str]:
 
 def _properties(schema: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a part of a JSON Schema and of its alternatives, by their names."""
-    return {name: found for one in _alternatives(schema, part) for name, found in one.get("properties", {}).items()}
+    return {
+        name: schema_of_key
+        for one in _alternatives(schema, part)
+        for name, schema_of_key in one.get("properties", {}).items()
+    }
 
 
 def _alternatives(schema: dict[str, Any], part: dict[str, Any]) -> list[dict[str, Any]]:
@@ -72,8 +76,8 @@ def topic_names(incomplete: str) -> list[str]:
 def law_names(incomplete: str) -> list[str]:
     """Return the laws that begin so, those of installed packages included, and `all`; of a list a,b,c the last part."""
     before, comma, last = incomplete.rpartition(",")
-    known = [*law_name(last), *(["all"] if "all".startswith(last) else [])]
-    return [f"{before}{comma}{name}" for name in known]
+    names = [*law_name(last), *(["all"] if "all".startswith(last) else [])]
+    return [f"{before}{comma}{name}" for name in names]
 
 
 def law_name(incomplete: str) -> list[str]:

@@ -90,7 +90,7 @@ def package_commands() -> dict[tuple[str, ...], LazyCommand]:
 
     The entry of a package is a dictionary such as `{"bridge mine": ("my_package.command:mine", "One sentence.")}`.
     """
-    found: dict[tuple[str, ...], LazyCommand] = {}
+    commands: dict[tuple[str, ...], LazyCommand] = {}
 
     def checked(name: str, rows: Any) -> Any:
         new, entry = {}, plugins.installed("commands")[name]
@@ -98,14 +98,14 @@ def package_commands() -> dict[tuple[str, ...], LazyCommand]:
             path, (module, _, attribute) = tuple(words.split()), target.partition(":")
             if not path or not attribute:
                 raise ValueError(f"{words!r}: {target!r} is not words and module:function")
-            if path in found or (path[0] in LAZY_COMMANDS and len(path) == 1):
+            if path in commands or (path[0] in LAZY_COMMANDS and len(path) == 1):
                 raise ValueError(f"there is a command {words!r} already")
             new[path] = LazyCommand(module, attribute, about, entry)
-        found.update(new)
+        commands.update(new)
         return rows
 
     plugins.load("commands", checked)
-    return found
+    return commands
 
 
 def load(name: str) -> Any:

@@ -123,7 +123,7 @@ def nodes_table(rig: RigNode) -> Table:
     restarts = rig.supervisor.restarts()
     for node in rig.nodes:
         health = rig.health.get(node)
-        found = health_cells(node_facts(node, health, None)) if health else {"state": Text("-", "dim")}
-        cells = [found.get(column, Text("")) for column in _COLUMNS]
+        cells_of_node = health_cells(node_facts(node, health, None)) if health else {"state": Text("-", "dim")}
+        cells = [cells_of_node.get(column, Text("")) for column in _COLUMNS]
         table.add_row(node, *cells, Text(str(restarts.get(node, "-"))))
     return table

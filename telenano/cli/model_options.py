@@ -102,11 +102,11 @@ def with_options(
 
         @wraps(command)
         def called(**arguments: Any) -> Any:
-            given = {option.field: arguments.pop(option.field) for option in options}
+            values = {option.field: arguments.pop(option.field) for option in options}
             stated = {
                 option.field: value * option.unit.scale if isinstance(value, float) else value
                 for option in options
-                if (value := given[option.field]) is not None
+                if (value := values[option.field]) is not None
             }
             return command(**arguments, given={**defaults, **stated})
 
@@ -134,15 +134,15 @@ def validated(model: type[M], given: Mapping[str, Any], flags: Mapping[str, str]
     Raises:
         ConfigError: Naming the options whose values the model refuses, and what would be right.
     """
-    known = {option.field: option for option in options_of(model)}
-    read = {name: option.own.read for name, option in known.items() if option.own and option.own.read}
+    option_of = {option.field: option for option in options_of(model)}
+    read = {name: option.own.read for name, option in option_of.items() if option.own and option.own.read}
     values = {name: read[name](value) if name in read else value for name, value in given.items()}
     try:
         return model.model_validate(values)
     except ValidationError as error:
         lines = []
         for fault in error.errors(include_url=False, include_context=False):
-            option = known.get(str(fault["loc"][0])) if fault["loc"] else None
+            option = option_of.get(str(fault["loc"][0])) if fault["loc"] else None
             lines.append(fault["msg"] if option is None else _fault(option, fault["input"], flags or {}))
         raise ConfigError("\n".join(lines)) from error
 
@@ -168,8 +168,8 @@ def _kind_of(annotation: Any) -> Any:
     if get_origin(annotation) is tuple:
         return list[str]
     for part in get_args(annotation):
-        if part is not type(None) and (found := _kind_of(part)) is not None:
-            return found
+        if part is not type(None) and (kind := _kind_of(part)) is not None:
+            return kind
     return None
 
 

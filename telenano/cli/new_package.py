@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Template
 from typing import Literal
 
-from telenano.files.whole_files import whole_folder
+from telenano.files.atomic_files import whole_folder
 from telenano.settings.plugins import NAME
 from telenano.wire.errors import ConfigError
 

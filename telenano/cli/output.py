@@ -19,8 +19,8 @@ from telenano.analysis.intervals import with_error
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
+from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.files.printable import printable
-from telenano.files.whole_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
@@ -136,8 +136,8 @@ def print_json(document: Any) -> None:
 
 def console(pipe_columns: int = _PIPE_COLUMNS) -> Console:
     """Return the console of standard output; a pipe has no width of its own, and a narrow table would lose names."""
-    found = PrintableConsole()
-    return found if found.is_terminal else PrintableConsole(width=pipe_columns)
+    made = PrintableConsole()
+    return made if made.is_terminal else PrintableConsole(width=pipe_columns)
 
 
 class PrintableConsole(Console):
@@ -226,8 +226,8 @@ def _as_typed(path: Path) -> str:
 def own_command() -> str:
     """Return how this command was called, by its name alone where the shell finds it so."""
     called = Path(sys.argv[0])
-    found = shutil.which("telenano")
-    if called.name != "telenano" or (found is not None and called.resolve() == Path(found).resolve()):
+    path = shutil.which("telenano")
+    if called.name != "telenano" or (path is not None and called.resolve() == Path(path).resolve()):
         return "telenano"
     return os.path.relpath(called) if called.is_absolute() else str(called)
 

@@ -56,11 +56,11 @@ def _lines(what: str, whole: float | None, *, counted: bool) -> Show:
     def show(done: float, total: float | None = None, text: str | None = None) -> None:
         nonlocal last_s, last, whole
         whole = whole if total is None else total
-        now_s, found = _clock(), (done, text or last[1])
-        if now_s - last_s < LINE_EVERY_S or found == last:
+        now_s, shown = _clock(), (done, text or last[1])
+        if now_s - last_s < LINE_EVERY_S or shown == last:
             return
-        last_s, last = now_s, found
-        typer.echo(f"telenano: {found[1]}: {_amount(done, whole, counted=counted)}", err=True)
+        last_s, last = now_s, shown
+        typer.echo(f"telenano: {shown[1]}: {_amount(done, whole, counted=counted)}", err=True)
 
     return show
 

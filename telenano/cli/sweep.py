@@ -63,12 +63,12 @@ def without_sweep(words: Sequence[str]) -> list[str]:
 
 def _axis(text: str) -> tuple[str, list[str]]:
     key, sign, values = text.partition("=")
-    found = [value.strip() for value in values.split(",")]
-    if not sign or not key or not all(found):
+    texts = [value.strip() for value in values.split(",")]
+    if not sign or not key or not all(texts):
         raise ConfigError(f"--sweep {text}: is not of the form KEY=V1,V2, such as controller.law=wave,smith")
     if key not in (own := (_DELAY, SEED)) and (near := probably_meant(key, own)):
         raise ConfigError(f"--sweep {text}: no key of a scenario{near}")
-    return key.strip(), found
+    return key.strip(), texts
 
 
 def _option(key: str, value: str) -> tuple[str, ...]:

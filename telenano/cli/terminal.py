@@ -18,8 +18,8 @@ class NamedStream:
         self._stream, self._name = stream, name
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(self._stream, name)
-        return partial(self._named, found) if name in ("write", "flush") else found
+        attribute = getattr(self._stream, name)
+        return partial(self._named, attribute) if name in ("write", "flush") else attribute
 
     def _named(self, method: Callable[..., Any], *arguments: str) -> Any:
         try:

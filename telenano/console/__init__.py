@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from telenano.console.command_client import console_of as console_of
     from telenano.console.command_client import parse_parameters as parse_parameters
     from telenano.console.command_client import send_control as send_control
-    from telenano.console.coupling import couple_anew as couple_anew
+    from telenano.console.coupling import recouple as recouple
     from telenano.console.lease_register import holding as holding
     from telenano.console.live_recording import LiveRecording as LiveRecording
     from telenano.console.page_hand import RigHand as RigHand

@@ -10,7 +10,7 @@ import typer
 from telenano.console.live_recording import LiveRecording
 from telenano.recording.messages import RecordedMessage
 from telenano.runtime.bus.address_book import load_site
-from telenano.runtime.wiring.observer import RIG_HINT, nobody_runs
+from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
 from telenano.wire.errors import RigError
 
 
@@ -59,7 +59,7 @@ def live_rig(site_file: Path, topics: Collection[str] | None = None) -> LiveReco
 
 def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> None:
     """Run a bridge over the messages of a rig until Ctrl-C or for a time [s]; RigError if there were none."""
-    if nobody_runs(live.book):
+    if runs_no_node(live.book):
         # A rig may be started after its bridge.
         typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)
     with contextlib.suppress(KeyboardInterrupt):

@@ -79,11 +79,11 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
 
 def console_of(book: AddressBook, site: Site) -> str:
     """Return the console of a site whose machine this is; ConfigError when there is none."""
-    known = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
+    consoles = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
     machines = _machines_here(book)
-    here = [node for node in known if machines is None or book.machine_of(node) in machines]
+    here = [node for node in consoles if machines is None or book.machine_of(node) in machines]
     if not here:
-        elsewhere = f", {', '.join(known)} is on another machine" if known else ""
+        elsewhere = f", {', '.join(consoles)} is on another machine" if consoles else ""
         raise ConfigError(f"nodes: a console@{site} of this machine is missing, commands need an endpoint{elsewhere}")
     return here[0]
 
@@ -260,13 +260,15 @@ class Attention:
         for node in self.last_s:
             self._note_silence(node, now_s)
         silent = sorted(set(meant) - set(self.last_s))
-        said = [f"nothing was heard of {', '.join(silent)}"] if silent else []
+        reasons = [f"nothing was heard of {', '.join(silent)}"] if silent else []
         node, late_s = max(self._late_s.items(), key=lambda row: row[1], default=("", 0.0))
         if late_s > _LATE_S:
-            said.append(f"the rig is late by {late_s:.2g} s ({node}), so that the command may not have been read yet")
+            reasons.append(
+                f"the rig is late by {late_s:.2g} s ({node}), so that the command may not have been read yet"
+            )
         else:
-            said.append(f"{', '.join(sorted(self.last_s))} do not know it")
-        return "; ".join(said)
+            reasons.append(f"{', '.join(sorted(self.last_s))} do not know it")
+        return "; ".join(reasons)
 
     def _note_silence(self, node: str, now_s: float) -> None:
         self._note_late(node, now_s - self.last_s.get(node, self._begun_s + _JOIN_S) - _HEALTH_S)

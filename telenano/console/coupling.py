@@ -75,7 +75,7 @@ class _Console:
         return "; ".join(event.text for event in answers.values())
 
 
-def couple_anew(
+def recouple(
     site_file: Path,
     is_wanted: Callable[[], bool] = lambda: True,
     *,
@@ -102,7 +102,7 @@ def couple_anew(
 
 
 def couple(rig: RunningRig) -> str:
-    """Withdraw the tip, wait until the hand is at rest, arm the tip, and wait until both follow; see `couple_anew`."""
+    """Withdraw the tip, wait until the hand is at rest, arm the tip, and wait until both follow; see `recouple`."""
     states = _States(rig)
     states.require(lambda: states.known, _PATIENCE_S, f"states of hand and tip: {RIG_HINT}")
     if reason := states.objection():

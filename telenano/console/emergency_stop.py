@@ -92,20 +92,20 @@ class LocalRig:
     def reach(self, target: str, site: str) -> Reach:
         """Return the way to each device that a target means, from one site, or as empty text from both at once."""
         has_link = site != "slave" and self.has_inlet(_LINK)
-        found: dict[str, list[str]] = {way: [] for way in Reach._fields}
+        nodes_of: dict[str, list[str]] = {way: [] for way in Reach._fields}
         for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):
             here = site in ("", site_of(device))
             # A device that another machine can reach may run there.
             only_here = device in self.endpoints and device not in self._networked
             if here and self.has_inlet(device):
-                found["direct"].append(device)
+                nodes_of["direct"].append(device)
             elif has_link and site_of(device) == "slave" and not (here and only_here):
-                found["by_link"].append(device)
+                nodes_of["by_link"].append(device)
             elif here and only_here and not is_bound(self.endpoints[device]):
-                found["absent"].append(device)
+                nodes_of["absent"].append(device)
             elif here or site == "master":
-                found["by_console"].append(device)
-        return Reach(**{way: tuple(devices) for way, devices in found.items()})
+                nodes_of["by_console"].append(device)
+        return Reach(**{way: tuple(devices) for way, devices in nodes_of.items()})
 
 
 class _Inlet:
@@ -255,7 +255,7 @@ def _answer(frames: list[bytes], identifier: str) -> Answer | None:
     """Return the answer in the frames of a session/event, None where there is none to this stop."""
     try:
         fields = msgpack.unpackb(frames[-1])
-        found = Answer(str(fields["src"]), str(fields["kind"]), str(fields["text"]))
-        return found if fields["id"] == identifier and found.kind in ("ack", "refused") else None
+        answer = Answer(str(fields["src"]), str(fields["kind"]), str(fields["text"]))
+        return answer if fields["id"] == identifier and answer.kind in ("ack", "refused") else None
     except (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException):
         return None

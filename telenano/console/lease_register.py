@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from telenano.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
-from telenano.files.whole_files import changed
+from telenano.files.atomic_files import changed
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.wire.errors import ConfigError, RefusedError, RigError
@@ -31,17 +31,17 @@ class LeaseRegister:
     def look(self) -> Lease:
         """Return the lease as it is now; that somebody has vanished is kept where it can be, because it counts."""
         try:
-            found = self._read()
+            lease = self._read()
         except OSError:
             return Lease()
-        now = current(found, time.monotonic_ns())
-        if now == found:
+        now = current(lease, time.monotonic_ns())
+        if now == lease:
             return now
         with contextlib.suppress(RigError):
             return self.change(current)
         # What cannot be kept is the same each time that it is looked at.
-        if self._unkept[0] != found:
-            self._unkept = found, now
+        if self._unkept[0] != lease:
+            self._unkept = lease, now
         return self._unkept[1]
 
     def change(self, step: Step) -> Lease:

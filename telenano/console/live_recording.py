@@ -95,8 +95,8 @@ class LiveRecording:
 
     def is_here(self, node: str) -> bool:
         """Return whether a node of the rig is on this machine, so that both have one monotonic clock."""
-        known = node in self.book.nodes
-        return known and self.book.endpoint(node, self._network.machine).startswith("ipc://")
+        is_in_book = node in self.book.nodes
+        return is_in_book and self.book.endpoint(node, self._network.machine).startswith("ipc://")
 
     def close(self) -> None:
         self._open.close()

@@ -56,11 +56,11 @@ class Endpoint(NamedTuple):
 
 def check_python(version: Sequence[int]) -> Finding:
     """Check the version of the interpreter."""
-    found = ".".join(map(str, version))
+    running = ".".join(map(str, version))
     if tuple(version[:2]) >= _OLDEST_PYTHON:
-        return Finding("python", "ok", found)
+        return Finding("python", "ok", running)
     oldest = ".".join(map(str, _OLDEST_PYTHON))
-    return Finding("python", "problem", found, f"install Python {oldest} or later and make the environment again")
+    return Finding("python", "problem", running, f"install Python {oldest} or later and make the environment again")
 
 
 def check_packages(requires: Iterable[str], installed: Callable[[str], str | None]) -> list[Finding]:
@@ -101,11 +101,11 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
 
 def check_processors(permitted: int, quota: float | None) -> Finding:
     """Check the processors that this process may use, by affinity and by the quota of its control group."""
-    found = f"{permitted} permitted" + ("" if quota is None else f", quota of {quota:g}")
+    text = f"{permitted} permitted" + ("" if quota is None else f", quota of {quota:g}")
     if min(permitted, permitted if quota is None else quota) >= _LEAST_PROCESSORS:
-        return Finding("processors", "ok", found)
+        return Finding("processors", "ok", text)
     advice = f"give the rig {_LEAST_PROCESSORS} or more: a larger machine, `taskset`, or `cpus:` of a container"
-    return Finding("processors", "warning", f"{found}; too few for the 1 kHz loops not to disturb each other", advice)
+    return Finding("processors", "warning", f"{text}; too few for the 1 kHz loops not to disturb each other", advice)
 
 
 def check_rig_processors(permitted: int, held: Sequence[int]) -> Finding:
@@ -113,10 +113,10 @@ def check_rig_processors(permitted: int, held: Sequence[int]) -> Finding:
     name, free = "processors of rigs", permitted - len(held)
     if not held:
         return Finding(name, "ok", f"none is held by a rig, {fits_text(free)}")
-    found = f"{', '.join(map(str, held))} held by rigs that run; {fits_text(free)}"
+    text = f"{', '.join(map(str, held))} held by rigs that run; {fits_text(free)}"
     if free >= FOR_A_RIG:
-        return Finding(name, "ok", found)
-    return Finding(name, "warning", found, "end one of them: `telenano status --all` lists those of this user")
+        return Finding(name, "ok", text)
+    return Finding(name, "warning", text, "end one of them: `telenano status --all` lists those of this user")
 
 
 def cpu_quota(groups: Path, membership: Path) -> float | None:
@@ -163,15 +163,15 @@ def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: b
 
 def check_memory_lock(refused: str, limit_bytes: int, *, container: bool) -> Finding:
     """Judge an attempt to lock as much memory as a node reserves."""
-    found = "RLIMIT_MEMLOCK " + ("unlimited" if limit_bytes < 0 else f"{limit_bytes / 1e6:.1f} MB")
+    text = "RLIMIT_MEMLOCK " + ("unlimited" if limit_bytes < 0 else f"{limit_bytes / 1e6:.1f} MB")
     if not refused:
-        return Finding("memory lock", "ok", f"permitted; {found}")
+        return Finding("memory lock", "ok", f"permitted; {text}")
     if container:
         advice = "give the container `ulimits: {memlock: -1}`, or `cap_add: [IPC_LOCK]` where it runs as root"
     else:
         advice = "run as root, or put `USER - memlock unlimited` into /etc/security/limits.d/telenano.conf "
         advice += "and log in again"
-    return Finding("memory lock", "warning", f"not permitted ({refused}), page faults delay loops; {found}", advice)
+    return Finding("memory lock", "warning", f"not permitted ({refused}), page faults delay loops; {text}", advice)
 
 
 def attempt_fifo() -> str:
@@ -206,11 +206,11 @@ def check_synchronised(clock: KernelClock | None) -> Finding:
         return Finding("clock", "ok", f"synchronised, within {clock.largest_error_s * 1e3:.3g} ms")
     advice = "start a time service on each machine (in a container: on its host): `sudo systemctl enable --now chrony`"
     advice += " or `sudo timedatectl set-ntp true`"
-    found = (
+    text = (
         "not synchronised, which matters to a rig on two machines: ages of messages are wrong by the difference, and "
     )
-    found += "a report has to rely on the difference that the link measures"
-    return Finding("clock", "warning", found, advice)
+    text += "a report has to rely on the difference that the link measures"
+    return Finding("clock", "warning", text, advice)
 
 
 class _Timex(ctypes.Structure):
@@ -320,10 +320,10 @@ def _probe_tcp(host: str, port: int) -> Endpoint:
 
 def check_disk(folder: Path, free_bytes: int) -> Finding:
     """Check the space for recordings."""
-    found = f"{free_bytes / 1e9:.1f} GB free in {folder}"
+    text = f"{free_bytes / 1e9:.1f} GB free in {folder}"
     if free_bytes >= _LEAST_DISK_BYTES:
-        return Finding("disk", "ok", found)
-    return Finding("disk", "warning", found, "free some space, or record elsewhere with `telenano up --out DIR`")
+        return Finding("disk", "ok", text)
+    return Finding("disk", "warning", text, "free some space, or record elsewhere with `telenano up --out DIR`")
 
 
 def in_container(root: Path = Path("/")) -> bool:

@@ -43,16 +43,16 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
         with socket.create_connection((network.host, network.port), timeout=patience_s):
             return Finding("instrument", "ok", f"{where} accepts a connection")
     except socket.gaierror:
-        found, advice = "the name is not known", f"correct network.host in {calibration}, or give an address"
+        text, advice = "the name is not known", f"correct network.host in {calibration}, or give an address"
     except TimeoutError:
-        found = f"no answer within {patience_s:g} s"
+        text = f"no answer within {patience_s:g} s"
         advice = f"check power and cable, that {network.host} is in the network of this machine, and the firewall"
     except ConnectionRefusedError:
-        found = "there is a machine, and it refuses the port"
+        text = "there is a machine, and it refuses the port"
         advice = f"a T7 listens on 502, a guard on a port of yours: correct network.port in {calibration}, or start it"
     except OSError as error:
-        found, advice = f"not reached: {error.strerror or error}", "check cable, address and network mask"
-    return Finding("instrument", "problem", f"{where}: {found}", advice)
+        text, advice = f"not reached: {error.strerror or error}", "check cable, address and network mask"
+    return Finding("instrument", "problem", f"{where}: {text}", advice)
 
 
 def _held(ports: Sequence[Path], processes: Path) -> Iterator[Finding]:
@@ -81,12 +81,12 @@ def _latency(ports: Sequence[Path], usb: Path) -> Iterator[Finding]:
         except (OSError, ValueError):
             # Only FTDI's driver has this file.
             continue
-        found = f"{port}: {found_ms} ms"
+        text = f"{port}: {found_ms} ms"
         if found_ms <= _GOOD_LATENCY_MS:
-            yield Finding("latency timer", "ok", found)
+            yield Finding("latency timer", "ok", text)
             continue
         advice = f"run `echo {_GOOD_LATENCY_MS} | sudo tee {timer}`, or {_RULE}"
-        yield Finding("latency timer", "warning", f"{found}: the adapter holds samples back for that time", advice)
+        yield Finding("latency timer", "warning", f"{text}: the adapter holds samples back for that time", advice)
 
 
 def _intruders(processes: Path) -> Iterator[Finding]:

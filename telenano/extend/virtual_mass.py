@@ -238,13 +238,15 @@ def port_at(device_m: float) -> HandPort:
 
 
 @compiled
-def begun_again(port: HandPort, all_j: float, anew: bool) -> HandPort:
+def begun_again(port: HandPort, all_j: float, is_restart: bool) -> HandPort:
     """Forget what the hand has left over, and what was not sent of all that there was to send [J], as it is not paid.
 
     What was sent and is not paid stays so; again, after an arming, it is granted.
     """
     owed_j = max(port.sent_j - all_j - port.credit_j, 0.0)
-    return HandPort(port.device_m, 0.0 if anew else -owed_j, port.sent_j, port.granted_j + (owed_j if anew else 0.0))
+    return HandPort(
+        port.device_m, 0.0 if is_restart else -owed_j, port.sent_j, port.granted_j + (owed_j if is_restart else 0.0)
+    )
 
 
 @compiled

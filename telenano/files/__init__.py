@@ -5,6 +5,13 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.files.atomic_files import BusyError as BusyError
+    from telenano.files.atomic_files import atomic_file as atomic_file
+    from telenano.files.atomic_files import changed as changed
+    from telenano.files.atomic_files import locked as locked
+    from telenano.files.atomic_files import whole_folder as whole_folder
+    from telenano.files.atomic_files import whole_results as whole_results
+    from telenano.files.atomic_files import write_whole as write_whole
     from telenano.files.limited_child import Limits as Limits
     from telenano.files.limited_child import limits_for as limits_for
     from telenano.files.limited_child import read_in_child as read_in_child
@@ -19,12 +26,5 @@ if TYPE_CHECKING:
     from telenano.files.text_tables import parse_table as parse_table
     from telenano.files.text_tables import read_table as read_table
     from telenano.files.units import unit_of as unit_of
-    from telenano.files.whole_files import BusyError as BusyError
-    from telenano.files.whole_files import changed as changed
-    from telenano.files.whole_files import locked as locked
-    from telenano.files.whole_files import whole_file as whole_file
-    from telenano.files.whole_files import whole_folder as whole_folder
-    from telenano.files.whole_files import whole_results as whole_results
-    from telenano.files.whole_files import write_whole as write_whole
 else:
     __getattr__, __dir__ = face(__name__)

@@ -87,18 +87,18 @@ def read_in_child(
         raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
     limits = limits or limits_for(size)
     command = [sys.executable, "-m", __name__, function]
-    given = [limits, os.fspath(path), *arguments]
+    orders = [limits, os.fspath(path), *arguments]
     # A single thread is used, because each thread of a linear algebra library reserves memory.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     with _answer_file() as out:
         try:
             if watch is None:
                 code = children.run(
-                    [*command, json.dumps(given)], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
+                    [*command, json.dumps(orders)], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
                     env=environment, timeout=limits.wall_s, check=False,
                 ).returncode  # fmt: skip
             else:
-                code = _watched(command, given, out, environment, limits.wall_s, watch)
+                code = _watched(command, orders, out, environment, limits.wall_s, watch)
         except subprocess.TimeoutExpired as error:
             raise ValueError(f"it cannot be read within {limits.wall_s:g} s") from error
         out.seek(0)
@@ -165,10 +165,10 @@ def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:
 
 
 def _array(out: BinaryIO, kind: str, shape: list[int]) -> npt.NDArray[Any]:
-    found = np.dtype(kind)
+    dtype = np.dtype(kind)
     count = int(np.prod(shape))
-    content = out.read(count * found.itemsize)
-    return np.frombuffer(content, found).reshape(shape).copy()
+    content = out.read(count * dtype.itemsize)
+    return np.frombuffer(content, dtype).reshape(shape).copy()
 
 
 def _limit(limits: Limits) -> None:
@@ -201,8 +201,8 @@ def _described(error: BaseException) -> list[Any]:
 
 def main() -> None:
     """Read as the command line says, and write the answer to standard output."""
-    function, given = sys.argv[1:]
-    limits, *arguments = json.loads(given)
+    function, texts = sys.argv[1:]
+    limits, *arguments = json.loads(texts)
     out = os.fdopen(os.dup(1), "wb")
     # Output that a library prints is no part of the answer.
     os.dup2(2, 1)

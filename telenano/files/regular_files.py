@@ -69,10 +69,10 @@ def is_own_path(path: Path) -> bool:
     # Who owns a link, or the folder with it, decides what stands there: both ways are looked at.
     links = [path.absolute()] if path.is_symlink() else []
     for folder in {*links, *path.absolute().parents, *path.resolve().parents}:
-        found = folder.lstat()
-        others = 0o002 if found.st_gid == user else 0o022
-        is_open = found.st_mode & others and not found.st_mode & stat.S_ISVTX and not stat.S_ISLNK(found.st_mode)
-        if found.st_uid not in (user, 0) or is_open:
+        status = folder.lstat()
+        others = 0o002 if status.st_gid == user else 0o022
+        is_open = status.st_mode & others and not status.st_mode & stat.S_ISVTX and not stat.S_ISLNK(status.st_mode)
+        if status.st_uid not in (user, 0) or is_open:
             return False
     return True
 

@@ -80,11 +80,11 @@ class TextTable(NamedTuple):
         """
         word = word.strip()
         by_number = {str(number): one for number, one in enumerate(self.columns, start=1)}
-        found = next((one for one in self.columns if word in (one.title, one.name)), by_number.get(word))
-        if found is None:
-            known = ", ".join(one.title or "without a name" for one in self.columns[:20])
-            raise ConfigError(f"{self.name}: has no column {word!r}; it has {len(self.columns)}, {known}")
-        return found
+        match = next((one for one in self.columns if word in (one.title, one.name)), by_number.get(word))
+        if match is None:
+            titles = ", ".join(one.title or "without a name" for one in self.columns[:20])
+            raise ConfigError(f"{self.name}: has no column {word!r}; it has {len(self.columns)}, {titles}")
+        return match
 
     def in_si(self, column: Column, wanted: Sequence[str], given: str = "", option: str = "") -> Array | None:
         """Return the values of a column in SI units; None where neither its head nor `given` names a unit.
@@ -129,9 +129,11 @@ class TextTable(NamedTuple):
         text = "\n".join(line for line in self.head if len(line) <= LONGEST_LINE)
         words = re.findall(r"\[([^\]\n]+)\]|\(([^()\n]+)\)|([^\s,;]+)", text)
         spaced = re.findall(r"\S+ ?/ ?(?:√|sqrt|root|rt) ?\(?Hz\)?|\S+ per (?:sqrt|root) ?\(?Hz\)?", text)
-        found = {word.strip(" :,;'\"") for group in words for word in group if word} | set(spaced)
-        found |= {word.removeprefix("(").removesuffix(")") for word in found if word.count("(") != word.count(")")}
-        return {word for word in found if (unit := unit_of(word)) and unit.powers in kinds}
+        words_of_head = {word.strip(" :,;'\"") for group in words for word in group if word} | set(spaced)
+        words_of_head |= {
+            word.removeprefix("(").removesuffix(")") for word in words_of_head if word.count("(") != word.count(")")
+        }
+        return {word for word in words_of_head if (unit := unit_of(word)) and unit.powers in kinds}
 
 
 def read_table(path: Path) -> TextTable:

@@ -48,11 +48,11 @@ def unit_of(text: str) -> Unit | None:
         if not part.split():
             return None
         for word in part.split():
-            found = _FACTOR.fullmatch(word)
-            base = found and _simple(found[2])
-            if not found or base is None:
+            match = _FACTOR.fullmatch(word)
+            base = match and _simple(match[2])
+            if not match or base is None:
                 return None
-            power = (0.5 if found[1] else 1.0) * float(found[3] or 1.0) * (-1.0 if place else 1.0)
+            power = (0.5 if match[1] else 1.0) * float(match[3] or 1.0) * (-1.0 if place else 1.0)
             if abs(power) > 8.0:
                 return None
             factor *= base[1] ** power

@@ -127,20 +127,20 @@ def _check_size(root: yaml.Node) -> None:
 
 def _refusal_of_base(node: yaml.ScalarNode) -> str:
     """Return what to write in place of a number that has another base than 10, or looks as if it had."""
-    word, said = node.value, ""
+    word, plain = node.value, ""
     if ":" in word:
         total = 0.0
         for part in word.lstrip("+-").split(":"):
             total = 60.0 * total + float(part.replace("_", ""))
-        said = f"{'-' if word.startswith('-') else ''}{total:g} for that number of seconds or minutes"
+        plain = f"{'-' if word.startswith('-') else ''}{total:g} for that number of seconds or minutes"
     elif word.lstrip("+-")[1:2].isalpha():
-        said = f"{int(word.replace('_', ''), 0)}" if len(word) <= _LONGEST_NUMBER else "its value"
+        plain = f"{int(word.replace('_', ''), 0)}" if len(word) <= _LONGEST_NUMBER else "its value"
     else:
         digits = word.lstrip("+-").replace("_", "").lstrip("0")
         digits = digits if digits[:1].isdigit() else f"0{digits}"
-        said = f"{'-' if word.startswith('-') else ''}{digits[:_LONGEST_NUMBER]}"
+        plain = f"{'-' if word.startswith('-') else ''}{digits[:_LONGEST_NUMBER]}"
     return (
-        f"{word[:_LONGEST_NUMBER]} in {_line(node)} is no number of base 10: write {said}, or '{word[:40]}' for a text"
+        f"{word[:_LONGEST_NUMBER]} in {_line(node)} is no number of base 10: write {plain}, or '{word[:40]}' for a text"
     )
 
 

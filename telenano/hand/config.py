@@ -274,13 +274,13 @@ def recorded_hand(section: Mapping[str, Any], origin: str) -> tuple[OperatorConf
     Raises:
         ConfigError: The hand cannot be read; the message names the key.
     """
-    given = {key: value for key, value in section.items() if key == "operator"}
+    operator = {key: value for key, value in section.items() if key == "operator"}
     driver = str(section.get("driver", "simulated"))
     try:
         simulated = driver in _SIMULATED or DRIVERS.is_simulated(driver)
     except ValueError:
         simulated = False
-    return validate(HapticConfig, given, origin, "haptic_node").operator, simulated
+    return validate(HapticConfig, operator, origin, "haptic_node").operator, simulated
 
 
 def changed_operator(config: HapticConfig, parameters: Mapping[str, Scalar]) -> HapticConfig:

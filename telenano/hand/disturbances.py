@@ -140,8 +140,8 @@ def disturbed(
     """Return what a disturbed device reads at a time of the session [s], dt [s] after the last sample."""
     after, force_n = hand_noise_step(config, state, dt)
     force_n += wander_n(config, session_time_s)
-    found = disturbed_reading(reading, config.resolution_m, state.position_m, force_n, dt)
-    return after._replace(position_m=found.position_m), found
+    reading_disturbed = disturbed_reading(reading, config.resolution_m, state.position_m, force_n, dt)
+    return after._replace(position_m=reading_disturbed.position_m), reading_disturbed
 
 
 def disturbed_plant_params(

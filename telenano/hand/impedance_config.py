@@ -246,7 +246,7 @@ class SimulatedImpedanceConfig(Settings):
 
     def to_params(self, coupling: CouplingConfig, operator: OperatorParams | ReactingParams) -> CoupledParams:
         """Return the constants of device, coupling and hand."""
-        found = self.capabilities()
+        capabilities = self.capabilities()
         held = 1.0 if self.lateral_path else 0.0
         path = self.lateral_path or (LateralPoint(time_s=0.0),)
         side = LateralHand(
@@ -258,12 +258,12 @@ class SimulatedImpedanceConfig(Settings):
             force_n=(0.0, 0.0),
         )
         return CoupledParams(
-            settings=coupling.to_settings(found),
-            mass_kg=found.mass_kg,
-            damping_n_s_per_m=found.damping_n_s_per_m,
-            servo_period_s=1.0 / found.rate_hz,
-            delay_s=found.drive_delay_s,
-            reach_m=found.workspace_max_m,
+            settings=coupling.to_settings(capabilities),
+            mass_kg=capabilities.mass_kg,
+            damping_n_s_per_m=capabilities.damping_n_s_per_m,
+            servo_period_s=1.0 / capabilities.rate_hz,
+            delay_s=capabilities.drive_delay_s,
+            reach_m=capabilities.workspace_max_m,
             lateral=side,
             operator=operator,
         )

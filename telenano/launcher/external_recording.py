@@ -87,8 +87,8 @@ def holds_command(path: Path, command_id: str) -> bool:
 
 def readable_here(path: str, command_id: str) -> bool:
     """Return whether the file that a recorder named is here and is the session's, not another one of the same name."""
-    found = Path(path)
+    file = Path(path)
     try:
-        return found.is_file() and holds_command(found, command_id)
+        return file.is_file() and holds_command(file, command_id)
     except (OSError, RecordingError):
         return False

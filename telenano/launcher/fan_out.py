@@ -19,8 +19,8 @@ _PARTS = ("rig", "endpoint", "launcher")
 def endpoints_of(plan: Plan) -> list[str]:
     """Return the local endpoints of the nodes that run as long as the rig does, where the path has room for another."""
     rows = [row.key for row in NODES if row.part in _PARTS and row.key in plan.book.nodes]
-    found = [endpoint for node in rows if (endpoint := plan.book.local_endpoint(node)) is not None]
-    return [each for each in found if len(os.fsencode(fan_out_endpoint(each)[len("ipc://") :])) <= LONGEST_IPC_PATH]
+    endpoints = [endpoint for node in rows if (endpoint := plan.book.local_endpoint(node)) is not None]
+    return [each for each in endpoints if len(os.fsencode(fan_out_endpoint(each)[len("ipc://") :])) <= LONGEST_IPC_PATH]
 
 
 @contextlib.contextmanager

@@ -51,8 +51,8 @@ class LineCheck:
             return False
         if self._recovers():
             return waited_ns >= _DOUBT_NS
-        known = len(self._capacity) == len(_WAYS) and not self.advice()
-        return not self._reported or known or waited_ns >= _PATIENCE_NS
+        is_measured = len(self._capacity) == len(_WAYS) and not self.advice()
+        return not self._reported or is_measured or waited_ns >= _PATIENCE_NS
 
     def _recovers(self) -> bool:
         """Return whether less is sent some way than the line carries, since the connections of the start filled it."""

@@ -20,15 +20,15 @@ def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[s
     Where there is to be no page that is nothing. What keeps it from being served is shown, and the rig runs without.
     """
     with contextlib.ExitStack() as stack:
-        found = {}
+        inherited = {}
         try:
             if reason := _missing(plan):
                 show(f"no view: {reason}")
             elif plan.page:
-                found = {PAGE: _bound(plan, show, stack)}
+                inherited = {PAGE: _bound(plan, show, stack)}
         except (TelenanoError, OSError) as error:
             show(f"no view: {error}")
-        yield found
+        yield inherited
 
 
 def _missing(plan: Plan) -> str:

@@ -130,9 +130,9 @@ class UpRequest(Settings):
 
 
 def _reject(given: Mapping[str, bool], reason: str) -> None:
-    found = [option for option, is_given in given.items() if is_given]
-    if found:
-        raise ConfigError(f"{', '.join(found)}: {reason}")
+    options = [option for option, is_given in given.items() if is_given]
+    if options:
+        raise ConfigError(f"{', '.join(options)}: {reason}")
 
 
 @dataclass(frozen=True)
@@ -180,12 +180,12 @@ class Plan:
     def cautions(self) -> tuple[str, ...]:
         """The warnings of the drivers that never drove a real device, for the nodes that are started here."""
         started = sorted({name_of(node) for node in self.nodes})
-        found = [
+        sentences = [
             drivers.caution(getattr(self.scenario, name).get("driver"))
             for name in started
             if not package_is_absent(self.loaded, name) and (drivers := _drivers_of(name)) is not None
         ]
-        return tuple(filter(None, found))
+        return tuple(filter(None, sentences))
 
     @property
     def fetches(self) -> bool:
@@ -270,10 +270,10 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     own = own_nodes(book, request)
     check_book(book, site_file, request)
     out = (request.out or default_out).absolute()
-    given = find_scenario(request.scenario).absolute()
+    scenario_path = find_scenario(request.scenario).absolute()
     elsewhere = {name_of(node) for node in other_nodes(request)} - {name_of(node) for node in own}
     try:
-        loaded = effective_scenario(given, request, out)
+        loaded = effective_scenario(scenario_path, request, out)
         check_sections(loaded, elsewhere)
     except ConfigError as error:
         raise ConfigError(with_meant(str(error))) from error
@@ -292,7 +292,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         attach=request.attach,
         wait_s=request.wait_s,
         page=request.page and request.site != "slave",
-        given=given,
+        given=scenario_path,
     )
     if plan.fetches and not fetching().fetch:
         package = KNOWN_PACKAGES["command bag fetch"]
@@ -319,12 +319,12 @@ def own_nodes(book: AddressBook, request: UpRequest) -> tuple[str, ...]:
     """Return the nodes to start, in order: all but those that run elsewhere or that a replay stands in for."""
     if request.attach:
         return ()
-    known: tuple[str, ...] = START_ORDER
+    names: tuple[str, ...] = START_ORDER
     if request.site is not None:
         optional = [node for node in OPTIONAL_NODES if node in book.nodes]
-        known = tuple(node for node in (*optional, *START_ORDER) if site_of(node) == request.site)
-    excluded = excluded_nodes(request.without, known)
-    return tuple(node for node in known if node not in excluded)
+        names = tuple(node for node in (*optional, *START_ORDER) if site_of(node) == request.site)
+    excluded = excluded_nodes(request.without, names)
+    return tuple(node for node in names if node not in excluded)
 
 
 def other_nodes(request: UpRequest) -> tuple[str, ...]:
@@ -393,8 +393,8 @@ def refused_laws(driver: str) -> dict[str, str]:
 
 def _reject_recording_place(settings: Sequence[str]) -> None:
     """Reject settings of the recorder that --out decides; those of a scenario are for a recorder that runs alone."""
-    for origin, given in (("--set", flag_overrides(settings)), ("environment", environment_overrides())):
-        section = given.get("recorder")
+    for origin, settings_of in (("--set", flag_overrides(settings)), ("environment", environment_overrides())):
+        section = settings_of.get("recorder")
         keys = [key for key in ("directory", "file_name") if isinstance(section, dict) and key in section]
         if keys:
             raise ConfigError(

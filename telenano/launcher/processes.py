@@ -78,7 +78,7 @@ class Children(Protocol):
         """Stop every process and wait until it has ended."""
 
 
-_NOBODY = StopObserver()
+_NO_OBSERVER = StopObserver()
 
 
 class NodeProcesses:
@@ -147,7 +147,7 @@ class NodeProcesses:
             lines = log.read().decode(errors="replace").splitlines()
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
-    def stop(self, observer: StopObserver = _NOBODY) -> None:
+    def stop(self, observer: StopObserver = _NO_OBSERVER) -> None:
         """Stop every process, in order: SIGTERM, eight seconds to publish the last message, then SIGKILL.
 
         A process may take longer to deliver its last messages while the next ones are stopped, and is killed if it has

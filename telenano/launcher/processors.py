@@ -45,22 +45,22 @@ def claim(count: int, usable: Collection[int], folder: Path) -> dict[int, int]:
     Returns:
         A descriptor for each processor; the lock lasts until all copies of it are closed.
     """
-    found: dict[int, int] = {}
+    locks: dict[int, int] = {}
     with _turn(folder):
         for processor in sorted(usable, reverse=True):
-            if len(found) < count and (descriptor := _locked(_file(folder, processor))) is not None:
-                found[processor] = descriptor
-    if len(found) < count:
-        release(found)
+            if len(locks) < count and (descriptor := _locked(_file(folder, processor))) is not None:
+                locks[processor] = descriptor
+    if len(locks) < count:
+        release(locks)
         return {}
-    return found
+    return locks
 
 
 def claim_these(wanted: Collection[int], folder: Path) -> dict[int, int]:
     """Lock those of some processors that are free; a descriptor for each, as by `claim`."""
     with _turn(folder):
-        found = {processor: _locked(_file(folder, processor)) for processor in sorted(set(wanted))}
-    return {processor: descriptor for processor, descriptor in found.items() if descriptor is not None}
+        locks = {processor: _locked(_file(folder, processor)) for processor in sorted(set(wanted))}
+    return {processor: descriptor for processor, descriptor in locks.items() if descriptor is not None}
 
 
 def held(numbers: Collection[int], folder: Path) -> tuple[int, ...]:

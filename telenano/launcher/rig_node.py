@@ -159,11 +159,11 @@ class RigNode(Node):
     def _note_recording(self, event: SessionEvent) -> None:
         """Report what happens to a recording once; a recorder repeats it for readers that come later."""
         state = event.data.get("state", "")
-        known = self._recorder_states.get(event.src) == state and state != "draining"
+        is_unchanged = self._recorder_states.get(event.src) == state and state != "draining"
         self._recorder_states[event.src] = state
         if state == "failed":
             self.recording_faults[event.src] = event.text
-        if not known and (event.level != "info" or state in ("draining", "disk_ok")):
+        if not is_unchanged and (event.level != "info" or state in ("draining", "disk_ok")):
             self.reports.append(f"{event.src}: {event.text}")
 
     def _record_health(self, health: NodeHealth) -> None:

@@ -47,8 +47,8 @@ class RigStatus:
     def record(self, message: Message) -> None:
         """Record a message, which may be the link's copy of one that is known."""
         key = (message.src, type(message))
-        known = self._newest.get(key)
-        if known is None or message.t_ns > known.t_ns:
+        newest = self._newest.get(key)
+        if newest is None or message.t_ns > newest.t_ns:
             self._newest[key] = message
         if isinstance(message, NodeHealth):
             self.first.setdefault(message.src, message)

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from telenano.files.atomic_files import write_whole
 from telenano.files.optional_modules import optional_module
-from telenano.files.whole_files import write_whole
 from telenano.launcher import processors
 from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
@@ -105,10 +105,10 @@ def _environment_kept() -> Iterator[None]:
 
 def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]:
     """Lock the name that was given, or else the first free one, and make it that of this process."""
-    given = os.environ.get(RIG_VARIABLE, "")
+    named = os.environ.get(RIG_VARIABLE, "")
     # Where others connect over a network, the ports are those of the site file, whatever the folder is.
-    may_move = not given and not plan.book.spans_machines
-    names, begun_s = iter(_NAMES if may_move else (given or FIRST_RIG,)), time.monotonic()
+    may_move = not named and not plan.book.spans_machines
+    names, begun_s = iter(_NAMES if may_move else (named or FIRST_RIG,)), time.monotonic()
     passed, name = "", next(names)
     while True:
         os.environ[RIG_VARIABLE] = name
@@ -215,22 +215,22 @@ def _describe(plan: "Plan", name: str, claimed: tuple[int, ...], *, behind: bool
 
 def running_rigs() -> list[RigFacts]:
     """Return the rigs of this user that run on this machine, one for each launcher."""
-    found = []
+    rigs = []
     for name in rigs_with_folders():
         for lock in sorted(rig_directory(name).glob(f"{_LOCK}*.lock")):
             site = lock.name.removeprefix(_LOCK).removesuffix(".lock")
             if _is_held(lock):
-                found.append(RigFacts(name, site, about_rig(name, site)))
-    return found
+                rigs.append(RigFacts(name, site, about_rig(name, site)))
+    return rigs
 
 
 def about_rig(name: str, site: str = "master") -> dict[str, Any]:
     """Return what the launcher of a rig wrote of itself; empty where none runs."""
     try:
-        found = json.loads(_about_file(name, site).read_text())
+        about = json.loads(_about_file(name, site).read_text())
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return about if isinstance(about, dict) else {}
 
 
 def _is_held(lock: Path) -> bool:

@@ -102,14 +102,14 @@ def _keys(schema: Mapping[str, Any], prefix: str, definitions: Mapping[str, Any]
 
 def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
     """Return a part with what it refers to; of alternatives that with a model, or the first that is not null."""
-    found: dict[str, Any] = dict(part)
-    if "$ref" in found:
-        return {**_resolved(definitions[found["$ref"].removeprefix("#/$defs/")], definitions), **found}
-    if "anyOf" in found:
-        choices = [_resolved(choice, definitions) for choice in found["anyOf"]]
+    resolved: dict[str, Any] = dict(part)
+    if "$ref" in resolved:
+        return {**_resolved(definitions[resolved["$ref"].removeprefix("#/$defs/")], definitions), **resolved}
+    if "anyOf" in resolved:
+        choices = [_resolved(choice, definitions) for choice in resolved["anyOf"]]
         first = next((choice for choice in choices if choice.get("type") != "null"), {})
-        return {**first, **found, "type": " or ".join(_kind(choice) for choice in choices)}
-    return found
+        return {**first, **resolved, "type": " or ".join(_kind(choice) for choice in choices)}
+    return resolved
 
 
 def _kind(part: Mapping[str, Any]) -> str:
@@ -152,9 +152,9 @@ def _with_meant(line: str) -> str:
         if "did you mean" in line:
             return line
         word = next(iter(get_close_matches(word, set(words), n=1, cutoff=_NEAR)), "")
-    found = [name for name, ending in zip(names, words, strict=True) if ending == word]
-    inner = [name for name in found if section and name.startswith(f"{section.partition('.')[0]}.")]
-    meant = " or ".join((inner or found)[:_MOST_MEANT])
+    endings = [name for name, ending in zip(names, words, strict=True) if ending == word]
+    inner = [name for name in endings if section and name.startswith(f"{section.partition('.')[0]}.")]
+    meant = " or ".join((inner or endings)[:_MOST_MEANT])
     return f"{line.partition('; did you mean')[0]}; did you mean {meant}?" if meant else line
 
 
@@ -169,9 +169,9 @@ def value_at(document: Mapping[str, Any], key: str) -> Any:
             value = value[part]
         else:
             if isinstance(value, Mapping) or len(seen) < 2:
-                known = known_names(part, value if isinstance(value, Mapping) else document)
-                raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {known}")
-            known = known_names(part, value_at(document, ".".join(seen[:-1])))
-            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; in {'.'.join(seen[:-1])} {known}")
+                names = known_names(part, value if isinstance(value, Mapping) else document)
+                raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {names}")
+            names = known_names(part, value_at(document, ".".join(seen[:-1])))
+            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; in {'.'.join(seen[:-1])} {names}")
         seen.append(part)
     return value

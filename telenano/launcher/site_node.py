@@ -82,8 +82,8 @@ class SiteNode(RigNode):
         if self._pieces is None:
             package = KNOWN_PACKAGES["command bag fetch"]
             raise RefusedError(f"to send the recording is in the package {package}: {how_to_add_package(package)}")
-        said: str = self._pieces.request(control.parameters, self.clock.monotonic_ns())
-        return said
+        answer: str = self._pieces.request(control.parameters, self.clock.monotonic_ns())
+        return answer
 
     def make_safe(self) -> None:
         if self._pieces is not None:

@@ -64,9 +64,9 @@ class Supervisor:
     def handle_hangs(self, report: Report) -> None:
         """Report nodes that are silent, and kill those that hang: they are started again like any that died."""
         if self._watchdog is not None:
-            found = self._watchdog.check()
-            _tell(found, report)
-            for finding in found:
+            hung = self._watchdog.check()
+            _tell(hung, report)
+            for finding in hung:
                 if finding.kind == "hung":
                     self._children.kill(finding.node)
 

@@ -116,10 +116,10 @@ class Watchdog:
             return []
         now, last = self._clock.monotonic_ns(), watched.last_ns
         # A process that stops may take its time: it has sent its last message.
-        self._watched[node] = anew = _Watched(process_id)
-        anew.last_ns = None if is_stopping else now
-        anew.looked_ns = now
-        self._look(anew, now)
+        self._watched[node] = row = _Watched(process_id)
+        row.last_ns = None if is_stopping else now
+        row.looked_ns = now
+        self._look(row, now)
         if watched.reported is None or last is None:
             return []
         silence_s = (now - last) * 1e-9
@@ -137,11 +137,11 @@ class Watchdog:
         # Where the launcher, or the whole machine, stood still, no node could be heard.
         awake_s = min(elapsed_s, LOOK_S)
         self._checked_ns = now
-        found = []
+        hangs = []
         if elapsed_s >= SILENCE_S and self._watched:
             subject = "the launcher, or the whole machine,"
             text = f"{subject} stood still for {elapsed_s:.1f} s: no node is judged by its silence meanwhile"
-            found.append(Finding("", "paused", elapsed_s, text))
+            hangs.append(Finding("", "paused", elapsed_s, text))
         for node, watched in self._watched.items():
             if watched.last_ns is not None:
                 watched.silence_s += awake_s
@@ -152,8 +152,8 @@ class Watchdog:
                 if kind is not None and kind != watched.reported and (kind == "hung" or watched.reported is None):
                     watched.reported = kind
                     silence_s = (now - watched.last_ns) * 1e-9
-                    found.append(Finding(node, kind, silence_s, _sentence(node, kind, silence_s, watched)))
-        return found
+                    hangs.append(Finding(node, kind, silence_s, _sentence(node, kind, silence_s, watched)))
+        return hangs
 
     def _look(self, watched: _Watched, now_ns: int) -> None:
         """Take a sample, and add the time since the last one to what the process was busy for, or begin again."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from telenano.numerics.compiler import inlined
 
 # `periods_to` returns this where the sequence of samples begins, or begins again.
-ANEW = -1
+RESTARTED = -1
 # a sample moves the grid by this share of what it is off, because even the first one may have been late
 _SHARE = 64
 
@@ -44,4 +44,4 @@ def periods_to(clock: HandClock, sampled_ns: int, period_ns: int, longest: int) 
         if periods <= longest:
             off_ns = since_ns - periods * period_ns
             return HandClock(sampled_ns, clock.grid_ns + periods * period_ns + off_ns // _SHARE), periods
-    return HandClock(sampled_ns, sampled_ns), ANEW
+    return HandClock(sampled_ns, sampled_ns), RESTARTED

@@ -44,11 +44,11 @@ for the same way. Every other half accounts as if the commands had been carried 
 from typing import NamedTuple
 
 from telenano.extend.laws import paced
-from telenano.laws.hand_periods import ANEW, HandClock, no_sample, periods_to
+from telenano.laws.hand_periods import RESTARTED, HandClock, no_sample, periods_to
 from telenano.numerics.compiler import inlined
 
 # The slave half does one of these on a state of the instrument, or when none has come.
-NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, GO_ON = 0, 1, 2, 3, 4
+NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, CONTINUE = 0, 1, 2, 3, 4
 _NEVER_NS = -1
 # the place among the steps of commands where those that are no longer distinguished are added up
 _LAST = 7
@@ -146,7 +146,7 @@ def master_sampled(
     if repeated:
         return timing, Sampled(False, 0, not commanded and timing.hand.sampled_ns >= 0)
     hand, periods = periods_to(timing.hand, sampled_ns, params.period_ns, params.longest_periods)
-    begins = periods == ANEW
+    begins = periods == RESTARTED
     if periods == 0:
         # The sample before was late, and its step was that of both: another step would be a period too many.
         return MasterTiming(hand, timing.heard, timing.due), Sampled(False, 0, not commanded)
@@ -203,15 +203,15 @@ class SlaveTiming(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """What the slave half does (NOTHING to GO_ON), the periods to account for, and whether the answer is sent.
+    """What the slave half does (NOTHING to CONTINUE), the periods to account for, and whether the answer is sent.
 
-    goes_on: whether it steps once more behind an ANSWER, as in GO_ON.
+    continues: whether it steps once more behind an ANSWER, as in CONTINUE.
     """
 
     what: int
     periods: int
     answers: bool
-    goes_on: bool
+    continues: bool
 
 
 @inlined
@@ -248,7 +248,7 @@ def slave_signalled(
     """
     hand, periods = periods_to(timing.hand, hand_ns, params.period_ns, params.longest_periods)
     heard = Heard(received_ns, hand_ns) if understood else timing.heard
-    if periods == ANEW:
+    if periods == RESTARTED:
         return SlaveTiming(hand, heard, Pacing(1, 0, timing.pacing.step), timing.commands), True
     return SlaveTiming(hand, heard, Pacing(periods, timing.pacing.behind, timing.pacing.step), timing.commands), False
 
@@ -324,23 +324,23 @@ def slave_measured(
     if later == 0:
         silent_ns = silence_ns(heard, now_ns)
         counts = heard.received_ns >= 0 and params.local_ns > 0 and silent_ns <= params.local_ns
-        goes_on = counts and follows and not held
+        continues = counts and follows and not held
         if c.waiting:
             # an instrument that answers late would make a loop in a silence as much slower
             late = now_ns >= c.lasts_ns - params.period_ns // 2 and 2 * silent_ns >= 3 * params.period_ns
-            return _settled(timing, ANSWER, 0, goes_on and late)
-        return timing, Settled(GO_ON if goes_on else NOTHING, 0, False, False)
+            return _settled(timing, ANSWER, 0, continues and late)
+        return timing, Settled(CONTINUE if continues else NOTHING, 0, False, False)
     if held or number <= c.carried_out or not 0 < later < _LAST:
         return timing, Settled(NOTHING, 0, False, False)
     return _settled(timing, ACCOUNT, later, False)
 
 
 @inlined
-def _settled(timing: SlaveTiming, what: int, later: int, goes_on: bool) -> tuple[SlaveTiming, Settled]:
+def _settled(timing: SlaveTiming, what: int, later: int, continues: bool) -> tuple[SlaveTiming, Settled]:
     """Settle all commands but those that were sent later than the one carried out."""
     commands, periods = _carried_out(timing.commands, later)
     after = SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
-    return after, Settled(what, periods, what == ANSWER and timing.commands.answers, goes_on)
+    return after, Settled(what, periods, what == ANSWER and timing.commands.answers, continues)
 
 
 @inlined

@@ -496,16 +496,16 @@ def lateral_slave_step(
     state: LateralSlaveState,
     reference_m: tuple[float, float],
     place_m: tuple[float, float],
-    goes_on: bool,
+    continues: bool,
     dt: float,
 ) -> LateralSlaveState:
     """Return the state after a signal with a reference [m], dt [s] after the one before; the stage is at place_m [m].
 
-    goes_on: the instrument follows, and the signal follows the one before: no silence, no restart.
+    continues: the instrument follows, and the signal follows the one before: no silence, no restart.
     """
     x, y = reference_m
-    if not (state.live and goes_on):
-        return LateralSlaveState(goes_on, x, y, place_m[0], place_m[1], _IDLE_S)
+    if not (state.live and continues):
+        return LateralSlaveState(continues, x, y, place_m[0], place_m[1], _IDLE_S)
     speed = params.motion.speed_m_per_s
     # Half as much again, because signals come in bursts.
     way = _clipped(x - state.reference_x_m, y - state.reference_y_m, 1.5 * speed * min(dt, _LONGEST_WAY_S))

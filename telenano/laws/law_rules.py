@@ -65,14 +65,14 @@ def known_law(name: str) -> Law:
 
 def broken_rules(name: str) -> dict[str, list[str]]:
     """Return what a law does against each rule, by the rule's name; an empty list where it keeps it."""
-    found: dict[str, list[str]] = {}
+    broken: dict[str, list[str]] = {}
     for rule in RULES:
         try:
-            found[rule.name] = list(rule.broken_by(name))
+            broken[rule.name] = list(rule.broken_by(name))
         # Anything that the law of a package raises is a finding of the rule.
         except Exception as error:  # noqa: BLE001
-            found[rule.name] = [f"fails: {type(error).__name__}: {error}"]
-    return found
+            broken[rule.name] = [f"fails: {type(error).__name__}: {error}"]
+    return broken
 
 
 def _params(name: str, period_s: float = _PERIOD_S, **settings: float) -> Any:
@@ -162,9 +162,9 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
     held = [1e8 * force_n for _, force_n in rows[-_HOLD_TICKS:]]
     mean, swing = sum(held) / len(held), max(held) - min(held)
     if not abs(mean - 1.0) <= _HOLD_SHARE or not swing <= _HOLD_SHARE:
-        told = f" and tells the law of it {' and '.join(map(str, lates))} ms later," if any(lates) else ""
+        late = f" and tells the law of it {' and '.join(map(str, lates))} ms later," if any(lates) else ""
         yield (
-            f"a hand of 1 N that goes to a wall of {stiffness:.4g} N/m, {1e9 * _WALL_M:g} nm away,{told} presses with"
+            f"a hand of 1 N that goes to a wall of {stiffness:.4g} N/m, {1e9 * _WALL_M:g} nm away,{late} presses with"
             f" {mean:.3g} N on average and swings by {swing:.3g} N in the end; 1 N within"
             f" {100.0 * _HOLD_SHARE:g} % and no swing of more than that are asked for"
         )
@@ -217,8 +217,8 @@ class _Bench:
                 base_position_m=base, force_n=pushed_n, in_contact=pushed_n != 0.0, following=not retracted
             )
             self.measured = [*self.measured[1:], newest]
-            told = self.measured[-1 - next(self.lates)]
-            self.tip = told._replace(outstanding_m=base - told.base_position_m)
+            measured = self.measured[-1 - next(self.lates)]
+            self.tip = measured._replace(outstanding_m=base - measured.base_position_m)
             self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, self.period_s)
             answer = answer._replace(silence_s=0.0)
             self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, self.period_s)
@@ -250,7 +250,7 @@ def _retunes(name: str) -> Iterator[str]:
                 )
 
 
-def _arms_anew(name: str) -> Iterator[str]:
+def _arms_again(name: str) -> Iterator[str]:
     bench = _Bench(name)
     bench.run(20, 0.0, retracted=True)
     first = bench.run(400, 1.0)
@@ -307,6 +307,6 @@ RULES = (
         _touches,
     ),
     Rule("changes a setting in a held contact without a step of force or hand", _retunes),
-    Rule("a session after a new arming is as the first", _arms_anew),
+    Rule("a session after a new arming is as the first", _arms_again),
     Rule("gives numbers at the corners of every range", _finite),
 )

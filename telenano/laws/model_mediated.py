@@ -277,8 +277,8 @@ def learnt(
             return met(params.fit, place, force), no_drift(place, force, _FASTEST_NM_PER_S)
         r = root_of(place - drift.gone - fit.surface.contact_nm, fit.surface.kappa / params.fit.cantilever)
         slope = max(-gradient(fit.surface, params.fit.cantilever, r)[0], _LEAST_SLOPE)
-        known = fit.surface.kappa * r * r * r - fit.surface.adhesion_nn
-        drift = drifted(drift, place, force, known, slope, elapsed_s, _STANDS_NN_PER_S, _FASTEST_NM_PER_S)
+        learnt_nn = fit.surface.kappa * r * r * r - fit.surface.adhesion_nn
+        drift = drifted(drift, place, force, learnt_nn, slope, elapsed_s, _STANDS_NN_PER_S, _FASTEST_NM_PER_S)
         return fitted(params.fit, fit, place - drift.gone, force), drift
     position = place - drift.gone
     if fit.known and position > fit.surface.contact_nm + params.fit.range_nm:

@@ -286,7 +286,7 @@ def granted(account: Account, energy_j: float) -> Account:
 
 
 @compiled
-def received_anew(account: Account, energy_j: float, received: bool) -> Account:
+def recount_received(account: Account, energy_j: float, received: bool) -> Account:
     """Start counting the other side's energy at a signal; what is left to spend stays.
 
     Where none is received nothing changes: to begin at zero would credit all that was received once more.
@@ -302,7 +302,7 @@ def opened(start_j: float) -> Account:
 
 
 @compiled
-def opened_anew(account: Account, start_j: float, sent_j: float) -> Account:
+def reopen(account: Account, start_j: float, sent_j: float) -> Account:
     """Let the port begin with E_0 [J] once more; what is left beyond it is dissipated, what is missing granted.
 
     sent_j: what was sent of what was put in, as a hand has paid for it [J].
@@ -407,10 +407,10 @@ def master_receive(
     stood = 0.0 if hand.following else state.stood_s + dt
     port = worked(state.port, hand, hand.following and mass.coupled and state.stood_s == 0.0)
     if not (coupled and (hand.following or (mass.coupled and stood <= p.silence_limit_s))):
-        account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
+        account = recount_received(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if is_retracted(p, signal):
             port = begun_again(port, account.in_j, True)
-            account = opened_anew(account, params.start_j, port.sent_j)
+            account = reopen(account, params.start_j, port.sent_j)
         state = MasterState(let_go(p, mass, hand, signal), account, stood, port)
         return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
     account = credited(state.account, signal.energy_j, params.cap_j)
@@ -462,9 +462,9 @@ def slave_receive(
     coupled = is_coupled(p, signal) and tip.following and has_arrived(p, state.position_m, tip)
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
-        account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
+        account = recount_received(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if not tip.following and not tip.in_contact:
-            account = opened_anew(account, params.start_j, account.in_j)
+            account = reopen(account, params.start_j, account.in_j)
         return _standing(params, base, tip, account), SlaveReference(base, True)
     force = p.force_scale * tip.force_n
     account = credited(state.account, signal.energy_j, params.cap_j)

@@ -152,19 +152,19 @@ def place_roots(samples: npt.NDArray[np.float64], contact_nm: float, ratio: floa
 @vectorized(place_roots)
 def _place_roots_at_once(samples: npt.NDArray[np.float64], contact_nm: float, ratio: float) -> None:
     """Take a step of Newton for all samples before the next one; the steps are those of `root_of`."""
-    at, roots, goes_on = samples[_AT], samples[_ROOT], np.empty(BINS, np.bool_)
+    at, roots, is_iterating = samples[_AT], samples[_ROOT], np.empty(BINS, np.bool_)
     for index in range(BINS):
         y = at[index] - contact_nm
-        goes_on[index] = y > 0.0
+        is_iterating[index] = y > 0.0
         roots[index] = 0.0 if y <= 0.0 else math.sqrt(y)
     for _ in range(_ITERATIONS):
         left = 0
         for index in range(BINS):
             y, r = at[index] - contact_nm, roots[index]
             step = (r * r * (1.0 + ratio * r) - y) / (r * (2.0 + 3.0 * ratio * r))
-            roots[index] = r - step if goes_on[index] else r
-            goes_on[index] = goes_on[index] and step > 1e-15 * roots[index]
-            left += goes_on[index]
+            roots[index] = r - step if is_iterating[index] else r
+            is_iterating[index] = is_iterating[index] and step > 1e-15 * roots[index]
+            left += is_iterating[index]
         if left == 0:
             break
 

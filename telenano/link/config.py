@@ -400,14 +400,14 @@ class LinkSettings(Settings):
         """Merge the given keys over those of the profile; doing so again changes nothing."""
         if not isinstance(data, Mapping) or not isinstance(name := data.get("profile"), str):
             return data
-        known = PROFILES.get(name.lower())
-        if known is None:
+        profile = PROFILES.get(name.lower())
+        if profile is None:
             return data
-        given = {
+        settings = {
             key: value.model_dump(exclude_unset=True) if isinstance(value, BaseModel) else value
             for key, value in data.items()
         }
-        return merge(known.settings, given, {"profile": name.lower()})
+        return merge(profile.settings, settings, {"profile": name.lower()})
 
     @model_validator(mode="after")
     def _reportable(self) -> "LinkSettings":
@@ -456,7 +456,7 @@ def profile_changes(settings: LinkSettings) -> dict[str, tuple[Setting, Setting]
 
 def changes_text(settings: LinkSettings) -> str:
     """Return in words what given keys replace in the profile, empty where they replace nothing."""
-    changed_keys = [f"{key} is {given}, not {named}" for key, (named, given) in profile_changes(settings).items()]
+    changed_keys = [f"{key} is {actual}, not {named}" for key, (named, actual) in profile_changes(settings).items()]
     return f"the profile {settings.profile} is changed: {', '.join(changed_keys)}" if changed_keys else ""
 
 

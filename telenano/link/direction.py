@@ -174,7 +174,7 @@ class DirectionEngine:
             if shared.queue is None:
                 continue
             follower = self._pipeline.shared_models.get(pattern)
-            _hold_anew(shared.queue, None if follower is None else follower.outages, now_ns)
+            _hold_again(shared.queue, None if follower is None else follower.outages, now_ns)
             if any(shared.queue is queue for queue in self._queues):
                 continue
             if shared.queue.is_instant and follower is not None and follower.queue is not None and same_topics:
@@ -189,7 +189,7 @@ class DirectionEngine:
         self._pipeline.begin_session(now_ns)
         for shared in self._pipeline.shared_models.values():
             if shared.queue is not None:
-                _hold_anew(shared.queue, shared.outages, now_ns)
+                _hold_again(shared.queue, shared.outages, now_ns)
 
     def capture(self) -> DirectionState:
         """Return the state; ValueError while a message waits that came under an order or slots no longer in force."""
@@ -426,7 +426,7 @@ def _random_delay_ns(fixed_ns: int, jitter: RandomDelay | None, now_ns: int) -> 
     return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter(now_ns))), _LONGEST_DELAY_NS)
 
 
-def _hold_anew(queue: ServedQueue[InFlight], outages: Outages | None, now_ns: int) -> None:
+def _hold_again(queue: ServedQueue[InFlight], outages: Outages | None, now_ns: int) -> None:
     """Let what waits for the end of an outage wait for the end of the one that is in force now, if there is any."""
     if any(entry.ready_ns > now_ns for entry in queue.waiting):
         end_ns = (None if outages is None else outages.end_ns(now_ns)) or now_ns

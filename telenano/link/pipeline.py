@@ -295,10 +295,10 @@ class Pipeline:
     def _kept(self, key: tuple[str, ...], definition: object, make: Callable[[], Model]) -> Model:
         """Return the model of this key, the same one as long as what defines it stays the same."""
         self._used.add(key)
-        known = self._models.get(key)
-        if known is None or known[0] != definition:
-            known = self._models[key] = (definition, make())
-        kept: Model = known[1]
+        model = self._models.get(key)
+        if model is None or model[0] != definition:
+            model = self._models[key] = (definition, make())
+        kept: Model = model[1]
         return kept
 
     def _shared_models_of(self, pattern: str, files: Files, now_ns: int) -> SharedModels:

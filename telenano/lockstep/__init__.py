@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from telenano.lockstep.lockstep import build_rig as build_rig
     from telenano.lockstep.lockstep import simulate as simulate
     from telenano.lockstep.lockstep import time_to_place_s as time_to_place_s
+    from telenano.lockstep.simulation import context_of as context_of
     from telenano.lockstep.simulation import instrument_of as instrument_of
     from telenano.lockstep.simulation import instrument_params as instrument_params
     from telenano.lockstep.simulation import known_of as known_of
-    from telenano.lockstep.simulation import programme_of as programme_of
     from telenano.lockstep.simulation import simulate_document as simulate_document
     from telenano.lockstep.steering import HandSteps as HandSteps
 else:

@@ -59,9 +59,9 @@ from telenano.lockstep.sites import (
     Master,
     by_rate,
     carried_out,
+    continues,
     counts,
     driven,
-    goes_on,
     hand_stepped,
     instrument_at,
     master_at,
@@ -221,8 +221,8 @@ def simulate(
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((len(COLUMNS), schedule.ticks))
     states = rig.haptic_start, rig.instrument_start
-    given = (rig.halves, rig.haptic, rig.instrument, *states, schedule, session_tick, rows, hand, path)
-    start, done = compiled_call(_run, given) if at_once else _run_as_it_pays(rig, given)
+    arguments = (rig.halves, rig.haptic, rig.instrument, *states, schedule, session_tick, rows, hand, path)
+    start, done = compiled_call(_run, arguments) if at_once else _run_as_it_pays(rig, arguments)
     if start < 0:
         limits, newest = rig.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
         why = (
@@ -354,7 +354,7 @@ def _run(
                 sent_backward[f & mask] = False
                 if tick >= 0:
                     if path is not None:
-                        follows, later_s = goes_on(halves, s, forward[tick & mask], tick * period_ns, event_ns)
+                        follows, later_s = continues(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                         was = i.lateral
                         across = across_signalled(path, across, tick, (was.x_m, was.y_m), follows, later_s)
                         if moves_stage(across.slave):

@@ -23,17 +23,17 @@ from telenano.afm.over_surface import over_surface
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.afm.step import AfmParams
 from telenano.analysis.holds import (
-    NO_PROGRAMME,
+    NO_CONTEXT,
     Guard,
     Hold,
     Instrument,
     Limits,
-    Programme,
+    SessionContext,
     guard_of,
     judge_holds,
     verdict_of,
 )
-from telenano.analysis.interruptions import Told, in_words, interruptions_of
+from telenano.analysis.interruptions import ModeReport, in_words, interruptions_of
 from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
@@ -134,7 +134,7 @@ class SimulatedSession(ColumnTable):
         safety: SafetyParams | None = None,
         *,
         further: Mapping[str, tuple[str, str]] | None = None,
-        known: Programme = NO_PROGRAMME,
+        known: SessionContext = NO_CONTEXT,
         position_scale: float | None = None,
     ) -> None:
         self.conditions = conditions
@@ -145,17 +145,17 @@ class SimulatedSession(ColumnTable):
         self._course = course
         values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
-        told = dict(_COLUMNS)
+        described = dict(_COLUMNS)
         if course.across is not None:
             columns = {name: column for name, (column, *_) in _ACROSS.items()}
             columns |= {name: column for column, name in enumerate(further or (), across.WIDTH)}
             values |= {name: course.across[:, column] for name, column in columns.items()}
-            told |= {name: (unit, text) for name, (_, unit, text) in _ACROSS.items()} | dict(further or {})
+            described |= {name: (unit, text) for name, (_, unit, text) in _ACROSS.items()} | dict(further or {})
         super().__init__(
             "a simulated session",
             {name: np.asarray(column) for name, column in values.items()},
-            {name: unit for name, (unit, _) in told.items()},
-            {name: text for name, (_, text) in told.items()},
+            {name: unit for name, (unit, _) in described.items()},
+            {name: text for name, (_, text) in described.items()},
         )
 
     def __repr__(self) -> str:
@@ -191,13 +191,13 @@ class SimulatedSession(ColumnTable):
     def holds(self) -> list[Hold]:
         """The holds of the hand, each judged."""
         time_s, tip_n = self["time_s"], self["scaled_tip_force_n"]
-        return judge_holds(time_s, self["operator_force_n"], time_s, tip_n, self._tip, self._programme)
+        return judge_holds(time_s, self["operator_force_n"], time_s, tip_n, self._tip, self._context)
 
     @cached_property
     def _verdict(self) -> tuple[str, str]:
-        guard = guard_of(self["time_s"], self._tip, self._programme)
+        guard = guard_of(self["time_s"], self._tip, self._context)
         greatest_n = float(np.abs(self["operator_force_n"]).max(initial=0.0))
-        return verdict_of(self.holds, guard, greatest_n, in_words(self._programme.interruptions))
+        return verdict_of(self.holds, guard, greatest_n, in_words(self._context.interruptions))
 
     @property
     def verdict(self) -> str:
@@ -214,8 +214,8 @@ class SimulatedSession(ColumnTable):
         return instrument_of(self._course, self._position_scale)
 
     @cached_property
-    def _programme(self) -> Programme:
-        return programme_of(self._course, self._safety, self._known)
+    def _context(self) -> SessionContext:
+        return context_of(self._course, self._safety, self._known)
 
 
 def instrument_of(course: Trajectory, position_scale: float | None = None, *, knows_contact: bool = True) -> Instrument:
@@ -227,7 +227,7 @@ def instrument_of(course: Trajectory, position_scale: float | None = None, *, kn
     return Instrument((mode == MODE_FOLLOW) | held, course.in_contact, held, apart_m, knows_contact)
 
 
-def programme_of(course: Trajectory, safety: SafetyParams | None, known: Programme = NO_PROGRAMME) -> Programme:
+def context_of(course: Trajectory, safety: SafetyParams | None, known: SessionContext = NO_CONTEXT) -> SessionContext:
     """Return what is known of a course besides its series: when the loop was open, and the guard, which acts once."""
     withdrawn = np.flatnonzero(np.isfinite(course.withdrawn_s))[:1].tolist()
     reasons = [REASON_NAMES[int(course.instrument_reason[i])] for i in withdrawn]
@@ -236,18 +236,18 @@ def programme_of(course: Trajectory, safety: SafetyParams | None, known: Program
         known = known._replace(limits=Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s))
     time_s, held = course.time_s, course.instrument_mode == MODE_HOLD
     begins = np.flatnonzero(np.diff(held, prepend=False) & held)
-    told = [Told(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
-    found = interruptions_of("tip_held", time_s, held, told)
+    reports = [ModeReport(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
+    interruptions = interruptions_of("tip_held", time_s, held, reports)
     # a hand is let go for want of commands, or because the law no longer couples it to a tip that is held or away
-    found += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
-    return known._replace(guards=guards, interruptions=sorted(found, key=lambda one: one.start_s))
+    interruptions += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
+    return known._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
 
 
-def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> Programme:
+def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> SessionContext:
     """Return what a law and a link tell of a session: what the law rests at, how long a command is in transit [s]."""
     rest_force = KNOWN_LAWS[controller.law].rest_force
     own = None if rest_force is None else functools.partial(rest_force, controller.params())
-    return Programme(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)
+    return SessionContext(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)
 
 
 def simulate_scenario(
@@ -365,16 +365,16 @@ def simulate_document(
     safety = rig.instrument.safety
     ages_s = _ages_s(schedule, period_s)
     transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
-    known = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
-    known = known._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
-    known = known._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
+    context = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
+    context = context._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
+    context = context._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
     return SimulatedSession(
         conditions,
         course,
         section.force_scale,
         safety,
         further=columns_of(hand),
-        known=known,
+        known=context,
         position_scale=section.position_scale,
     )
 

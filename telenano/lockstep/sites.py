@@ -83,7 +83,7 @@ def _latest(signal: PortSignal, heard: Heard, now_ns: int, round_trip_s: float) 
 
 
 @inlined
-def _told(delay_ns: int) -> int:
+def _reported_delay_ns(delay_ns: int) -> int:
     """Return the part of a delay that the link tells the guards [ns]."""
     return delay_ns - delay_ns % DELAY_STEP_NS
 
@@ -211,9 +211,9 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
 def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int) -> tuple[Master, PortSignal, bool]:
     """Return the master half after a sample, the signal that it sends, and whether the dead band lets it through."""
     m = _master_settled(halves, m, now_ns)
-    timing, found = integration.master_sampled(m.timing, halves.master, now_ns, False, False)
-    law = master_start(halves.law, hand) if found.begins else m.law
-    dt = found.periods * halves.period_s
+    timing, step = integration.master_sampled(m.timing, halves.master, now_ns, False, False)
+    law = master_start(halves.law, hand) if step.begins else m.law
+    dt = step.periods * halves.period_s
     law, signal = master_send(halves.law, law, hand, dt)
     band, sent = deadband(halves.band, m.band, signal, dt)
     after = Master(
@@ -239,7 +239,7 @@ def master_with_answer(
         law=m.law,
         hand=m.hand,
         signal=signal,
-        answered_ns=hand_ns + _told(there_ns - hand_ns) + _told(now_ns - there_ns),
+        answered_ns=hand_ns + _reported_delay_ns(there_ns - hand_ns) + _reported_delay_ns(now_ns - there_ns),
         band=m.band,
         command=m.command,
         rendered_n=m.rendered_n,
@@ -256,8 +256,10 @@ def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int
         law = slave_start(halves.law, s.tip)
     elif begins:
         law, _ = slave_receive(halves.law, law, NO_SIGNAL, s.tip, halves.period_s)
-    told_ns = hand_ns + _told(now_ns - hand_ns)
-    s = Slave(timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=told_ns, entry=s.entry)
+    reported_ns = hand_ns + _reported_delay_ns(now_ns - hand_ns)
+    s = Slave(
+        timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=reported_ns, entry=s.entry
+    )
     return _slave_stepped(halves, s, now_ns, timing.pacing.elapsed, True)
 
 
@@ -360,7 +362,7 @@ def counts(m: Master, path: AcrossPath, now_ns: int) -> bool:
 
 
 @inlined
-def goes_on(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
+def continues(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
     """Return whether a signal follows the one before while the instrument follows, and how much later it is [s]."""
     timing, begins = integration.slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
     follows = not begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
@@ -386,7 +388,7 @@ def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -
     """Let the instrument step by itself, and the slave half with it, where its last signal still counts."""
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, False)
     s, settled = _slave_measured(halves, s, tip, now_ns)
-    if settled.what == integration.GO_ON:
+    if settled.what == integration.CONTINUE:
         s = _slave_stepped(halves, s, now_ns, 0, False)
         s, i, _ = carried_out(halves, params, s, i, now_ns)
     return s, i

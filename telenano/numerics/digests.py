@@ -57,8 +57,8 @@ def digest_covers(module: str, classes: Iterable[str]) -> bool:
     It does not where one is neither of SOURCES nor of an installed package with steps, nor where a source was edited
     after this process began: what was imported may be older than its file.
     """
-    known = _known_modules() + (package_modules(with_steps()) if _has_own_steps(module) else ())
-    return all((name + ".").startswith(known) for name in (module, *classes)) and not _edited_since(_STARTED_S)
+    modules = _known_modules() + (package_modules(with_steps()) if _has_own_steps(module) else ())
+    return all((name + ".").startswith(modules) for name in (module, *classes)) and not _edited_since(_STARTED_S)
 
 
 def cache_directory() -> Path:

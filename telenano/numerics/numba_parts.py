@@ -74,10 +74,10 @@ class StepCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what is compiled for a signature; where nothing is, say that compiling it takes its time."""
-        found = None
+        overload = None
         if self._can_be_kept(sig):
             try:
-                found = super().load_overload(sig, target_context)
+                overload = super().load_overload(sig, target_context)
             except OSError:
                 pass
             # a file that the machine had not written to its disk when it crashed
@@ -85,9 +85,9 @@ class StepCache(FunctionCache):
                 _warn(f"the compiled code in {cache_folder()} is incomplete, and is compiled again")
                 with contextlib.suppress(OSError):
                     self.flush()
-        if found is None and self._python_calls:
+        if overload is None and self._python_calls:
             _warn("compiling models, which takes some ten seconds once; `telenano doctor --warm` does it beforehand")
-        return found
+        return overload
 
     def has(self, sig: Any, target_context: Any) -> bool:
         """Return whether what is compiled for a signature is on the disk."""

@@ -7,7 +7,7 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.recording.arrays import column_pieces as column_pieces
     from telenano.recording.arrays import columns as columns
-    from telenano.recording.arrays import last_programme as last_programme
+    from telenano.recording.arrays import last_force_profile as last_force_profile
     from telenano.recording.channel_filter import Selection as Selection
     from telenano.recording.column_table import ColumnTable as ColumnTable
     from telenano.recording.export import Payload as Payload

@@ -58,9 +58,9 @@ def column_pieces(recording: RecordingSource, channel_topic: str, fields: Sequen
     """
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
-        known = ", ".join(sorted(names)) or "none"
+        shown = ", ".join(sorted(names)) or "none"
         near = probably_meant(channel_topic, names)
-        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}{near}")
+        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {shown}{near}")
     paths: dict[str, _Path] = {
         field: tuple(int(part) if part.isdecimal() else part for part in field.split("."))
         for field in fields
@@ -120,17 +120,17 @@ def _reader(paths: Mapping[str, _Path]) -> Callable[[Sequence[RecordedMessage]],
     decode = msgspec.msgpack.Decoder(msgspec.defstruct("Wanted", wanted, rename=renamed, gc=False)).decode
 
     def read(messages: Sequence[RecordedMessage]) -> dict[str, list[Any]] | None:
-        found: dict[str, list[Any]] = {}
+        rows_of: dict[str, list[Any]] = {}
         try:
             rows = [decode(message.payload) for message in messages]
             for field, (first, *rest) in paths.items():
                 values = list(map(attrgetter(keys[first]), rows))
                 for part in rest:
                     values = [None if value is None else value[part] for value in values]
-                found[field] = values
+                rows_of[field] = values
         except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError):
             return None
-        return found
+        return rows_of
 
     return read
 
@@ -172,8 +172,8 @@ def _read_each(
                     value = None if value is None else value[part]
             except (KeyError, IndexError, TypeError) as error:
                 where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
-                known = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
-                raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
+                shown = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
+                raise RecordingError(f"{where}: has no field {field}, its fields are {shown}") from error
             values[field].append(value)
     return [message for message, _ in taken], values
 
@@ -183,8 +183,8 @@ def _joined(pieces: list[Column]) -> Column:
     last = pieces[-1].dtype
     if last == np.object_:
         # a piece in which all values were nil is one of numbers that are none
-        pieces = [found if found.dtype == last else np.full(found.shape, None, dtype=np.object_) for found in pieces]
-    return np.concatenate([found.astype(last, copy=False) for found in pieces])
+        pieces = [piece if piece.dtype == last else np.full(piece.shape, None, dtype=np.object_) for piece in pieces]
+    return np.concatenate([piece.astype(last, copy=False) for piece in pieces])
 
 
 def _array(recording: RecordingSource, channel_topic: str, field: str, values: list[Any], kinds: set[type]) -> Column:
@@ -203,7 +203,7 @@ def _array(recording: RecordingSource, channel_topic: str, field: str, values: l
     )
 
 
-def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
+def last_force_profile(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     """Return the indices of the last run of the operator's force profile.
 
     It begins where the time of the force profile falls while the time of sending continues, or where a player was set
@@ -227,8 +227,8 @@ def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
             break
         running = running[rewinds[0] :]
         old = t_ns[running] < np.maximum.accumulate(t_ns[running])
-    anew = np.flatnonzero(np.diff(session_s[running]) < 0.0)
-    return running[anew[-1] + 1 :] if anew.size else running
+    restarts = np.flatnonzero(np.diff(session_s[running]) < 0.0)
+    return running[restarts[-1] + 1 :] if restarts.size else running
 
 
 def last_session(
@@ -250,13 +250,13 @@ def last_session(
     Returns:
         The indices, fewer than two when no force profile ran.
     """
-    session = last_programme(session_s, t_ns)
+    session = last_force_profile(session_s, t_ns)
     if session.size and (last := int(session[-1])) + 1 < len(seq) and _died(last, seq, t_ns):
         end_ns = min((end_ns for end_ns in ends_ns if end_ns > t_ns[last]), default=t_ns.max() + 1)
         after = _rising(np.arange(last + 1, len(seq)), t_ns)
         session = np.concatenate((session, after[t_ns[after] < end_ns]))
     while session.size and (first := int(session[0])) > 0:
-        before = last_programme(session_s[:first], t_ns[:first])
+        before = last_force_profile(session_s[:first], t_ns[:first])
         if not before.size or not _was_cut_off(int(before[-1]), first, seq, t_ns, starts_ns):
             break
         between = _rising(np.arange(before[-1] + 1, first), t_ns)
@@ -276,5 +276,5 @@ def _rising(places: npt.NDArray[np.intp], t_ns: Column) -> npt.NDArray[np.intp]:
 
 def _was_cut_off(last: int, first: int, seq: Column, t_ns: Column, starts_ns: Sequence[int]) -> bool:
     """Return whether a force profile ended with its process, and the one that follows is of the same session."""
-    begun_anew = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
-    return _died(last, seq, t_ns) and not begun_anew
+    is_restarted = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
+    return _died(last, seq, t_ns) and not is_restarted

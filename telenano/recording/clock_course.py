@@ -50,18 +50,18 @@ def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
 
 def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
     """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits."""
-    found: list[Stretch] = []
+    found_stretches: list[Stretch] = []
     upper, lower = list(pieces[0].upper), list(pieces[0].lower)
     line = fitted(upper, lower)
     for piece in pieces[1:]:
         both = fitted(upper + piece.upper, lower + piece.lower, line.drift)
         alone = fitted(piece.upper, piece.lower, line.drift)
         if are_apart(both, line, alone) or piece.upper[0][0] - upper[0][0] > _LONGEST_NS:
-            found.append(_stretch(upper, lower, line))
+            found_stretches.append(_stretch(upper, lower, line))
             upper, lower, line = list(piece.upper), list(piece.lower), alone
         else:
             upper, lower, line = upper + piece.upper, lower + piece.lower, both
-    return [*found, _stretch(upper, lower, line)]
+    return [*found_stretches, _stretch(upper, lower, line)]
 
 
 def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:

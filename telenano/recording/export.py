@@ -43,8 +43,8 @@ def export_recording(source: Path, target: Path, kind: str, selection: Selection
     """
     recording = Recording(source)
     if selection is not ALL and not any(map(selection, recording.channels)):
-        known = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
-        raise RecordingError(f"{source}: has no channel that was asked for; its channels are {known}")
+        shown = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
+        raise RecordingError(f"{source}: has no channel that was asked for; its channels are {shown}")
     try:
         return _export(recording, target, kind, selection)
     except FileExistsError as error:
@@ -113,12 +113,12 @@ def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]
     if kind in loaded.problems:
         raise ConfigError(loaded.problems[kind])
     if kind in loaded.found:
-        found: Callable[[Recording, Path, Selection], CopyResult] = loaded.found[kind]
-        return found
+        export: Callable[[Recording, Path, Selection], CopyResult] = loaded.found[kind]
+        return export
     if where := where_it_is(f"format {kind}"):
         raise ConfigError(where)
-    known = (*FORMATS, *plugins.installed("exports"))
-    raise ConfigError(f"{kind!r} is no format{probably_meant(kind, known)}; known are {', '.join(known)}")
+    kinds = (*FORMATS, *plugins.installed("exports"))
+    raise ConfigError(f"{kind!r} is no format{probably_meant(kind, kinds)}; known are {', '.join(kinds)}")
 
 
 def _written_by_package(write: Any, recording: Recording, target: Path, kind: str, selection: Selection) -> CopyResult:
@@ -219,10 +219,10 @@ def viewer_schema(model: type[Record]) -> dict[str, Any]:
 
 def viewer_json(fields: Mapping[str, Any], schema: Mapping[str, Any]) -> bytes:
     """Return a message as the JSON that its `viewer_schema` describes."""
-    found = fitted(dict(fields), schema)
-    known = schema["properties"]
-    texts = {f"{name}{_TEXT}": str(part) for name, part in found.items() if f"{name}{_TEXT}" in known}
-    return json.dumps({**found, **texts}, separators=(",", ":")).encode()
+    document = fitted(dict(fields), schema)
+    properties = schema["properties"]
+    texts = {f"{name}{_TEXT}": str(part) for name, part in document.items() if f"{name}{_TEXT}" in properties}
+    return json.dumps({**document, **texts}, separators=(",", ":")).encode()
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:

@@ -46,17 +46,17 @@ class IndexedRecording(Recording):
 
     def info(self, see: SeeMessage | None = None) -> RecordingInfo:
         """Return the summary by the index, or by reading the whole file where the index does not tell all."""
-        found = quick_info(self.path)
-        if found is not None and see is not None:
+        quick = quick_info(self.path)
+        if quick is not None and see is not None:
             for message in self.messages():
                 see(message)
-        return found or super().info(see)
+        return quick or super().info(see)
 
     def _read_layout(self, data: mmap.mmap) -> Layout:
-        found = layout_by_index(data, str(self.path))
-        if found is None:
+        layout_read = layout_by_index(data, str(self.path))
+        if layout_read is None:
             return super()._read_layout(data)
-        layout, self._indexes = found
+        layout, self._indexes = layout_read
         return layout
 
     def select(
@@ -104,10 +104,10 @@ class IndexedRecording(Recording):
     def _content(self, data: mmap.mmap, block: Block) -> bytes:
         if block.offset not in self._indexes:
             return super()._content(data, block)
-        found = chunk_at(data, block.offset, block.data_end)
-        if found is None or found._replace(crc=0) != block:
+        chunk = chunk_at(data, block.offset, block.data_end)
+        if chunk is None or chunk._replace(crc=0) != block:
             raise DamagedBlockError("the chunk is not what the index says")
-        return unpack(data, found)
+        return unpack(data, chunk)
 
     def _records(
         self, data: mmap.mmap, block: Block, content: bytes, selected: Container[int]

@@ -61,8 +61,8 @@ class AttachmentInfo(_Info):
 def attachments_of(records: Mapping[str, Attachment]) -> tuple[AttachmentInfo, ...]:
     """Return what a summary says of attachments."""
     return tuple(
-        AttachmentInfo(name=name, media_type=found.media_type, size_bytes=len(found.data))
-        for name, found in records.items()
+        AttachmentInfo(name=name, media_type=records_of_name.media_type, size_bytes=len(records_of_name.data))
+        for name, records_of_name in records.items()
     )
 
 
@@ -222,28 +222,28 @@ class RecordingStatistics:
 
     def missing(self) -> tuple[str, ...]:
         """Return a sentence for each channel that lacks messages; the last one counts the further channels."""
-        found = [(found.missing, channel) for channel, found in self.channels.items() if found.missing > 0]
-        found.sort(key=lambda row: -row[0])
+        counts = [(counts.missing, channel) for channel, counts in self.channels.items() if counts.missing > 0]
+        counts.sort(key=lambda row: -row[0])
         named = [
             f"{count} messages of {channel.src or 'a source'} on {channel.channel_topic} are missing"
-            for count, channel in found[:_MOST_NAMED]
+            for count, channel in counts[:_MOST_NAMED]
         ]
-        rest = found[_MOST_NAMED:]
+        rest = counts[_MOST_NAMED:]
         if rest:
             named.append(f"{sum(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
         return tuple(named)
 
     def lag(self) -> LagInfo | None:
         """Return the lag of the recorder; replayed messages have stamps of another time and do not count."""
-        lags = [found for src, found in self._lags.items() if src not in self._replayed]
+        lags = [lag_s for src, lag_s in self._lags.items() if src not in self._replayed]
         if not lags:
             return None
         # A summary by the index has no lag, and does not wait for this import.
         import numpy as np
 
-        kept = np.concatenate([np.frombuffer(found.kept, dtype=np.int64) for found in lags])
+        kept = np.concatenate([np.frombuffer(lag_s.kept, dtype=np.int64) for lag_s in lags])
         p50, p99 = np.percentile(kept, [50.0, 99.0])
-        return LagInfo(p50_s=float(p50) * 1e-9, p99_s=float(p99) * 1e-9, max_s=max(found.most for found in lags) * 1e-9)
+        return LagInfo(p50_s=float(p50) * 1e-9, p99_s=float(p99) * 1e-9, max_s=max(lag_s.most for lag_s in lags) * 1e-9)
 
     def _add_gap(self, message: RecordedMessage) -> None:
         fields = _fields(message)
@@ -284,7 +284,7 @@ class _Lags:
 
 def notes_of(metadata: Iterable[Mapping[str, Mapping[str, str]]]) -> tuple[str, ...]:
     """Return what the recorder itself noted as missing, from the metadata of its files."""
-    notes = [note for found in metadata for note in found.get(END_NAME, {}).get("note", "").split("; ") if note]
+    notes = [note for record in metadata for note in record.get(END_NAME, {}).get("note", "").split("; ") if note]
     return tuple(dict.fromkeys(notes))
 
 

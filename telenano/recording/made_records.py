@@ -30,9 +30,9 @@ def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:
     writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
     numbers: dict[RecordedChannel, int] = {}
     for message in messages:
-        known = message.channel
-        if known not in numbers:
-            numbers[known] = writer.channel(known.topic, known.src, known.site)
-        writer.write(numbers[known], message.log_ns, message.publish_ns, message.seq, message.payload)
+        channel = message.channel
+        if channel not in numbers:
+            numbers[channel] = writer.channel(channel.topic, channel.src, channel.site)
+        writer.write(numbers[channel], message.log_ns, message.publish_ns, message.seq, message.payload)
     writer.finish()
     return writer.path

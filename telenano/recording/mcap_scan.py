@@ -202,8 +202,8 @@ def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
     if position + RECORD_HEAD.size > len(data):
         return opcode, None
     end = position + RECORD_HEAD.size + _LENGTH.unpack_from(data, position + 1)[0]
-    known = Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
-    if not known or end > len(data) or (opcode == Opcode.CHUNK and chunk_at(data, position, end) is None):
+    is_opcode = Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
+    if not is_opcode or end > len(data) or (opcode == Opcode.CHUNK and chunk_at(data, position, end) is None):
         return opcode, None
     return opcode, end
 
@@ -267,8 +267,8 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
     elif opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
         layout.metadata[metadata.name] = metadata.metadata
-        if metadata.name == "recording" and (found := metadata.metadata.get("format", FORMAT)) != FORMAT:
-            text = f"is a recording of format {found[:20]}, and format {FORMAT} is known here: update telenano"
+        if metadata.name == "recording" and (format_read := metadata.metadata.get("format", FORMAT)) != FORMAT:
+            text = f"is a recording of format {format_read[:20]}, and format {FORMAT} is known here: update telenano"
             raise RecordingError(f"{layout.path}: {text}")
     elif opcode == Opcode.CHANNEL:
         channel = Channel.read(stream)
@@ -293,11 +293,11 @@ def _attachment_intact(body: bytes) -> bool:
 def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: Layout) -> int:
     """Record the damage at `position` and return the position where reading continues."""
     # a wrong length may have led past good chunks, so the search begins after the last one that was intact
-    found = _next_chunk(data, trusted, position)
-    if found is not None:
-        start = position if found > position else trusted
-        layout.damage.append(Damage(start, found - start, "bytes that are not a record"))
-        return found
+    chunk = _next_chunk(data, trusted, position)
+    if chunk is not None:
+        start = position if chunk > position else trusted
+        layout.damage.append(Damage(start, chunk - start, "bytes that are not a record"))
+        return chunk
     block = chunk_at(data, position, None) if opcode == Opcode.CHUNK else None
     if block is not None:
         layout.blocks.append(block)

@@ -128,12 +128,12 @@ class RecordedMessage(NamedTuple):
             RecordingError: The payload is not a msgpack map; the message names the channel.
         """
         try:
-            found = msgpack.unpackb(self.payload, use_list=False)
+            document = msgpack.unpackb(self.payload, use_list=False)
         except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not msgpack: {error}") from error
-        if not isinstance(found, dict):
+        if not isinstance(document, dict):
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not a msgpack map")
-        return found
+        return document
 
     def checked_fields(self) -> Mapping[str, Any]:
         """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""

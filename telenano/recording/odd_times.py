@@ -28,12 +28,12 @@ class Dates:
 
     def add(self, first_ns: int, last_ns: int, amount: int) -> None:
         """Add messages from one time to another [ns], which are no long pause apart, or a single one."""
-        found = self._days.setdefault(first_ns // LONGEST_PAUSE_NS, [first_ns, last_ns, 0])
-        if first_ns < found[0]:
-            found[0] = first_ns
-        if last_ns > found[1]:
-            found[1] = last_ns
-        found[2] += amount
+        day = self._days.setdefault(first_ns // LONGEST_PAUSE_NS, [first_ns, last_ns, 0])
+        if first_ns < day[0]:
+            day[0] = first_ns
+        if last_ns > day[1]:
+            day[1] = last_ns
+        day[2] += amount
 
     def groups(self) -> list[Dated]:
         """Return the messages between long pauses, in the order of time."""
@@ -52,8 +52,8 @@ class Dates:
         Zeros where nothing was added.
         """
         groups = self.groups()
-        found = max(groups, key=lambda each: (each.last_ns < _LATEST_NS, each[2], each[0]), default=Dated(0, 0, 0))
-        return found.first_ns, found.last_ns
+        largest = max(groups, key=lambda each: (each.last_ns < _LATEST_NS, each[2], each[0]), default=Dated(0, 0, 0))
+        return largest.first_ns, largest.last_ns
 
 
 def odd_text(group: Dated, example: str, span_ns: Sequence[int]) -> str:

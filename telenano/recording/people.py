@@ -20,11 +20,11 @@ def people_in(recording: RecordingSource) -> dict[str, dict[str, int]]:
     left_out = LeftOut()
 
     def take(message: Any) -> None:
-        said = message.decode()
-        given = fields_of(said) if message.channel.topic == "session/control" else said.data
-        by, command = given.get("by"), given.get("command")
+        decoded = message.decode()
+        fields = fields_of(decoded) if message.channel.topic == "session/control" else decoded.data
+        by, command = fields.get("by"), fields.get("command")
         if by and command:
-            commands[said.id] = by, command
+            commands[decoded.id] = by, command
         elif by:
             hands[by, "hand"] += 1
 

@@ -45,8 +45,8 @@ def _without_index(column: str) -> str:
 @cache
 def _quantities(topic: str) -> dict[str, Quantity]:
     model = model_of(topic)
-    found = {name: Quantity(*facts) for name, facts in _RECORD.items()}
-    return found if model is None else found | dict(_of_model(model, ""))
+    quantities = {name: Quantity(*facts) for name, facts in _RECORD.items()}
+    return quantities if model is None else quantities | dict(_of_model(model, ""))
 
 
 def _of_model(model: type[Record], prefix: str) -> Iterator[tuple[str, Quantity]]:

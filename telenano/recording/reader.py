@@ -207,13 +207,13 @@ class Recording:
                 break
             if block.first_ns >= time_ns:
                 continue
-            found: dict[RecordedChannel, RecordedMessage] = {}
+            newest_of: dict[RecordedChannel, RecordedMessage] = {}
             table = self._recorded_channels(missing.__contains__, self._channels_by_number)
             for message in self._walk(table, RecordedMessage, blocks=(block,)):
                 if message.log_ns < time_ns:
-                    found[message.channel] = message
-            newest |= found
-            missing -= set(found)
+                    newest_of[message.channel] = message
+            newest |= newest_of
+            missing -= set(newest_of)
         return newest
 
     def raw(self, report: DamageCallback | None = None) -> Iterator[RawMessage]:
@@ -285,7 +285,7 @@ class Recording:
 
         Blocks that lie outside of the bounds [ns] as a whole are skipped.
         """
-        known, selected = channels.known, channels.selected
+        channels_known, selected = channels.known, channels.selected
         with self._open() as data:
             for block in each_block(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
@@ -307,7 +307,7 @@ class Recording:
                         if channel is not None:
                             payload = content[start + MESSAGE_HEAD.size : end]
                             yield message_type(channel, log_ns, publish_ns, seq, payload)
-                        elif number not in known and report is not None:
+                        elif number not in channels_known and report is not None:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         channels.read(opcode, content[start:end])
@@ -348,8 +348,8 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
     parts: list[PartInfo] = []
     missing: list[str] = []
     for number, recording in enumerate(recordings):
-        part, found = _count(recording, statistics, parts[-1] if parts else None, see)
-        damage += found
+        part, counted = _count(recording, statistics, parts[-1] if parts else None, see)
+        damage += counted
         if number and recordings[number - 1].ending != _PLANNED_END:
             before = Path(parts[-1].path).name
             missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")
@@ -358,14 +358,14 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
             missing.append(
                 f"{recording.path.name} was not closed: it ends {length_s:.3f} s after its start, the rest is missing"
             )
-        if found:
-            missing.append(f"{sum(each.size_bytes for each in found)} bytes of {recording.path.name} cannot be read")
+        if counted:
+            missing.append(f"{sum(each.size_bytes for each in counted)} bytes of {recording.path.name} cannot be read")
         parts.append(part)
     statistics.finish()
     missing += [*statistics.missing(), *notes_of(recording.metadata for recording in recordings)]
     start = min((part.start_ns for part in parts if part.messages), default=0)
     end = max((part.end_ns for part in parts if part.messages), default=0)
-    attachments = {name: found for each in reversed(recordings) for name, found in each.attachment_records.items()}
+    attachments = {name: counted for each in reversed(recordings) for name, counted in each.attachment_records.items()}
     return RecordingInfo(
         path=str(first.path),
         size_bytes=sum(recording.size_bytes for recording in recordings),
@@ -464,8 +464,8 @@ class _ChannelTable(Generic[_ChannelT]):
                 schema = Schema.read(stream)
                 self._schemas[schema.id] = schema
             else:
-                found = Channel.read(stream)
-                self._add(found.id, self._convert(found, self._schemas))
+                record = Channel.read(stream)
+                self._add(record.id, self._convert(record, self._schemas))
         except UNREADABLE:
             return
 

@@ -9,7 +9,7 @@ from typing import IO, Any
 
 from pydantic import BaseModel
 
-from telenano.files.whole_files import whole_file, whole_results
+from telenano.files.atomic_files import atomic_file, whole_results
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_messages import MessageWriter
 from telenano.recording.mcap_scan import describe_damage
@@ -38,7 +38,7 @@ class CopyWriter:
         self._file = contextlib.ExitStack()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part = self._file.enter_context(whole_file(path, replace=False))
+            part = self._file.enter_context(atomic_file(path, replace=False))
             self._stream: IO[bytes] = self._file.enter_context(part.open("wb"))
         except OSError as error:
             self._file.__exit__(type(error), error, error.__traceback__)
@@ -70,11 +70,11 @@ class CopyWriter:
     def add(self, message: RawMessage) -> None:
         # The identity is looked up first, because hashing a channel with its schema costs more than writing the
         # message.
-        known = self._by_identity.get(id(message.channel))
-        if known is None or known[0] is not message.channel:
-            known = self._by_identity[id(message.channel)] = (message.channel, self._register(message.channel))
+        number = self._by_identity.get(id(message.channel))
+        if number is None or number[0] is not message.channel:
+            number = self._by_identity[id(message.channel)] = (message.channel, self._register(message.channel))
         self._mcap.add_message(
-            channel_id=known[1],
+            channel_id=number[1],
             log_time=message.log_ns,
             data=message.payload,
             publish_time=message.publish_ns,
@@ -93,13 +93,13 @@ class CopyWriter:
         files: dict[str, bytes] = {}
         metadata: dict[str, dict[str, str]] = {}
         for recording in recordings:
-            for name, found in recording.attachment_records.items():
-                if files.setdefault(name, found.data) != found.data:
+            for name, records_of_name in recording.attachment_records.items():
+                if files.setdefault(name, records_of_name.data) != records_of_name.data:
                     name = f"{recording.path.stem}/{name}"
-                    files[name] = found.data
+                    files[name] = records_of_name.data
                 elif any(name in earlier.attachment_records for earlier in recordings[: recordings.index(recording)]):
                     continue
-                self.attach(name, found.media_type, found.data, found.log_time)
+                self.attach(name, records_of_name.media_type, records_of_name.data, records_of_name.log_time)
             for name, entries in recording.metadata.items():
                 if name in metadata and metadata[name] == entries:
                     continue

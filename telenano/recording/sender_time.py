@@ -140,8 +140,8 @@ class SenderOrder:
         self._exhausted = False
         # The newest message of each channel that was sent before the beginning.
         self.before: dict[RecordedChannel, Sent] = {}
-        while first_ns is not None and (found := self.peek()) is not None and found.time_ns < first_ns:
-            self.before[found.message.channel] = found
+        while first_ns is not None and (message := self.peek()) is not None and message.time_ns < first_ns:
+            self.before[message.message.channel] = message
             self.pop()
 
     def peek(self) -> Sent | None:
@@ -164,19 +164,19 @@ class SenderOrder:
         return True
 
     def __iter__(self) -> Iterator[Sent]:
-        while (found := self.peek()) is not None:
+        while (message := self.peek()) is not None:
             self.pop()
-            yield found
+            yield message
 
     def _needs(self, channel: RecordedChannel) -> bool:
         return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
 
     def _read_on(self, count: int = _READ_AT_ONCE) -> None:
         """Read a number of messages, sort what is pending, and make ready what nothing can have been sent before."""
-        before, known, arrived, new = self._place, self._known, self._arrived, tuple.__new__
+        before, entries, arrived, new = self._place, self._known, self._arrived, tuple.__new__
         for message in islice(self._source, count):
             channel, log_ns, publish_ns, _, _ = message
-            _, shift_ns, wanted, is_plain = known.get(id(channel)) or self._look_at(message)
+            _, shift_ns, wanted, is_plain = entries.get(id(channel)) or self._look_at(message)
             time_ns = publish_ns + (self._clock.of_slave(publish_ns) if shift_ns is None else shift_ns)
             self._place += 1
             if log_ns > self._read_ns:
@@ -201,8 +201,8 @@ class SenderOrder:
         channel = message.channel
         wanted = self._wanted(channel)
         is_plain = wanted and channel.via != "link" and channel.topic not in (FATES_TOPIC, END_TOPIC)
-        found = self._known[id(channel)] = _Known(channel, self._clock.shift_ns(message), wanted, is_plain)
-        return found
+        entry = self._known[id(channel)] = _Known(channel, self._clock.shift_ns(message), wanted, is_plain)
+        return entry
 
     def _sort_in(self) -> None:
         """Sort what has arrived into what is pending, which it mostly follows."""

@@ -152,8 +152,8 @@ def is_of_slave(src: str) -> bool:
 def read_site_clock(recording: RecordingSource) -> SiteClock | None:
     """Return the slave's clock as the link measured it; None where it was not measured."""
     on_clocks = _ClockMessages(recording, _windows(*recording.span_ns))
-    found = (_judged(on_clocks, topic) for topic in (_STATUS, _NETWORK))
-    return next((clock for clock in found if clock is not None), None)
+    judged = (_judged(on_clocks, topic) for topic in (_STATUS, _NETWORK))
+    return next((clock for clock in judged if clock is not None), None)
 
 
 def _windows(first_ns: int, last_ns: int) -> list[tuple[int, int]]:
@@ -229,27 +229,27 @@ def _piece(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Bo
         reports = sorted(reports, key=lambda report: report.uncertainty_s)[:1]
         upper = [(report.t_ns, round((report.offset_s + report.uncertainty_s) * _NS)) for report in reports]
     lower = [(r.answer[1], r.answer[0] - r.answer[1]) for r in reports if r.answer is not None]
-    return bounds_of(upper, lower or _told_lower(reports, upper))
+    return bounds_of(upper, lower or _reported_lower_bounds(reports, upper))
 
 
-def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
+def _reported_lower_bounds(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
     """Return the lower bounds of reports that name no answer, as those of datagrams: each of an exchange before it."""
     asked = {round(ahead_ns / _SAME_NS): asked_ns for asked_ns, ahead_ns in upper}
-    found = []
+    bounds = []
     for report in reports:
         place = round((report.offset_s + report.uncertainty_s) * _NS / _SAME_NS)
         made = (asked[near] for near in (place, place - 1, place + 1) if near in asked)
-        found.append((next(made, report.t_ns), round((report.offset_s - report.uncertainty_s) * _NS)))
-    return found
+        bounds.append((next(made, report.t_ns), round((report.offset_s - report.uncertainty_s) * _NS)))
+    return bounds
 
 
 def _questions(on_clocks: _ClockMessages, window: tuple[int, int]) -> list[tuple[int, int]]:
     """Return when questions were sent by the master's clock [ns], and how long they took by two clocks [ns]."""
-    found = []
+    questions = []
     answers = on_clocks.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window)
     for _, fields in readable(answers, LeftOut()):
-        found.append((fields["ping_t_ns"], fields["received_ns"] - fields["ping_t_ns"]))
-    return found
+        questions.append((fields["ping_t_ns"], fields["received_ns"] - fields["ping_t_ns"]))
+    return questions
 
 
 def _judged(on_clocks: _ClockMessages, topic: str) -> SiteClock | None:
@@ -301,9 +301,9 @@ def _set_back_s(on_clocks: _ClockMessages, topic: str) -> float:
     def is_masters(channel: RecordedChannel) -> bool:
         return channel.topic == topic and channel.via == "direct" and not is_of_slave(channel.src)
 
-    found = [message for window in on_clocks.windows for message in on_clocks.select(is_masters, *window)]
-    stamps = {message.seq: message.publish_ns for message in found}
-    if len(stamps) < len(found):
+    messages = [message for window in on_clocks.windows for message in on_clocks.select(is_masters, *window)]
+    stamps = {message.seq: message.publish_ns for message in messages}
+    if len(stamps) < len(messages):
         return 0.0
     steps_ns = (before - after for before, after in pairwise(stamps[seq] for seq in sorted(stamps)))
     return max(0, *steps_ns, 0) / _NS
@@ -358,7 +358,7 @@ def _is_tip(channel: RecordedChannel) -> bool:
 
 def _hand_ns(message: RecordedMessage) -> int:
     try:
-        found = message.fields().get("hand_t_ns", 0)
+        hand_ns = message.fields().get("hand_t_ns", 0)
     except RecordingError:
         return 0
-    return found if isinstance(found, int) else 0
+    return hand_ns if isinstance(hand_ns, int) else 0

@@ -28,8 +28,10 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
     recordings = [Recording(source) for source in sources]
     sites = [site_of(recording.metadata.get("recording", {}).get("node", "")) for recording in recordings]
     if sites != sorted(sites) or set(sites) != {"master", "slave"}:
-        found = ", ".join(f"{source} of {site or 'no site'}" for source, site in zip(sources, sites, strict=True))
-        raise RecordingError(f"recordings of the master's site and then of the slave's are needed, these are {found}")
+        sites_read = ", ".join(f"{source} of {site or 'no site'}" for source, site in zip(sources, sites, strict=True))
+        raise RecordingError(
+            f"recordings of the master's site and then of the slave's are needed, these are {sites_read}"
+        )
     clock = slave_clock(open_recordings([Path(source) for source in sources[: sites.count("master")]]))
     of_slave, of_master = (
         {_identity(channel) for r, at in zip(recordings, sites, strict=True) if at == site for channel in _channels(r)}
@@ -42,14 +44,14 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
         shift_of = ClockShift(None if site == "master" else clock)
         taken: dict[int, tuple[RawChannel, bool]] = {}
         for message in recording.raw(skipped.append):
-            known = taken.get(id(message.channel))
-            if known is None:
+            row = taken.get(id(message.channel))
+            if row is None:
                 channel = _identity(message.channel)
-                known = taken[id(message.channel)] = (
+                row = taken[id(message.channel)] = (
                     message.channel,
                     channel not in others or _nearer(channel) == site,
                 )
-            if known[1]:
+            if row[1]:
                 shift_ns = shift_of(message.log_ns)
                 yield message if not shift_ns else message._replace(log_ns=max(0, message.log_ns + shift_ns))
 

@@ -87,7 +87,9 @@ class _Summary:
     def __init__(self, data: mmap.mmap, path: Path) -> None:
         self._data, self._path = data, path
         self._layout, self._indexes, self._statistics = _layout_by_index(data, str(path))
-        self._channels = {number: recorded_channel(found) for number, found in self._layout.summary_channels.items()}
+        self._channels = {
+            number: recorded_channel(channel) for number, channel in self._layout.summary_channels.items()
+        }
         # The chunks that were unpacked lately are kept by their places.
         self._unpacked: dict[int, bytes] = {}
 
@@ -98,9 +100,9 @@ class _Summary:
         numbers = [number for number, count in counts.items() if count > 0]
         first, last = self._ends(numbers, layout.blocks, 0), self._ends(numbers, reversed(layout.blocks), -1)
         gaps = self._gaps()
-        found = [self._row(number, counts[number], first[number], last[number], gaps) for number in numbers]
-        _demand(sum(row.messages for row in found) == statistics.message_count)
-        lost = [(row.lost, row) for row in found if row.via == "direct" and row.lost]
+        rows = [self._row(number, counts[number], first[number], last[number], gaps) for number in numbers]
+        _demand(sum(row.messages for row in rows) == statistics.message_count)
+        lost = [(row.lost, row) for row in rows if row.via == "direct" and row.lost]
         missing = [
             f"{count} messages of {row.src or 'a source'} on {row.channel_topic} are missing" for count, row in lost
         ]
@@ -125,7 +127,7 @@ class _Summary:
             damage=(),
             odd=(),
             parts=(),
-            channels=tuple(found),
+            channels=tuple(rows),
             attachments=attachments_of(layout.attachments),
             metadata=layout.metadata,
         )
@@ -146,15 +148,15 @@ class _Summary:
 
         The chunks come in the order in which they are searched, and each is unpacked once.
         """
-        missing, found = set(numbers), {}
+        missing, ends = set(numbers), {}
         for chunk in chunks:
             if not missing:
                 break
             for number in missing.intersection(self._numbers_in(chunk)):
-                found[number] = self._message(chunk, number, place)
+                ends[number] = self._message(chunk, number, place)
                 missing.remove(number)
         _demand(not missing)
-        return found
+        return ends
 
     def _gaps(self) -> "_Gaps":
         """Return the first number and how many there are of each gap that was recorded, by channel name and source."""
@@ -172,10 +174,10 @@ class _Summary:
 
     def _row(self, number: int, count: int, begin: _Stamp, end: _Stamp, gaps: "_Gaps") -> ChannelInfo:
         channel, restarts = self._channels[number], None
-        found = gaps.get((channel.channel_topic, channel.src), [])
-        lost = sum(missing for _, missing in found)
+        gaps_of_channel = gaps.get((channel.channel_topic, channel.src), [])
+        lost = sum(missing for _, missing in gaps_of_channel)
         if channel.via == "direct" and channel.topic not in RECORD_TOPICS and _grown(begin, end) != count + lost:
-            restarts = self._restarts(number, count, begin, end, found)
+            restarts = self._restarts(number, count, begin, end, gaps_of_channel)
         span_ns = end.log_ns - begin.log_ns
         return ChannelInfo(
             channel_topic=channel.channel_topic,
@@ -189,7 +191,7 @@ class _Summary:
             rate_hz=(count - 1) * 1e9 / span_ns if span_ns > 0 else 0.0,
             first_ns=begin.log_ns,
             last_ns=end.log_ns,
-            gaps=len(found),
+            gaps=len(gaps_of_channel),
             lost=lost,
             repeated=None,
             restarts=restarts,
@@ -224,10 +226,10 @@ class _Summary:
             before, after = self._message(chunks[middle], number, -1), self._message(chunks[middle + 1], number, 0)
             return sought(first, middle, begin, before) + step(before, after) + sought(middle + 1, last, after, end)
 
-        found = sought(0, len(chunks) - 1, begin, end)
+        restarts = sought(0, len(chunks) - 1, begin, end)
         left.pop(end.seq + 1, None)
         _demand(not left)
-        return found
+        return restarts
 
     def _message(self, chunk: Block, number: int, place: int) -> _Stamp:
         """Return the stamps of the first or last message of a channel in a chunk."""
@@ -254,8 +256,8 @@ class _Summary:
 
     def _entries(self, chunk: Block, number: int) -> Iterator[tuple[int, int]]:
         start, size = self._index(chunk, number)
-        found: Any = _ENTRY.iter_unpack(self._data[start : start + size])
-        yield from found
+        unpacked: Any = _ENTRY.iter_unpack(self._data[start : start + size])
+        yield from unpacked
 
     def _content(self, chunk: Block) -> bytes:
         if chunk.offset not in self._unpacked:

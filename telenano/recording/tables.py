@@ -66,10 +66,10 @@ def row(message: RecordedMessage) -> dict[str, Any]:
 
 def flat(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a message as a flat row, as `row` does."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, value in fields.items():
-        _flatten(key, value, found)
-    return found
+        _flatten(key, value, values)
+    return values
 
 
 def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
@@ -86,13 +86,13 @@ def typed_columns(messages: Sequence[RecordedMessage]) -> dict[str, TypedColumn]
     """Return what `columns_of` does, each column with the types of its values."""
     if not messages:
         return {}
-    found: dict[str, TypedColumn] = {
+    typed: dict[str, TypedColumn] = {
         "log_ns": _typed([message.log_ns for message in messages]),
         "publish_ns": _typed([message.publish_ns for message in messages]),
     }
     for name, values in _fields_in_columns([_fields(message) for message in messages]):
-        found |= _columns_of_field(name, values)
-    return found
+        typed |= _columns_of_field(name, values)
+    return typed
 
 
 def _typed(values: Sequence[Any]) -> TypedColumn:
@@ -131,10 +131,10 @@ def _fields_in_columns(rows: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str,
 def _flat_columns(name: str, values: Sequence[Any]) -> dict[str, list[Any]]:
     """Return the columns of a field that has parts of several kinds."""
     rows: list[dict[str, Any]] = [{} for _ in values]
-    for value, found in zip(values, rows, strict=True):
+    for value, row in zip(values, rows, strict=True):
         if value is not _ABSENT:
-            _flatten(name, value, found)
-    return {column: [found.get(column) for found in rows] for column in dict.fromkeys(chain.from_iterable(rows))}
+            _flatten(name, value, row)
+    return {column: [row.get(column) for row in rows] for column in dict.fromkeys(chain.from_iterable(rows))}
 
 
 def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:

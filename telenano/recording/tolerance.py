@@ -43,8 +43,8 @@ class Tolerances:
     def of(self, field: str) -> float:
         """Return the tolerance of a field; that of a vector applies to its components."""
         stem = field.partition(".")[0]
-        found = [limit for name, limit in self._limits.items() if fnmatchcase(field, name) or name == stem]
-        return max(found, default=0.0)
+        limits = [limit for name, limit in self._limits.items() if fnmatchcase(field, name) or name == stem]
+        return max(limits, default=0.0)
 
 
 class FieldDifference(NamedTuple):
@@ -69,9 +69,9 @@ def first_difference(
     skipped = frozenset(ignore)
     for key in (*left, *(key for key in right if key not in left)):
         if key not in skipped:
-            found = _difference(key, left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
-            if found is not None:
-                return found
+            difference = _difference(key, left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
+            if difference is not None:
+                return difference
     return None
 
 
@@ -86,9 +86,9 @@ _ABSENT = _Absent()
 def _difference(name: str, left: Any, right: Any, tolerances: Tolerances) -> FieldDifference | None:
     if isinstance(left, Mapping) and isinstance(right, Mapping):
         for key in (*left, *(key for key in right if key not in left)):
-            found = _difference(f"{name}.{key}", left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
-            if found is not None:
-                return found
+            difference = _difference(f"{name}.{key}", left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
+            if difference is not None:
+                return difference
         return None
     if isinstance(left, list | tuple) and isinstance(right, list | tuple) and len(left) == len(right):
         parts = (_difference(f"{name}.{i}", *pair, tolerances) for i, pair in enumerate(zip(left, right, strict=True)))

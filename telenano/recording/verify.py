@@ -112,10 +112,10 @@ class _Check:
         last_ns = count = 0
         for message in self._recording.select(report=damage.append):
             channel, log_ns, publish_ns, seq, payload = message
-            found = kept.get(id(channel))
-            if found is None:
-                found = kept[id(channel)] = self._streams.setdefault(channel, _Stream(channel)), channel
-            stream = found[0]
+            decoder = kept.get(id(channel))
+            if decoder is None:
+                decoder = kept[id(channel)] = self._streams.setdefault(channel, _Stream(channel)), channel
+            stream = decoder[0]
             count += 1
             if (
                 log_ns >= last_ns
@@ -188,10 +188,10 @@ class _Check:
         if twice := keys_twice(message.payload):
             text = f"seq {message.seq}: the key {twice[0]!r} is there twice, of which a reader takes the last"
             self._report("schema", "error", channel.channel_topic, text)
-        found = decoded.seq & _SEQUENCE_MASK, decoded.t_ns, decoded.src
+        header = decoded.seq & _SEQUENCE_MASK, decoded.t_ns, decoded.src
         stated = message.seq, message.publish_ns, channel.src
-        if found != stated:
-            pairs = zip(("seq", "t_ns", "src"), found, stated, strict=True)
+        if header != stated:
+            pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)
             wrong = [name for name, of_message, of_record in pairs if of_message != of_record]
             text = f"seq {message.seq}: {', '.join(wrong)} in the record and in the message differ"
             self._report("schema", "error", channel.channel_topic, text)

@@ -150,9 +150,9 @@ def _journal(recording: Recording, key: str) -> tuple[list[NodeJournal], list[by
     """Return the batches of a node's journal, and the state that each begins with, put together of its messages."""
     batches: list[NodeJournal] = []
     pieces: list[list[bytes]] = []
-    for found in recording.messages([JOURNAL]):
-        if found.src == key:
-            message = cast(NodeJournal, found.decode())
+    for batch in recording.messages([JOURNAL]):
+        if batch.src == key:
+            message = cast(NodeJournal, batch.decode())
             if message.kind.data:
                 batches.append(message)
                 pieces.append([message.state.data])
@@ -187,7 +187,9 @@ def _begin(recorded: RecordedNode, batches: Sequence[NodeJournal], states: Seque
             break
         if not recorded.missing(batches[place]):
             return place
-    missing = next((found for found in map(recorded.missing, batches) if found), "the node's state")
+    missing = next(
+        (missing_part for missing_part in map(recorded.missing, batches) if missing_part), "the node's state"
+    )
     raise RecordingError(
         f"{recorded.path}: has no part of the journal of {recorded.key} with all inputs: lacks {missing}"
     )
@@ -214,11 +216,11 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: RecordedNode)
 
 
 def _take_message(node: Node, turn: Turn, recorded: RecordedNode) -> None:
-    found = recorded.input(turn)
-    if found is None:
+    recorded_input = recorded.input(turn)
+    if recorded_input is None:
         raise _EndError(f"the recording lacks {turn.topic}, seq {turn.seq} of {turn.src}, which the node received")
-    message = cast(Message, found.decode())
-    node.on_message(Received(turn.topic, message, found.payload, turn.time_ns, Arrival.NEXT))
+    message = cast(Message, recorded_input.decode())
+    node.on_message(Received(turn.topic, message, recorded_input.payload, turn.time_ns, Arrival.NEXT))
     if turn.kind == COMMAND and isinstance(message, SessionControl):
         try:
             node.on_control(message)
@@ -232,8 +234,10 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
     if attached is None:
         raise RecordingError(f"{recording.path}: has no scenario.yaml attached, which a re-run takes its settings from")
     origin = f"scenario.yaml in {recording.path}"
-    given = flag_overrides(settings)
-    document = merge(parse_yaml(attached, origin), on_instrument(given) if "instrument" in given else given)
+    settings_set = flag_overrides(settings)
+    document = merge(
+        parse_yaml(attached, origin), on_instrument(settings_set) if "instrument" in settings_set else settings_set
+    )
     loaded = scenario_of(document, origin, is_whole=True)
     kind = node_kind(name_of(key))
     config = loaded.section(kind.name, kind.config)

@@ -76,14 +76,16 @@ class RerunBus:
     def compare_forwarded(self) -> dict[str, Any]:
         """Compare what was sent on, in its order; return the facts of the first difference."""
         for endpoint, sent in self._forwarded.items():
-            found = compare_forwarded(sent, self._recorded.forwarded.get(endpoint, ()))
-            for topic, count in found.compared.items():
+            differences = compare_forwarded(sent, self._recorded.forwarded.get(endpoint, ()))
+            for topic, count in differences.compared.items():
                 name = f"{topic}@{site_of(endpoint)}"
-                self.compared[name], self.first_seq[name] = count, found.first_seq[topic]
-            if found.difference:
-                message = sent[found.place]
-                text = f"forwarded at {endpoint}: {found.difference}"
-                return self._difference(message.topic, message.number[0], message.time_ns, found.field, text).facts
+                self.compared[name], self.first_seq[name] = count, differences.first_seq[topic]
+            if differences.difference:
+                message = sent[differences.place]
+                text = f"forwarded at {endpoint}: {differences.difference}"
+                return self._difference(
+                    message.topic, message.number[0], message.time_ns, differences.field, text
+                ).facts
         return {}
 
     def receive(self) -> Iterator[Received]:
@@ -104,11 +106,11 @@ class RerunBus:
     def _compare(self, message: Message, payload: bytes, recorded: RecordedMessage) -> None:
         if payload == recorded.payload:
             return
-        topic, said, kept = recorded.topic, fields_of(message), fields_of(recorded.decode())
-        found = first_difference(said, kept, self._tolerances.on(topic), _said_since(message, kept))
-        if found is not None:
-            text = f"re-run {found.text} recorded"
-            raise self._difference(topic, message.seq, recorded.publish_ns, found.field, text)
+        topic, published, kept = recorded.topic, fields_of(message), fields_of(recorded.decode())
+        difference = first_difference(published, kept, self._tolerances.on(topic), _keys_added_since(message, kept))
+        if difference is not None:
+            text = f"re-run {difference.text} recorded"
+            raise self._difference(topic, message.seq, recorded.publish_ns, difference.field, text)
 
     def _difference(self, topic: str, seq: int, t_ns: int, field: str, text: str) -> DifferenceError:
         time_s = (t_ns - self._recorded.start_ns) * 1e-9
@@ -136,7 +138,7 @@ class RerunOutlet:
         return {}
 
 
-def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
+def _keys_added_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
     """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
     optional = [field.name for field in msgspec.structs.fields(type(message)) if not field.required]
     since = {key for key in optional if kept[key] is None}

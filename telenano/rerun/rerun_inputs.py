@@ -57,15 +57,15 @@ class RecordedNode:
             {channel for channel in recording.channels if wanted(channel)}
             for wanted in (is_input, is_output, is_forwarded)
         )
-        for found in recording.select((inputs | outputs | forwarded).__contains__):
-            channel = found.channel
+        for message in recording.select((inputs | outputs | forwarded).__contains__):
+            channel = message.channel
             if channel in inputs:
-                self._inputs.setdefault((channel.topic, channel.src, found.seq), []).append(found)
-                self._first_received_ns.setdefault((channel.topic, channel.src), found.log_ns)
+                self._inputs.setdefault((channel.topic, channel.src, message.seq), []).append(message)
+                self._first_received_ns.setdefault((channel.topic, channel.src), message.log_ns)
             if channel in outputs:
-                self.outputs.setdefault((output_name(channel.topic, found.src), found.seq), []).append(found)
+                self.outputs.setdefault((output_name(channel.topic, message.src), message.seq), []).append(message)
             if channel in forwarded:
-                self._add_forwarded(found)
+                self._add_forwarded(message)
 
     def _add_forwarded(self, found: RecordedMessage) -> None:
         endpoint, topic, payload = f"{LINK}@{found.site}", found.topic, found.payload
@@ -80,27 +80,27 @@ class RecordedNode:
 
     def input(self, turn: Turn) -> RecordedMessage | None:
         """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""
-        found = self._inputs.get((turn.topic, turn.src, turn.seq), ())
-        if len(found) == 1:
-            return found[0]
-        return min(found, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
+        inputs = self._inputs.get((turn.topic, turn.src, turn.seq), ())
+        if len(inputs) == 1:
+            return inputs[0]
+        return min(inputs, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
 
     def payload(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
         """Return the bytes of an input, zeros when it is not in the recording."""
-        found = self.input(Turn(MESSAGE, arrived_ns, topic, src, seq))
-        return bytes(size_bytes) if found is None else found.payload
+        message = self.input(Turn(MESSAGE, arrived_ns, topic, src, seq))
+        return bytes(size_bytes) if message is None else message.payload
 
     def output(self, name: str, seq: int, time_ns: int) -> RecordedMessage | None:
         """Return what the node published under a name and number."""
-        found = self.outputs.get((name, seq), ())
-        if len(found) == 1:
-            return found[0]
-        return min(found, key=lambda message: abs(message.publish_ns - time_ns), default=None)
+        outputs = self.outputs.get((name, seq), ())
+        if len(outputs) == 1:
+            return outputs[0]
+        return min(outputs, key=lambda message: abs(message.publish_ns - time_ns), default=None)
 
     def missing(self, batch: NodeJournal) -> str:
         """Name the first input of a batch that is not there; empty when all are."""
-        found = next(self._missing(batch), None)
-        return "" if found is None else f"{found.topic}, seq {found.seq} of {found.src}"
+        missing_part = next(self._missing(batch), None)
+        return "" if missing_part is None else f"{missing_part.topic}, seq {missing_part.seq} of {missing_part.src}"
 
     def is_early(self, batch: NodeJournal) -> bool:
         """Return whether a batch has an input from before the recorder was connected to its publisher."""
@@ -119,6 +119,6 @@ def start_ns(batch: NodeJournal) -> int:
 def turns_of(batch: NodeJournal) -> Iterator[Turn]:
     """Yield the turns of a batch, in their order."""
     arrays = (batch.kind, batch.time_ns, batch.input, batch.number)
-    for kind, time_ns, place, seq in zip(*(found.to_numpy().tolist() for found in arrays), strict=True):
+    for kind, time_ns, place, seq in zip(*(array.to_numpy().tolist() for array in arrays), strict=True):
         source = batch.inputs[place] if kind in (MESSAGE, COMMAND) else None
         yield Turn(kind, time_ns, source.topic if source else "", source.src if source else "", seq)

@@ -69,11 +69,11 @@ class Access:
 
         Raises: ConfigError for a token that could be guessed, and for an address that is none.
         """
-        given = [token for token in (operator, observer, participant) if token]
-        for token in given:
+        tokens = [token for token in (operator, observer, participant) if token]
+        for token in tokens:
             if len(token) < _LEAST_TOKEN:
                 raise ConfigError(f"a token of the view has {len(token)} characters, it must have {_LEAST_TOKEN}")
-        if len(set(given)) < len(given):
+        if len(set(tokens)) < len(tokens):
             raise ConfigError("the tokens of two roles are the same: an observer or a participant could command")
         hosts, networks = (*cls.hosts, *names), (*cls.networks, *allow)
         for network in networks:
@@ -95,10 +95,10 @@ class Access:
 
     def role_of(self, token: str) -> Role | None:
         """Return the role that a token gives; None for an unknown one, in a time that does not depend on it."""
-        given = token.encode()
-        is_operator = hmac.compare_digest(given, self.operator_token.encode())
-        is_observer = hmac.compare_digest(given, self.observer_token.encode())
-        is_participant = hmac.compare_digest(given, self.participant_token.encode()) and bool(given)
+        token_bytes = token.encode()
+        is_operator = hmac.compare_digest(token_bytes, self.operator_token.encode())
+        is_observer = hmac.compare_digest(token_bytes, self.observer_token.encode())
+        is_participant = hmac.compare_digest(token_bytes, self.participant_token.encode()) and bool(token_bytes)
         if is_operator:
             return Role.OPERATOR
         if is_participant:
@@ -118,10 +118,10 @@ class Access:
     def admits_address(self, address: str) -> bool:
         """Return whether the address that a connection comes from is in one of the networks."""
         try:
-            found = ipaddress.ip_address(address)
+            parsed = ipaddress.ip_address(address)
         except ValueError:
             return False
-        return any(found in ipaddress.ip_network(network) for network in self.networks)
+        return any(parsed in ipaddress.ip_network(network) for network in self.networks)
 
     def admits_host(self, host: str) -> bool:
         """Return whether the Host of a request is a name of this server; its port does not matter."""

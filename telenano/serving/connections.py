@@ -52,10 +52,12 @@ class Connections:
 
     def make_room(self) -> bool:
         """Return whether a connection may be accepted now; drops the oldest stranger where there are too many."""
-        self._open = {client: found for client, found in self._open.items() if found.socket.fileno() >= 0}
-        kept = [found for found in self._open.values() if not found.is_dropped]
+        self._open = {
+            client: connection for client, connection in self._open.items() if connection.socket.fileno() >= 0
+        }
+        kept = [connection for connection in self._open.values() if not connection.is_dropped]
         if len(kept) >= self.most:
-            stranger = next((found for found in kept if not found.is_page), None)
+            stranger = next((connection for connection in kept if not connection.is_page), None)
             if stranger is None:
                 return False
             stranger.drop()
@@ -67,13 +69,13 @@ class Connections:
 
     def begin(self, client: Any) -> None:
         """Record that the head of a request has come."""
-        if found := self._open.get(client):
-            found.since_s = None
+        if connection := self._open.get(client):
+            connection.since_s = None
 
     def end(self, client: Any) -> None:
         """Record that a request has been answered: the next one of the same connection may follow."""
-        if found := self._open.get(client):
-            found.since_s = time.monotonic()
+        if connection := self._open.get(client):
+            connection.since_s = time.monotonic()
 
     def admit(self, client: Any) -> None:
         """Record that a connection has shown a token: it gives way to no other."""
@@ -83,9 +85,9 @@ class Connections:
     def drop_silent(self) -> None:
         """Drop what has waited for the head of a request for too long."""
         now_s = time.monotonic()
-        for found in self._open.values():
-            if found.since_s is not None and now_s - found.since_s > SILENCE_S and not found.is_dropped:
-                found.drop()
+        for connection in self._open.values():
+            if connection.since_s is not None and now_s - connection.since_s > SILENCE_S and not connection.is_dropped:
+                connection.drop()
 
     async def sweep(self) -> None:
         """Drop the silent ones now and again, until cancelled."""

@@ -67,7 +67,7 @@ class Picture(Protocol):
     def snapshot(self, snapshot: Mapping[str, Any], *, hand: bool) -> dict[str, Any]:
         """Return what the page of a guest begins with, of what that of an operator begins with."""
 
-    def said(self, *, is_ok: bool) -> str:
+    def acknowledgement(self, *, is_ok: bool) -> str:
         """Return the answer to a request in words that tell nothing else."""
 
 
@@ -114,8 +114,8 @@ class Panel(NamedTuple):
     def files(self) -> dict[str, Path]:
         """Return the files that are served, by their path below `base`."""
         folder = self.module.parent
-        found = sorted(path for path in folder.rglob("*") if path.suffix in _SUFFIXES and path.is_file())
-        return {path.relative_to(folder).as_posix(): path for path in found}
+        paths = sorted(path for path in folder.rglob("*") if path.suffix in _SUFFIXES and path.is_file())
+        return {path.relative_to(folder).as_posix(): path for path in paths}
 
     def about(self) -> dict[str, Any]:
         """Return what a page is sent of it."""
@@ -132,11 +132,11 @@ class Panels(NamedTuple):
     @property
     def topics(self) -> dict[str, tuple[str, ...]]:
         """The topics of all panels, each with the keys that pages are sent."""
-        found: dict[str, tuple[str, ...]] = {}
+        wanted: dict[str, tuple[str, ...]] = {}
         for row in self.rows:
             for topic, keys in row.topics.items():
-                found[topic] = tuple(dict.fromkeys((*found.get(topic, ()), *keys)))
-        return found
+                wanted[topic] = tuple(dict.fromkeys((*wanted.get(topic, ()), *keys)))
+        return wanted
 
     @property
     def of_guests(self) -> Panel | None:

@@ -13,8 +13,8 @@ from pathlib import Path
 import msgspec
 
 from telenano.console.lease import MOST_LETTERS
+from telenano.files.atomic_files import changed
 from telenano.files.printable import printable
-from telenano.files.whole_files import changed
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.wire.errors import ConfigError
@@ -76,9 +76,9 @@ class People:
         """Revoke the address of somebody; ConfigError where no person of that name has one."""
 
         def without_person(people: list[Person]) -> list[Person]:
-            known = sorted({each.name for each in people if each.is_admitted(self._now_s())})
-            if name not in known:
-                raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(known) or 'no person'} has")
+            names = sorted({each.name for each in people if each.is_admitted(self._now_s())})
+            if name not in names:
+                raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(names) or 'no person'} has")
             return [msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in people]
 
         self._change(without_person)
@@ -91,8 +91,8 @@ class People:
     def is_admitted(self, person: Person) -> bool:
         """Return whether somebody is still admitted, as the file is now."""
         self._all()
-        found = self._people.get(person.digest)
-        return found is not None and found.is_admitted(self._now_s())
+        person_admitted = self._people.get(person.digest)
+        return person_admitted is not None and person_admitted.is_admitted(self._now_s())
 
     @property
     def _path(self) -> Path:
@@ -101,8 +101,8 @@ class People:
     def _all(self) -> list[Person]:
         """Return the people of the file, which is read when it has changed; one that cannot be read admits none."""
         try:
-            found = self._path.stat()
-            mark = found.st_mtime_ns, found.st_ino
+            status = self._path.stat()
+            mark = status.st_mtime_ns, status.st_ino
             if mark != self._read:
                 listed = msgspec.json.decode(read_secret(self._path), type=list[Person])
                 self._people, self._read = {each.digest: each for each in listed}, mark

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from telenano.files.whole_files import write_whole
+from telenano.files.atomic_files import write_whole
 from telenano.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.serving.access import LOOPBACK, Access, is_loopback
@@ -117,10 +117,10 @@ def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: st
     host, port = bound.getsockname()[:2]
     shown = name or (f"[{host}]" if ":" in host else host)
     base = f"{'https' if tls else 'http'}://{shown}:{port}/"
-    found = {"operator": f"{base}#{access.operator_token}", "observer": f"{base}#{access.observer_token}"}
+    addresses = {"operator": f"{base}#{access.operator_token}", "observer": f"{base}#{access.observer_token}"}
     if (panel := installed_panels().of_guests) and panel.guests:
-        found["participant"] = f"{base}{panel.base}{panel.guests.page}#{access.participant_token}"
-    return found
+        addresses["participant"] = f"{base}{panel.base}{panel.guests.page}#{access.participant_token}"
+    return addresses
 
 
 @contextlib.contextmanager
@@ -164,7 +164,7 @@ def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:
 
     Parameters: folders, those of the rigs that are meant, all if None.
     """
-    found = []
+    addresses = []
     for folder in [rig_directory(rig) for rig in rigs_with_folders()] if folders is None else folders:
         for file in sorted(folder.glob(f"*{_ADDRESSES}")):
             port = file.name.removesuffix(_ADDRESSES).rpartition("-")[2]
@@ -172,8 +172,8 @@ def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:
                 lines = read_secret(file).decode().splitlines()
                 # A server that was killed leaves its file behind.
                 if port.isdecimal() and any(_answers(line, int(port)) for line in lines):
-                    found += lines
-    return found
+                    addresses += lines
+    return addresses
 
 
 def _answers(line: str, port: int) -> bool:

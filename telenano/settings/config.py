@@ -218,8 +218,8 @@ def _undecodable(value: Any, key: str = "") -> str:
             return f"{key}: {shown} cannot be read as text under this locale: {remedy}"
         return ""
     parts = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list | tuple) else ()
-    found = (_undecodable(part, f"{key}.{name}" if key else str(name)) for name, part in parts)
-    return next(filter(None, found), "")
+    faults = (_undecodable(part, f"{key}.{name}" if key else str(name)) for name, part in parts)
+    return next(filter(None, faults), "")
 
 
 def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
@@ -231,9 +231,9 @@ def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]
     Raises:
         ConfigError: A source cannot be read; the message names the file, the variable or the flag.
     """
-    environment, given = environment_overrides(), flag_overrides(flags)
-    layers = [str(path)] + ["environment"] * bool(environment) + ["--set"] * bool(given)
-    return merge(read_yaml(path), environment, given), " + ".join(layers)
+    environment, overrides = environment_overrides(), flag_overrides(flags)
+    layers = [str(path)] + ["environment"] * bool(environment) + ["--set"] * bool(overrides)
+    return merge(read_yaml(path), environment, overrides), " + ".join(layers)
 
 
 def _scalar(text: str, origin: str) -> Any:
@@ -301,14 +301,14 @@ def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
 
 def bounds_of(part: Any) -> dict[str, float]:
     """Return ge, gt, le and lt of a field, or of a type within its annotation."""
-    found: dict[str, float] = {}
+    bounds: dict[str, float] = {}
     for rule in getattr(part, "metadata", getattr(part, "__metadata__", ())):
         # a rule is a bound itself, or the field of an annotation
-        found |= bounds_of(rule) if isinstance(rule, FieldInfo) else {}
-        found |= {key: getattr(rule, key) for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
+        bounds |= bounds_of(rule) if isinstance(rule, FieldInfo) else {}
+        bounds |= {key: getattr(rule, key) for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
     for inner in get_args(part.annotation if isinstance(part, FieldInfo) else part):
-        found |= bounds_of(inner)
-    return found
+        bounds |= bounds_of(inner)
+    return bounds
 
 
 def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:

@@ -26,7 +26,7 @@ class DeviceDriver:
     The guard stays in front of it. `simulated`: its readings follow from what it was sent alone, so that its node
     can be run again from a recording.
 
-    `told` names what build takes by keyword besides: `period_s`, the period of the loop [s], and keys of the node's
+    `keywords` names what build takes by keyword besides: `period_s`, the period of the loop [s], and keys of the node's
     section, such as `coupling` of `haptic_node`, or `attended` of `afm_node`, whether a person stands by who retracts
     the tip. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
     with which laws and programs it is used; one without them is not judged. `what` names the
@@ -41,7 +41,7 @@ class DeviceDriver:
     config: type[BaseModel]
     build: Callable[..., Any]
     simulated: bool = False
-    told: tuple[str, ...] = ()
+    keywords: tuple[str, ...] = ()
     capabilities: tuple[Any, ...] | None = None
     calibration: type[BaseModel] | None = None
     own: Any = None
@@ -50,19 +50,19 @@ class DeviceDriver:
 
     def section(self, node: BaseModel) -> BaseModel:
         """Return the settings of the driver in the section of its node, or the default ones."""
-        found: BaseModel | None = section_of(node, self.name)
-        return found or self.config()
+        settings_of_driver: BaseModel | None = section_of(node, self.name)
+        return settings_of_driver or self.config()
 
     def device(self, node: BaseModel, limits: Any, period_s: float, settings: BaseModel | None = None) -> Any:
         """Return the device of a node.
 
         Args:
-            node: The section of the node, with that of the driver and the keys that `told` names.
+            node: The section of the node, with that of the driver and the keys that `keywords` names.
             limits: The limits of the guard.
             period_s: The period of the loop [s].
             settings: The settings of the driver, where they are not those of the section.
         """
-        named = {name: period_s if name == "period_s" else getattr(node, name) for name in self.told}
+        named = {name: period_s if name == "period_s" else getattr(node, name) for name in self.keywords}
         return self.build(settings or self.section(node), limits, **named)
 
     def settings(self, values: dict[str, Any]) -> BaseModel:
@@ -137,8 +137,8 @@ class _Name:
             return value
         if hint := where_it_is(f"driver {value}"):
             raise ValueError(hint)
-        *known, last = map(repr, self._known())
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(known)} or {last}"})
+        *names, last = map(repr, self._known())
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(names)} or {last}"})
 
     def _known(self) -> tuple[str, ...]:
         return (*self.own, *self.drivers.all().found)

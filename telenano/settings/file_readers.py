@@ -74,8 +74,10 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
             except ValueError as error:
                 raise ValueError(f"{error} (as the package {package} reads it)") from error
     package = KNOWN_PACKAGES["reader other"]
-    found = plugins.load("readers", _checked).found
-    known = [f".{name.replace('_', '-')}" for name, reader in found.items() if name != _OTHER and getattr(reader, what)]
-    if known:
-        raise ConfigError(f"{path}: is of no format that is known here; for this they are {', '.join(known)}")
+    readers = plugins.load("readers", _checked).found
+    suffixes = [
+        f".{name.replace('_', '-')}" for name, reader in readers.items() if name != _OTHER and getattr(reader, what)
+    ]
+    if suffixes:
+        raise ConfigError(f"{path}: is of no format that is known here; for this they are {', '.join(suffixes)}")
     raise ConfigError(f"{path}: files of other makers are read by the package {package}: {how_to_add_package(package)}")

@@ -61,11 +61,11 @@ def instrument_named(name: str) -> Instrument:
             )
         raise ConfigError(f"instrument: unknown instrument {name!r}; {known_names(name, _files())}")
     path = _files()[name]
-    found = validate(Instrument, read_yaml(path), str(path))
-    for key in flatten(found.scenario):
+    instrument = validate(Instrument, read_yaml(path), str(path))
+    for key in flatten(instrument.scenario):
         if not key.startswith(_SECTIONS):
             raise ConfigError(f"{path}: scenario.{key}: an instrument sets keys of {' and '.join(_SECTIONS)} alone")
-    return found
+    return instrument
 
 
 def on_instrument(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ a message names the topic to, and in no other.
 from functools import cache
 from typing import Any
 
-from telenano.wire.topics import NAME, TOPICS, Topic, find_with, take_up
+from telenano.wire.topics import NAME, TOPICS, Topic, find_with, register_topic
 
 # Import it from here, so that it finds the topics of packages too.
 from telenano.wire.topics import row_of as row_of
@@ -47,7 +47,7 @@ def _loaded(name: str) -> tuple[Topic | None, str]:
         if value.name != name:
             wanted = value.name.replace("/", "_")
             raise ValueError(f"declares {value.name}, whose entry must be called {wanted}")
-        return take_up(value)
+        return register_topic(value)
 
     entry = name.replace("/", "_")
     loaded = load("topics", checked, only=entry)

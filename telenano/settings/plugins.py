@@ -76,8 +76,8 @@ def _installed() -> dict[str, dict[str, Plugin]]:
     # Both are read once, since their files are dear: the entries of all that is installed, and who each package is.
     entries = EntryPoints() if os.environ.get("TELENANO_WITHOUT_PACKAGES") else entry_points()
     packages, own = dict[int, tuple[str, str, str]](), version("telenano")
-    found: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
-    for kind, rows in found.items():
+    plugins_of: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
+    for kind, rows in plugins_of.items():
         for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
             dist = entry.dist
             if dist and id(dist) not in packages:
@@ -93,7 +93,7 @@ def _installed() -> dict[str, dict[str, Plugin]]:
             if known is not None and known.package != row.package:
                 row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
             rows[entry.name] = row
-    return found
+    return plugins_of
 
 
 def _other_version(required: Iterable[str], own: str) -> str:
@@ -214,19 +214,19 @@ def fault_of_package(error: BaseException) -> str:
     Of several it is the one whose code was called last.
     """
     owners = {_top_level(row.target): row for row in all_installed()}
-    found = ""
+    fault = ""
     for frame, line in walk_tb(error.__traceback__):
         row = owners.get(frame.f_globals.get("__name__", "").partition(".")[0])
         if row is not None:
             place = f"{frame.f_globals['__name__']}, line {line}, in {frame.f_code.co_name}"
-            found = f"the package {row.package} {row.version} failed ({place}): {type(error).__name__}: {error}"
-    return found
+            fault = f"the package {row.package} {row.version} failed ({place}): {type(error).__name__}: {error}"
+    return fault
 
 
 def digest_of_all(rows: Iterable[Plugin]) -> str:
     """Return a digest of the files of the packages of entries; empty without any."""
-    found = [f"{row.kind}.{row.name} {row.digest}" for row in rows]
-    return _sha256("\n".join(found).encode()) if found else ""
+    digests = [f"{row.kind}.{row.name} {row.digest}" for row in rows]
+    return _sha256("\n".join(digests).encode()) if digests else ""
 
 
 def package_files(rows: Iterable[Plugin]) -> list[Path]:
@@ -255,8 +255,8 @@ def _files(top_level: str) -> Iterable[tuple[str, Path]]:
     spec = importlib.util.find_spec(top_level)
     if spec and spec.submodule_search_locations:
         roots = [Path(location) for location in spec.submodule_search_locations]
-        found = [(path.relative_to(root).as_posix(), path) for root in roots for path in root.rglob("*")]
-        return sorted((name, path) for name, path in found if path.is_file() and "__pycache__" not in path.parts)
+        files = [(path.relative_to(root).as_posix(), path) for root in roots for path in root.rglob("*")]
+        return sorted((name, path) for name, path in files if path.is_file() and "__pycache__" not in path.parts)
     return [(Path(spec.origin).name, Path(spec.origin))] if spec and spec.origin else []
 
 

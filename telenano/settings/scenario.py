@@ -58,18 +58,22 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _check_rate(self) -> Self:
-        given = self.controller.get("period_s")
+        period_s = self.controller.get("period_s")
         rate_hz = self.realtime.rate_hz
-        if "rate_hz" in self.realtime.model_fields_set and _is_number(given) and abs(given * rate_hz - 1.0) > 1e-6:
-            text = f"realtime.rate_hz: {rate_hz:g} and controller.period_s: {given:g} disagree"
+        if (
+            "rate_hz" in self.realtime.model_fields_set
+            and _is_number(period_s)
+            and abs(period_s * rate_hz - 1.0) > 1e-6
+        ):
+            text = f"realtime.rate_hz: {rate_hz:g} and controller.period_s: {period_s:g} disagree"
             raise ValueError(f"{text}: give realtime.rate_hz alone")
         return self
 
     @property
     def period_s(self) -> float:
         """Period of the loop [s], in whole nanoseconds: that of `realtime.rate_hz`, or the one that the law gives."""
-        given = self.controller.get("period_s")
-        return float(given) if _is_number(given) else round(1e9 / self.realtime.rate_hz) / 1e9
+        period = self.controller.get("period_s")
+        return float(period) if _is_number(period) else round(1e9 / self.realtime.rate_hz) / 1e9
 
     @property
     def controller_in_force(self) -> dict[str, Any]:

@@ -64,12 +64,12 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
         delays: What the link says, by direction.
         device_s: How old each sample was when it was stamped, shape (samples,).
     """
-    order, known = list(STAGES), ["", *topics]
-    found: dict[str, Floats] = {DEVICE: device_s}
+    order, ends = list(STAGES), ["", *topics]
+    parts_s: dict[str, Floats] = {DEVICE: device_s}
     together = WITH_JITTER if any(delay.line_ns.any() for delay in delays.values()) else TOGETHER
     for number, topic in enumerate(topics):
         rest = passed_ns[:, number + 1] - passed_ns[:, number]
-        first = order.index(known[number]) + 1 if known[number] else 0
+        first = order.index(ends[number]) + 1 if ends[number] else 0
         crossed = order[first : order.index(topic) + 1]
         for way, begins in (("forward", "afm/command"), ("backward", "haptic/command")):
             if begins in crossed and way in delays:
@@ -77,14 +77,14 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
                 on_purpose = np.minimum(delays[way].injected_ns, np.maximum(rest, 0))
                 line = np.minimum(delays[way].line_ns, np.maximum(rest - on_purpose, 0))
                 rest = rest - on_purpose - line
-                found[f"link {WAYS[way]}, on purpose"], found[f"line {WAYS[way]}"] = (
+                parts_s[f"link {WAYS[way]}, on purpose"], parts_s[f"line {WAYS[way]}"] = (
                     _seconds(on_purpose),
                     _seconds(line),
                 )
         name = STAGES[topic] if len(crossed) == 1 else together
-        found[name] = _seconds(rest) + found.get(name, 0.0)
-    found[QUEUE] = _seconds(passed_ns[:, -1] - passed_ns[:, -2])
-    return found
+        parts_s[name] = _seconds(rest) + parts_s.get(name, 0.0)
+    parts_s[QUEUE] = _seconds(passed_ns[:, -1] - passed_ns[:, -2])
+    return parts_s
 
 
 def took_from(due_ns: Ints, left_ns: Ints, took_ns: Ints) -> Ints:
@@ -108,8 +108,8 @@ def parts_of(split_s: Mapping[str, Floats]) -> list[Part]:
     order = np.argsort(whole, kind="stable")
     half, places = max(1, round(0.5 * _BAND * len(whole))), [round(share * (len(whole) - 1)) for share in (0.5, 0.99)]
     bands = [order[max(0, place - half) : place + half + 1] for place in places]
-    found = [Part(name, *(float(values[band].mean()) for band in bands)) for name, values in split_s.items()]
-    return [*found, Part("whole", *(float(value) for value in np.percentile(whole, (50.0, 99.0))))]
+    parts = [Part(name, *(float(values[band].mean()) for band in bands)) for name, values in split_s.items()]
+    return [*parts, Part("whole", *(float(value) for value in np.percentile(whole, (50.0, 99.0))))]
 
 
 class LoopAge:

@@ -189,8 +189,8 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
         # The error below names what is wrong.
         pass
     _, parts = _opened(topic, payload)
-    found = _read_record(topic, _Header, parts, Reading("ignore"))
-    return found.seq, found.t_ns, found.src
+    record = _read_record(topic, _Header, parts, Reading("ignore"))
+    return record.seq, record.t_ns, record.src
 
 
 def fields_of(message: Record) -> dict[str, Any]:
@@ -320,11 +320,11 @@ def _read(topic: str, payload: bytes, beyond: Callable[[Beyond], float | None] =
 
 def _read_record(topic: str, model: type[S], parts: Mapping[str, Any], how: Reading) -> S:
     try:
-        found = read_record(model, parts, how)
+        record = read_record(model, parts, how)
     except FaultError as error:
         raise WireError("range" if error.fault.kind == "range" else "schema", f"{topic}: {error}") from error
     # Every fault was raised.
-    return cast(S, found)
+    return cast(S, record)
 
 
 def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
@@ -345,8 +345,8 @@ def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
     version, src = (_scalar(parts.get(name)) for name in ("v", "src"))
     if type(version) is int and version > form.version:
         sender = repr(src[:64]) if isinstance(src, str) else "an unnamed source"
-        known = f"newer than version {form.version} known here: update this node"
-        raise WireError("newer_version", f"{topic}: schema version {version} from {sender} is {known}")
+        version_text = f"newer than version {form.version} known here: update this node"
+        raise WireError("newer_version", f"{topic}: schema version {version} from {sender} is {version_text}")
     return form, parts
 
 

@@ -51,8 +51,8 @@ def extra_of(module: str) -> str:
 
 def extra_in(marker: object) -> str:
     """Return the extra that the marker of a requirement names, empty where it names none."""
-    found = _EXTRA.search(str(marker))
-    return found[1] if found else ""
+    match = _EXTRA.search(str(marker))
+    return match[1] if match else ""
 
 
 def missing(module: str) -> str:

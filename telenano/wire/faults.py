@@ -137,14 +137,14 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | 
     if parts is None:
         return None
     fields = _fields_of(model)
-    found = {}
+    values = {}
     is_whole = True
     for name, field in fields.items():
         here = _joined(key, name)
         if name in parts:
-            found[name] = _read(field.type, parts[name], how, here)
-            is_whole &= found[name] is not _WRONG
-            if beyond := elements_beyond(field.type, found[name]):
+            values[name] = _read(field.type, parts[name], how, here)
+            is_whole &= values[name] is not _WRONG
+            if beyond := elements_beyond(field.type, values[name]):
                 element, allowed = beyond
                 in_array = Beyond(f"{here}.data", element, allowed.low, allowed.high, allowed, in_array=True)
                 is_whole &= _decide(in_array, how) is not _WRONG
@@ -156,7 +156,7 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | 
         how.report(Fault(_joined(key, name), "unknown", text))
         is_whole = False
     try:
-        return model(**found) if is_whole else None
+        return model(**values) if is_whole else None
     except ValueError as error:
         how.report(Fault(key, "record", f"{key or model.__name__}: {error}"))
         return None

@@ -142,5 +142,5 @@ def no_rerun_reason(node: str) -> str:
     """Return why a node cannot be run again, in words; empty when it can."""
     if is_console(node):
         node = f"console@{site_of(LAUNCHER)}"
-    known = {row.key: row.no_rerun for row in NODES}
-    return known.get(node, "it is not in the table of nodes")
+    reasons = {row.key: row.no_rerun for row in NODES}
+    return reasons.get(node, "it is not in the table of nodes")

@@ -57,5 +57,5 @@ def records_in(kind: Any) -> list[type[Record]]:
     """Return a record and those inside it, or those inside a kind."""
     kind = kind.__origin__ if get_origin(kind) is Annotated else kind
     if isinstance(kind, type) and issubclass(kind, Record):
-        return [kind, *(found for field in msgspec.structs.fields(kind) for found in records_in(field.type))]
-    return [] if get_origin(kind) is Literal else [found for part in get_args(kind) for found in records_in(part)]
+        return [kind, *(record for field in msgspec.structs.fields(kind) for record in records_in(field.type))]
+    return [] if get_origin(kind) is Literal else [record for part in get_args(kind) for record in records_in(part)]

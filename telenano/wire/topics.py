@@ -103,7 +103,7 @@ def find_with(find: Callable[[str], Topic | None]) -> None:
     _finders.append(find)
 
 
-def take_up(row: Topic) -> Topic:
+def register_topic(row: Topic) -> Topic:
     """Take the row of a package into the table.
 
     Raises:
@@ -133,12 +133,12 @@ def _fault_of(row: Topic) -> str:
         return f"{row.name}: telenano has the topic {other}, and ZeroMQ subscribes by the beginning of a name"
     if not (isinstance(row.model, type) and issubclass(row.model, m.Message) and row.model is not m.Message):
         return f"{row.name}: its model must be a class that inherits from telenano.wire.Message"
-    if row.model.__name__ in {known.model.__name__ for known in TOPICS.values()}:
+    if row.model.__name__ in {row_of_table.model.__name__ for row_of_table in TOPICS.values()}:
         return f"{row.name}: {row.model.__name__} is the name of another message, which recordings know schemas by"
-    known = {name_of(node.key) for node in NODES} | {node.key for node in NODES}
-    wrong = [each for each in row.publishers if not _is_of_table(each, known)]
+    row_of_table = {name_of(node.key) for node in NODES} | {node.key for node in NODES}
+    wrong = [each for each in row.publishers if not _is_of_table(each, row_of_table)]
     if wrong or not row.publishers:
-        return f"{row.name}: publishers: {', '.join(wrong) or 'none'}: must be among {', '.join(sorted(known))}"
+        return f"{row.name}: publishers: {', '.join(wrong) or 'none'}: must be among {', '.join(sorted(row_of_table))}"
     if row.bridged is not None:
         return f"{row.name}: bridged: the link carries the topics of telenano only, so it must be None"
     if row.delivery == "latest" and (row.rate_hz is None or row.deadline_s is None):
@@ -155,7 +155,10 @@ def _fault_of(row: Topic) -> str:
 
 def _overlap(name: str) -> str:
     """Return the topic that begins a name or begins with it; empty where there is none."""
-    return next((known for known in TOPICS if known.startswith(name) or name.startswith(known)), "")
+    return next(
+        (name_of_table for name_of_table in TOPICS if name_of_table.startswith(name) or name.startswith(name_of_table)),
+        "",
+    )
 
 
 def _is_of_table(publisher: str, known: set[str]) -> bool:

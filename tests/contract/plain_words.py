@@ -1,8 +1,9 @@
 """Count the words that CONTRIBUTING.md has a plainer one for: `python tests/contract/plain_words.py [KIND …]`.
 
-With a kind (identifier, message, prose) it lists where each of them is. The table names each word and what is written
-instead. A word marked `*` may stand in no identifier and in no message; every one is counted in comments, docstrings
-and documents. Tests, and files that are generated, are not looked at.
+With a kind (identifier, message, prose, value) it lists where each of them is. The table names each word and what is
+written instead. A word marked `*` may stand in no identifier and in no message; every one is counted in comments,
+docstrings and documents. A *value* is a variable, parameter or attribute whose name says what happened to it (`found`)
+and not what it is. Tests, and files that are generated, are not looked at.
 """
 
 import ast
@@ -26,6 +27,8 @@ GENERATED = (
     "CHANGELOG.md",
     "CONTRIBUTING.md",
 )
+# Names of values that do not say what the value is.
+NAMES_OF_NOTHING = ("found", "given", "known", "said", "told")
 PROSE_IN_CODE = {
     ".ts": re.compile(r"//.*|/\*.*?\*/", re.DOTALL),
     ".yaml": re.compile(r"#.*"),
@@ -42,7 +45,7 @@ class Word(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A word in its place; kind is identifier, message or prose."""
+    """A word in its place; kind is identifier, message, prose or value."""
 
     kind: str
     word: Word
@@ -86,12 +89,23 @@ def findings(known: list[Word]) -> Iterator[Finding]:
             texts = [("prose", 1, text) for text in found]
         else:
             continue
+        if path.suffix == ".py":
+            yield from vague_values(path.read_text(encoding="utf-8"), name)
         for kind, line, text in texts:
             if not any_word.search(text):
                 continue
             for word in known if kind == "prose" else [word for word in known if word.is_worst]:
                 for _ in word.pattern.finditer(text):
                     yield Finding(kind, word, f"{name}:{line}")
+
+
+def vague_values(text: str, name: str) -> Iterator[Finding]:
+    """Yield the values of a module that `NAMES_OF_NOTHING` name, with an underscore in front of it or without."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Name | ast.Attribute | ast.arg):
+            for identifier in identifiers(node):
+                if (plain := identifier.lstrip("_")) in NAMES_OF_NOTHING:
+                    yield Finding("value", Word(plain, pattern_of(plain), True), f"{name}:{node.lineno}")
 
 
 def of_python(text: str) -> Iterator[tuple[str, int, str]]:
@@ -135,7 +149,7 @@ def ceilings() -> dict[str, int]:
 
 def main() -> int:
     found = list(findings(words()))
-    counts = {kind: [one for one in found if one.kind == kind] for kind in ("identifier", "message", "prose")}
+    counts = {kind: [one for one in found if one.kind == kind] for kind in ("identifier", "message", "prose", "value")}
     for kind, ones in counts.items():
         by_word = {one.word.name: 0 for one in ones}
         for one in ones:

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 ROOMS = ("services", "telenano", "deploy", "packages")
 TABLES = Path(__file__).parent
 # What writes: functions by their name, methods by theirs, and functions of a module alone.
-WRITES = {"write_whole", "changed", "whole_file", "whole_folder", "whole_results", "mkstemp"}
+WRITES = {"write_whole", "changed", "atomic_file", "whole_folder", "whole_results", "mkstemp"}
 WRITING_METHODS = {
     *("write_text", "write_bytes", "rename", "truncate", "ftruncate", "symlink_to", "hardlink_to", "tofile", "savefig"),
     *(
@@ -134,8 +134,8 @@ def found(*, loops: bool) -> frozenset[str]:
                 # `changed` is the name of another function as well
                 whole = (
                     text
-                    if "whole_files" in text
-                    or path.stem == "whole_files"
+                    if "atomic_files" in text
+                    or path.stem == "atomic_files"
                     or re.search(r"from telenano\.files import .*\bchanged\b", text)
                     else re.sub(r"\bchanged\(", "other(", text)
                 )

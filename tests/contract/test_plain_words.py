@@ -19,7 +19,7 @@ def test_the_table_is_short_and_marks_the_worst(known: list[plain_words.Word]) -
 def test_no_more_of_them_are_written(known: list[plain_words.Word]) -> None:
     found = Counter(one.kind for one in plain_words.findings(known))
     most = plain_words.ceilings()
-    assert most.keys() == {"identifier", "message", "prose"}
+    assert most.keys() == {"identifier", "message", "prose", "value"}
     risen = {kind: found[kind] for kind in most if found[kind] > most[kind]}
     assert not risen, f"`python tests/contract/plain_words.py {' '.join(risen)}` lists them"
 
@@ -46,3 +46,18 @@ def test_a_word_is_found_where_it_stands(known: list[plain_words.Word], text: st
         if word.is_worst
     ]
     assert found == kinds
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("found = 1", ["found"]),
+        ("self._known = {}", ["known"]),
+        ("def f(given): ...", ["given"]),
+        ("rows = [told for told in heard]", ["told"]),
+        ("def found(): ...", []),
+        ("found_rows = other.found", []),
+    ],
+)
+def test_a_value_is_counted_whose_name_does_not_say_what_it_is(text: str, names: list[str]) -> None:
+    assert [one.word.name for one in plain_words.vague_values(text, "module.py")] == names

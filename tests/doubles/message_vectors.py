@@ -6,13 +6,13 @@ from typing import Any
 
 from telenano.wire import Topic, decode, encode, json_schema
 from telenano.wire.codec import decode_header
-from telenano.wire.topics import take_up
+from telenano.wire.topics import register_topic
 
 
 def vectors_of(path: Path, *rows: Topic) -> list[dict[str, Any]]:
     """Return the golden vectors of a file, after the topics of a package are taken up."""
     for row in rows:
-        take_up(row)
+        register_topic(row)
     vectors: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     return vectors
 

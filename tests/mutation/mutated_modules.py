@@ -148,7 +148,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " bound are the same number",
     },
     "telenano/laws/hand_periods.py": {
-        "module: ANEW = -1 [1 => 2]": "any negative number is no count",
+        "module: RESTARTED = -1 [1 => 2]": "any negative number is no count",
         "no_sample: return HandClock(-1, 0) [0 => 1]": "the first sample sets the place of the grid",
         "no_sample: return HandClock(-1, 0) [1 => 2]": "any negative time stamp stands for none",
         "periods_to: periods = 1 if since_ns == period_ns else max(0, (since_ns + period_ns // 2) // period_ns)"
@@ -195,7 +195,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "_Stream.__init__: self.t_ns = 0 [self.t_ns = 0 => pass]": "read only after the first message set it",
         "_Check.run: log_ns >= last_ns [log_ns >= last_ns => log_ns > last_ns]": "one received at the same time is"
         " looked at more closely, with the same outcome",
-        '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), found, stated, strict=True) [True => False]': "there"
+        '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True) [True => False]': "there"
         " are three of each",
     },
 }

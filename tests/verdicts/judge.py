@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.analysis.holds import Guard, Hold, Instrument, Late, Programme, judge_holds
-from telenano.analysis.interruptions import DEADLINE, Interruption, Told, interruptions_of
+from telenano.analysis.holds import Guard, Hold, Instrument, Late, SessionContext, judge_holds
+from telenano.analysis.interruptions import DEADLINE, Interruption, ModeReport, interruptions_of
 
 # the deadline of both devices by default [s]
 DEADLINE_S = 0.05
@@ -40,13 +40,15 @@ def hold_of(course: Any) -> Hold | None:
     return max(inside, key=lambda hold: min(hold.end_s, end_s) - max(hold.start_s, start_s), default=None)
 
 
-def _programme(course: Any) -> Programme:
+def _programme(course: Any) -> SessionContext:
     """Return what a recording of the course would say besides its series."""
     late = [Late(at_s, DEADLINE_S) for at_s in course.overruns]
     late += [Late(start, end - start) for start, end, cause in course.interruptions if cause == "machine"]
     # a device says that it is held when it is, and why
     told = [
-        Told(start + (0.0 if cause == "operator" else DEADLINE_S), "hold", DEADLINE if cause != "operator" else "asked")
+        ModeReport(
+            start + (0.0 if cause == "operator" else DEADLINE_S), "hold", DEADLINE if cause != "operator" else "asked"
+        )
         for start, _, cause in course.interruptions
     ]
     interruptions: list[Interruption] = interruptions_of("tip_held", course.time_s, course.held, told)
@@ -56,7 +58,7 @@ def _programme(course: Any) -> Programme:
         if cause != "operator":
             answered &= (course.time_s <= start) | (course.time_s >= end)
     guards = [] if course.guard is None else [Guard(course.guard[0], _reason(course.guard[1]))]
-    return Programme(
+    return SessionContext(
         planned=course.planned,
         answered_s=course.time_s[answered] + course.round_trip_s,
         guards=guards,

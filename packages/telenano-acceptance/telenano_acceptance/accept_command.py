@@ -62,15 +62,15 @@ def accept(
 
         kind: Kind[Any]
         take: Take[Any]
-        given, guide = flag_overrides(settings or []), SILENT if as_json else Guide(_tell)
+        overrides, guide = flag_overrides(settings or []), SILENT if as_json else Guide(_tell)
         if taken is not None:
             kind, take = read_take(taken, HAPTIC_DEVICE, INSTRUMENT)
-        elif calibration is not None or "afm_node" in given:
+        elif calibration is not None or "afm_node" in overrides:
             if faults:
                 raise ConfigError("--fault: faults go into simulated_impedance; an emulated instrument has its own")
-            kind, take = INSTRUMENT, _take_of_instrument(calibration, section_named(given, "afm_node"), guide)
+            kind, take = INSTRUMENT, _take_of_instrument(calibration, section_named(overrides, "afm_node"), guide)
         else:
-            section = {"driver": driver} | section_named(given, "haptic_node")
+            section = {"driver": driver} | section_named(overrides, "haptic_node")
             kind, take = HAPTIC_DEVICE, _take_of_device(section, mass, stop, faults or [], guide)
         verdicts = kind.judge(take)
         result, identity = overall(verdicts), take.facts.identity
@@ -102,8 +102,8 @@ def section_named(given: dict[str, Any], name: str) -> dict[str, Any]:
     """Return the keys of a section; ConfigError names one of another."""
     if other := sorted(set(given) - {name}):
         raise ConfigError(f"--set {other[0]}: what is judged here has keys {name}.* only")
-    found: dict[str, Any] = given.get(name, {})
-    return found
+    section: dict[str, Any] = given.get(name, {})
+    return section
 
 
 def _take_of_instrument(calibration: Path | None, section: dict[str, Any], guide: "Guide") -> "Take[Any]":

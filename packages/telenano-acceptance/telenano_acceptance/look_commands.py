@@ -172,24 +172,24 @@ def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
     if kind == SIMULATED_IMPEDANCE:
-        found = config.impedance.capabilities()
+        capabilities = config.impedance.capabilities()
     else:
         section = _driver_of_package(kind).section(config)
         wire = wire_of(kind, section.model_dump(mode="json"))
         try:
-            found = wire.open()
+            capabilities = wire.open()
         finally:
             wire.close()
-    bounds = config.coupling.bounds(found)
+    bounds = config.coupling.bounds(capabilities)
     return {
-        "identity": found.identity,
-        "max_force_n": found.max_force_n,
-        "declared_stiffness_n_per_m": found.max_stiffness_n_per_m,
-        "declared_damping_n_s_per_m": found.max_damping_n_s_per_m,
-        "workspace_m": f"{found.workspace_min_m:g} to {found.workspace_max_m:g} towards the sample",
-        "servo_rate_hz": found.rate_hz,
-        "drive_delay_s": found.drive_delay_s,
-        "buttons": ", ".join(found.buttons),
+        "identity": capabilities.identity,
+        "max_force_n": capabilities.max_force_n,
+        "declared_stiffness_n_per_m": capabilities.max_stiffness_n_per_m,
+        "declared_damping_n_s_per_m": capabilities.max_damping_n_s_per_m,
+        "workspace_m": f"{capabilities.workspace_min_m:g} to {capabilities.workspace_max_m:g} towards the sample",
+        "servo_rate_hz": capabilities.rate_hz,
+        "drive_delay_s": capabilities.drive_delay_s,
+        "buttons": ", ".join(capabilities.buttons),
         "coupling": bounds.sentence(),
         "coupling_stiffness_n_per_m": bounds.stiffness_n_per_m,
         "passive_bound_n_per_m": bounds.passive_n_per_m,
@@ -235,24 +235,24 @@ def _errors_of_package() -> Iterator[None]:
 def _driver_of_package(name: str) -> Any:
     """Return the driver of a package; ConfigError says why there is none, and which package would have it."""
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()
-    found = {**handles.found, **instruments.found}
-    if name not in found:
+    drivers = {**handles.found, **instruments.found}
+    if name not in drivers:
         why = {**handles.problems, **instruments.problems}.get(name) or where_it_is(f"driver {name}")
-        raise ConfigError(f"--device {name}: {why or known_names(name, (SIMULATED_IMPEDANCE, *found))}")
-    return found[name]
+        raise ConfigError(f"--device {name}: {why or known_names(name, (SIMULATED_IMPEDANCE, *drivers))}")
+    return drivers[name]
 
 
 def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
     name, node = driver.name, driver.node
-    given = flag_overrides([f"{node}.driver={name}", *settings])
-    if other := sorted(set(given) - {node}):
+    overrides = flag_overrides([f"{node}.driver={name}", *settings])
+    if other := sorted(set(overrides) - {node}):
         raise ConfigError(f"--set {other[0]}: the driver {name} has keys {node}.{name}.* only")
     config: Any
     if node == "haptic_node":
-        config = validate(HapticConfig, given[node], "--set", node)
+        config = validate(HapticConfig, overrides[node], "--set", node)
         limits = config.limits
     else:
-        config = validate(AfmConfig, given[node], "--set", node)
+        config = validate(AfmConfig, overrides[node], "--set", node)
         config, limits = config.model_copy(update={"attended": True}), config.to_params().safety
     device = driver.device(config, limits, _PERIOD_S)
     device.open()

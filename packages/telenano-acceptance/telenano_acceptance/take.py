@@ -104,8 +104,8 @@ class Take(NamedTuple, Generic[F]):
     def of(self, name: str) -> Rows:
         """Return the rows of a step; none if the take has no such step."""
         numbers = [number for number, step in enumerate(self.steps) if step.name == name]
-        found: Rows = self.rows[np.isin(self.rows["step"], numbers)]
-        return found
+        rows: Rows = self.rows[np.isin(self.rows["step"], numbers)]
+        return rows
 
     def save(self, path: Path | IO[bytes]) -> None:
         """Write the take as one file of numpy (.npz)."""
@@ -224,9 +224,9 @@ class Recorder:
             idle: Lets a millisecond pass with the device at rest.
         """
         before_ns = self._clock.now_ns()
-        found = self._guide.ask(self._steps[number], idle)
+        answer = self._guide.ask(self._steps[number], idle)
         self._begun_ns += self._clock.now_ns() - before_ns
-        return found
+        return answer
 
     def begin(self, number: int) -> None:
         """Begin a step, and tell the person of it."""
@@ -285,8 +285,8 @@ def noise(values: Rows | str, most: float, text: str, scale: float) -> tuple[Res
     if isinstance(values, str):
         return "retake", values
     windows = np.array_split(values, max(1, len(values) // 500))
-    found = max(float(window.std(axis=0).max()) for window in windows)
-    return passes(found <= most), f"{text.format(scale * found)}, one sigma"
+    greatest = max(float(window.std(axis=0).max()) for window in windows)
+    return passes(greatest <= most), f"{text.format(scale * greatest)}, one sigma"
 
 
 def drift(values: Rows | str, most: float, text: str, scale: float) -> tuple[Result, str]:
@@ -294,5 +294,5 @@ def drift(values: Rows | str, most: float, text: str, scale: float) -> tuple[Res
     if isinstance(values, str):
         return "retake", values
     half = len(values) // 2
-    found = float(np.abs(values[half:].mean(axis=0) - values[:half].mean(axis=0)).max())
-    return passes(found <= most), f"{text.format(scale * found)} between the halves of the step"
+    greatest = float(np.abs(values[half:].mean(axis=0) - values[:half].mean(axis=0)).max())
+    return passes(greatest <= most), f"{text.format(scale * greatest)} between the halves of the step"

@@ -30,7 +30,7 @@ SOME: dict[str, dict[str, Any]] = {
     "sign of x": {"signs": (-1.0, 1.0, 1.0)},
 }
 FURTHER: dict[str, dict[str, Any]] = {
-    "cable loss": {"unplug_is_told": False},
+    "cable loss": {"unplug_is_reported": False},
     "rendering stiffness": {"extra_delay_s": 0.04},
     "finite positions": {"nan_at_s": begins_s("slow") + 0.5},
     "rate": {"slow": 2.0},

@@ -133,8 +133,8 @@ def approach_nanonis(
         from telenano_afm_controllers.calibration import NanonisCalibration
         from telenano_afm_controllers.nanonis_client import NanonisClient, approach
 
-        found = read_controller(calibration, NanonisCalibration)
-        client = NanonisClient(found.network.host, found.network.port)
+        controller = read_controller(calibration, NanonisCalibration)
+        client = NanonisClient(controller.network.host, controller.network.port)
         try:
             z_m = approach(client, setpoint, lift * 1e-9)
         finally:

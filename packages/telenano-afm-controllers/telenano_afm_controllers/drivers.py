@@ -10,18 +10,18 @@ from telenano.settings import DeviceDriver
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 
 
-def _gwyscope(settings: ControllerSettings, limits: SafetyParams, **told: Any) -> AfmDriver:
+def _gwyscope(settings: ControllerSettings, limits: SafetyParams, **keywords: Any) -> AfmDriver:
     from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 
-    found = read_controller(Path(settings.calibration), GwyscopeCalibration)
-    return GwyscopeAfm(found.reached_at(settings.host, settings.port), limits, **told)
+    controller = read_controller(Path(settings.calibration), GwyscopeCalibration)
+    return GwyscopeAfm(controller.reached_at(settings.host, settings.port), limits, **keywords)
 
 
-def _nanonis(settings: ControllerSettings, limits: SafetyParams, **told: Any) -> AfmDriver:
+def _nanonis(settings: ControllerSettings, limits: SafetyParams, **keywords: Any) -> AfmDriver:
     from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-    found = read_controller(Path(settings.calibration), NanonisCalibration)
-    return NanonisAfm(found.reached_at(settings.host, settings.port), limits, **told)
+    controller = read_controller(Path(settings.calibration), NanonisCalibration)
+    return NanonisAfm(controller.reached_at(settings.host, settings.port), limits, **keywords)
 
 
 GWYSCOPE = DeviceDriver(
@@ -29,7 +29,7 @@ GWYSCOPE = DeviceDriver(
     "gwyscope",
     ControllerSettings,
     _gwyscope,
-    told=("period_s", "attended"),
+    keywords=("period_s", "attended"),
     capabilities=AfmCapabilities(
         500.0, 333.0, 4e-3, True, True, True, ("e", "adc1", "adc2", "in1 to in16"), "the guard, or a person"
     ),
@@ -41,7 +41,7 @@ NANONIS = DeviceDriver(
     "nanonis",
     ControllerSettings,
     _nanonis,
-    told=("period_s", "attended"),
+    keywords=("period_s", "attended"),
     # These figures hold for a Tap of 20 ms. The samples of a TCP Logger are newer, and z stays as slow.
     capabilities=AfmCapabilities(
         400.0,

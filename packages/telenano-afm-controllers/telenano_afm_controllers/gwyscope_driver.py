@@ -59,13 +59,13 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         """Return the requests: who it is, what it does at present, z away from the sample, its tick; then cycles."""
         yield from self._find_guard()
         wanted = {"version": "", "moving": False} | dict.fromkeys(_BUSY, False)
-        found = yield from self._ask("get", **wanted)
-        if busy := [name for name in _BUSY if found.get(name)]:
+        answer = yield from self._ask("get", **wanted)
+        if busy := [name for name in _BUSY if answer.get(name)]:
             raise DeviceError(
                 f"is busy ({', '.join(busy)}): end that in its own software first; it was not driven, and the tip is"
                 " where that left it"
             )
-        if found.get("moving"):
+        if answer.get("moving"):
             yield from self._ask("stop")
         self._history.clear()
         yield from self._send_z(self.calibration.z.retract_m)
@@ -78,7 +78,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         if signal not in _ALWAYS_READ:
             yield from self._ask("set_standby_storage", **{signal: True})
         yield from self._measure_tick()
-        self.begin_cycles(f"Gwyscope {found.get('version', '')}, a sample every {self.tick_s * 1e3:.3g} ms")
+        self.begin_cycles(f"Gwyscope {answer.get('version', '')}, a sample every {self.tick_s * 1e3:.3g} ms")
         while True:
             yield from self._send_z(self.wanted_z_m())
             if self._place is not None and self._place != self._sent_place:
@@ -97,9 +97,9 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
     def _ask(self, todo: str, **items: Any) -> Answers:
         """Send a request and return its answer; DeviceError where the server does not know it."""
         answer = _items((yield gwyscope_wire.encode({"todo": todo, **items})))
-        said = answer.get("todo")
-        if said != todo:
-            raise DeviceError(f"does not do {todo}: it answers {said!r}" + _sent_text(items))
+        reported = answer.get("todo")
+        if reported != todo:
+            raise DeviceError(f"does not do {todo}: it answers {reported!r}" + _sent_text(items))
         return answer
 
     def _send_z(self, z_m: float) -> Generator[bytes, bytes, None]:

@@ -129,14 +129,14 @@ class GwyscopeModel:
     def _tick(self) -> None:
         self._afm_elapses()
         if self._target is not None:
-            self._go_on(*self._target)
+            self._continue(*self._target)
         if self.values["feedback"]:
             # the error in volts, an integral of it in metres
             error_v = self.values["pid_setpoint"] - self._bridge_v
             self._move_z(self.z_m + self.values["pid_i"] * error_v * self._tick_ns / _NS)
         self._measure()
 
-    def _go_on(self, x_m: float, y_m: float, z_m: float) -> None:
+    def _continue(self, x_m: float, y_m: float, z_m: float) -> None:
         tick_s = self._tick_ns / _NS
         reach_m, z_reach_m = self.values["speed"] * tick_s, self.values["zspeed"] * tick_s
         way_m = math.hypot(x_m - self.x_m, y_m - self.y_m)

@@ -54,14 +54,14 @@ def decode(frame: bytes) -> dict[str, Any]:
     """
     if cut(frame) != len(frame):
         raise WireError(f"a message of {len(frame)} bytes cannot be read: it is not of the length that it states")
-    found, place = {}, _HEADER
+    values, place = {}, _HEADER
     try:
         while place < len(frame):
             key, place = _text(frame, place)
-            found[key], place = _item(frame, place)
+            values[key], place = _item(frame, place)
     except (ValueError, KeyError, struct.error) as error:
         raise WireError(f"a message of {len(frame)} bytes cannot be read: {error}") from error
-    return found
+    return values
 
 
 def _item(frame: bytes, place: int) -> tuple[Any, int]:

@@ -149,8 +149,8 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
                 yield from self._check_status()
 
     def _find_guard(self) -> Generator[bytes, bytes, None]:
-        found = yield nanonis_wire.HEADER.pack(GUARD_COMMAND.encode(), 0, 1, 0)
-        body = found[nanonis_wire.HEADER.size :]
+        answer = yield nanonis_wire.HEADER.pack(GUARD_COMMAND.encode(), 0, 1, 0)
+        body = answer[nanonis_wire.HEADER.size :]
         # the number of its retractions, and the error block of no error
         if len(body) != 12 or any(body[4:]):
             self.refuse_without_guard()
@@ -248,10 +248,10 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
             runs = (yield from self._ask("Scan.StatusGet"))[0]
             frames = []
             for forward in (1, 0):
-                name, found, _ = yield from self._ask("Scan.FrameDataGrab", channel, forward)
-                if name != _Z_SIGNAL or found.shape != (lines, pixels):
-                    raise DeviceError(f"returned {name!r} of {found.shape}, {_Z_SIGNAL!r} of {lines, pixels} was asked")
-                frames.append(found)
+                name, frame, _ = yield from self._ask("Scan.FrameDataGrab", channel, forward)
+                if name != _Z_SIGNAL or frame.shape != (lines, pixels):
+                    raise DeviceError(f"returned {name!r} of {frame.shape}, {_Z_SIGNAL!r} of {lines, pixels} was asked")
+                frames.append(frame)
             while taken < 2 * lines and np.isfinite(row := frames[taken % 2][taken // 2]).all():
                 # A height counts away from the sample, as the base does with the other sign.
                 height_m = np.array([0.0 - self.calibration.base_m(float(z_m)) for z_m in row])
@@ -349,7 +349,7 @@ class FrameLog:
         """Return the values of the newest frame that has come, None where there is none; OSError for a lost line."""
         if self._line is None or not self._line.ready():
             return None
-        found = None
+        newest_reading = None
         # What was held up comes at once, and what is behind it is newer.
         for _ in range(_MOST_RECEIVED):
             received = self._line.receive()
@@ -359,9 +359,9 @@ class FrameLog:
                 # The first frame is no sample: it lists the signals of the columns. One that comes again is none.
                 if state == _LOG_DATA and number > self._number:
                     self._number = number
-                    found = list(struct.unpack_from(f">{channels}f", frame, _LOG_HEADER.size))
+                    newest_reading = list(struct.unpack_from(f">{channels}f", frame, _LOG_HEADER.size))
             if not received:
-                return found
+                return newest_reading
         return None
 
 

@@ -111,7 +111,7 @@ class NanonisModel:
         if spelt is None:
             module = asked.command.partition(".")[0]
             text = f"Error in command: {lower}: Cannot access the {module} module. \nPlease make sure it is running."
-            found = nanonis_wire.answer(asked.command, b"", text)
+            answer = nanonis_wire.answer(asked.command, b"", text)
         else:
             layout, returns = nanonis_wire.COMMANDS[spelt]
             try:
@@ -119,11 +119,11 @@ class NanonisModel:
                 if end != len(asked.body):
                     raise CommandRefusedError("the body is longer than its arguments")
                 values = self.respond(spelt, arguments)
-                found = nanonis_wire.answer(asked.command, nanonis_wire.pack(returns, values))
+                answer = nanonis_wire.answer(asked.command, nanonis_wire.pack(returns, values))
             except (CommandRefusedError, WireError) as error:
                 # the return arguments are present, as zeros
-                found = nanonis_wire.answer(asked.command, _zeros(returns), f"Error in command: {lower}: {error}")
-        return found if asked.answers else None
+                answer = nanonis_wire.answer(asked.command, _zeros(returns), f"Error in command: {lower}: {error}")
+        return answer if asked.answers else None
 
     def respond(self, command: str, arguments: list[Any]) -> list[Any]:
         """Do a command and return its values.
@@ -405,8 +405,8 @@ class Logger:
 
     def take(self) -> bytes:
         """Return the frames since the last call."""
-        found, self._frames = b"".join(self._frames), []
-        return found
+        data, self._frames = b"".join(self._frames), []
+        return data
 
     def _frame(self, state: int, values: list[float]) -> bytes:
         header = _LOG_HEADER.pack(len(values), float(self.oversampling), self._counter, state)

@@ -178,7 +178,7 @@ class RequestDriver(TcpDriver[K]):
     def _is_safe(self) -> bool:
         return self._ready and self._retracted >= 2
 
-    def _go_on_talking(self, now_ns: int, line: Line, talk: Any) -> None:
+    def _continue_exchange(self, now_ns: int, line: Line, talk: Any) -> None:
         if not self._waiting:
             self._send(talk.send(b""), now_ns, line)
             return

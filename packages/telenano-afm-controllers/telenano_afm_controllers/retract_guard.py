@@ -116,12 +116,12 @@ class RetractGuard:
         # This tells whose answer the controller owes: the rig's, the guard's own, or none.
         self._owed = ""
         self._retry_ns = 0
-        self._told = ""
+        self._last_text = ""
 
-    def run(self, goes_on: Callable[[], bool]) -> None:
-        """Guard until `goes_on` returns False, then leave the tip retracted as far as the controller answers."""
+    def run(self, continues: Callable[[], bool]) -> None:
+        """Guard until `continues` returns False, then leave the tip retracted as far as the controller answers."""
         try:
-            while goes_on():
+            while continues():
                 self.step()
         finally:
             if self.judge.driven:
@@ -159,13 +159,13 @@ class RetractGuard:
         wanted = [self._server, self._client]
         if self._client is None and self._server is not None and not self.judge.due:
             wanted.append(self._listener)
-        found = [each for each in wanted if each is not None]
-        for each in found:
+        ready = [each for each in wanted if each is not None]
+        for each in ready:
             self._selector.register(each, selectors.EVENT_READ)
         try:
             return [key.fileobj for key, _ in self._selector.select(_POLL_S)]  # type: ignore[misc]
         finally:
-            for each in found:
+            for each in ready:
                 self._selector.unregister(each)
 
     def _reach(self, now_ns: int) -> None:
@@ -245,8 +245,8 @@ class RetractGuard:
             self._tell(text)
 
     def _tell(self, text: str) -> None:
-        if text != self._told:
-            self._told = text
+        if text != self._last_text:
+            self._last_text = text
             self._say(text)
 
 

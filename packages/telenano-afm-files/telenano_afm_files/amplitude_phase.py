@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.files import read_in_child, whole_file
+from telenano.files import atomic_file, read_in_child
 from telenano.wire import ConfigError
 from telenano_afm_files.igor_waves import load_wave, notes_of
 
@@ -61,10 +61,17 @@ def amplitude_phase(amplitude_share: Array, phase_deg: Array) -> AmplitudePhase:
     spans = np.floor(amplitude_share / _WIDTH).astype(int)
     rows = []
     for span in np.unique(spans[(amplitude_share > 0.0) & (amplitude_share < 1.0)]):
-        found = phase_deg[spans == span]
-        if found.size >= _LEAST_PIXELS:
-            spread = 1.4826 * float(np.median(np.abs(found - np.median(found))))
-            rows.append(((span + 0.5) * _WIDTH, float(np.median(found)), spread / math.sqrt(_LEAST_PIXELS), found.size))
+        phases_deg = phase_deg[spans == span]
+        if phases_deg.size >= _LEAST_PIXELS:
+            spread = 1.4826 * float(np.median(np.abs(phases_deg - np.median(phases_deg))))
+            rows.append(
+                (
+                    (span + 0.5) * _WIDTH,
+                    float(np.median(phases_deg)),
+                    spread / math.sqrt(_LEAST_PIXELS),
+                    phases_deg.size,
+                )
+            )
     if len(rows) < 4:
         raise ConfigError(f"the amplitude has {len(rows)} spans of {_LEAST_PIXELS} pixels; 4 are needed for a curve")
     a, phase, error, pixels = (np.array(column) for column in zip(*rows, strict=True))
@@ -76,13 +83,15 @@ def amplitude_phase(amplitude_share: Array, phase_deg: Array) -> AmplitudePhase:
         return np.asarray(90.0 + side * np.degrees(np.arccos(np.clip(sine, -1.0, 1.0))))
 
     # from inside, where the phase changes with both
-    found = least_squares(lambda free: model_deg(free) - phase, [0.0, 0.1], diff_step=1e-4, x_scale=0.1)
-    scatter_deg = math.sqrt(2.0 * float(found.cost) / (len(a) - 2))
-    constant_error, slope_error = (scatter_deg * np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)))).tolist()
-    constant, slope = found.x.tolist()
+    phases_deg = least_squares(lambda free: model_deg(free) - phase, [0.0, 0.1], diff_step=1e-4, x_scale=0.1)
+    scatter_deg = math.sqrt(2.0 * float(phases_deg.cost) / (len(a) - 2))
+    constant_error, slope_error = (
+        scatter_deg * np.sqrt(np.diag(np.linalg.pinv(phases_deg.jac.T @ phases_deg.jac)))
+    ).tolist()
+    constant, slope = phases_deg.x.tolist()
     still_deg = model_deg(np.zeros(2))
     return AmplitudePhase(
-        a, phase, error, pixels, constant, constant_error, slope, slope_error, model_deg(found.x), still_deg
+        a, phase, error, pixels, constant, constant_error, slope, slope_error, model_deg(phases_deg.x), still_deg
     )
 
 
@@ -130,7 +139,7 @@ def main() -> None:
     """Fit the image that is named on the command line, and write the figure into the file that is named after it."""
     path, out = Path(sys.argv[1]), Path(sys.argv[2])
     curve = amplitude_phase(*read_amplitude_phase(path))
-    with whole_file(out) as part:
+    with atomic_file(out) as part:
         amplitude_phase_figure(curve).savefig(part, dpi=110, format=out.suffix[1:] or "png")
     left = curve.phase_deg - curve.model_deg
     sys.stdout.write(

@@ -85,8 +85,8 @@ def curves_of(path: str) -> Curves:
             ways.append((height[::-1], volts[::-1]) if place == 0 else (height, volts))
         return Recorded((number % side, number // side), tuple(ways), "V", k, sensitivity)
 
-    found = re.match(r"([\d.eE+-]+)(?: [\d.eE+-]+)? ?(\S*)", scan.get("Scan Size", ""))
-    metres = float(found[1]) * _METRES.get(found[2], 1e-9) if found and side > 1 else 0.0
+    match = re.match(r"([\d.eE+-]+)(?: [\d.eE+-]+)? ?(\S*)", scan.get("Scan Size", ""))
+    metres = float(match[1]) * _METRES.get(match[2], 1e-9) if match and side > 1 else 0.0
     each = ((partial(curve, number), (number + 1) / side**2) for number in range(side**2))
     return Curves((side, side), (metres, metres), each)
 
@@ -102,8 +102,8 @@ def _sections_of(content: bytes) -> list[_Section]:
     for line in content[:end].decode("latin-1").splitlines():
         if line[1:2] == "*":
             sections.append(_Section(line[2:].strip(), {}))
-        elif (found := _LINE.match(line)) and sections:
-            sections[-1].values.setdefault(found[2], found[3].strip())
+        elif (match := _LINE.match(line)) and sections:
+            sections[-1].values.setdefault(match[2], match[3].strip())
     return sections
 
 
@@ -114,18 +114,18 @@ def _wanted(values: dict[str, str], key: str) -> str:
 
 
 def _matched(form: str, values: dict[str, str], key: str) -> str:
-    found = re.search(form, _wanted(values, key))
-    if found is None:
+    match = re.search(form, _wanted(values, key))
+    if match is None:
         raise ValueError(f"{key} is {values[key]!r}, which is not understood")
-    return found[1]
+    return match[1]
 
 
 def _sensitivity(sections: list[_Section], values: dict[str, str], key: str) -> float:
     """Return metres for a volt of a parameter, by the sensitivity that it names."""
     name = _matched(r"\[([^\]]+)\]", values, key)
     for part in sections:
-        if found := re.match(r"V ([\d.eE+-]+) ?(?:(\S+)/V)?", part.values.get(name, "")):
-            if (found[2] or "") not in _METRES:
-                raise ValueError(f"{name} is in {found[2]}/V; a length is needed")
-            return float(found[1]) * _METRES[found[2] or ""]
+        if match := re.match(r"V ([\d.eE+-]+) ?(?:(\S+)/V)?", part.values.get(name, "")):
+            if (match[2] or "") not in _METRES:
+                raise ValueError(f"{name} is in {match[2]}/V; a length is needed")
+            return float(match[1]) * _METRES[match[2] or ""]
     raise ValueError(f"{key} refers to {name}, which the header does not have")

@@ -30,12 +30,12 @@ _READERS: dict[str, Callable[[str], Curves]] = {
 
 
 @contextmanager
-def _open(path: str, given: dict[str, float], said: text_curves.Said = text_curves.NOTHING) -> Any:
+def _open(path: str, given: dict[str, float], options: text_curves.TableOptions = text_curves.NOTHING) -> Any:
     suffix = Path(path).suffix.lower()
-    if any(said):
+    if any(options):
         if suffix not in text_curves.SUFFIXES or nanonis.is_spectroscopy(path):
-            raise ValueError(f"--set {', '.join(said._fields)}: are for a text table; this file says its own")
-        yield text_curves.curves_of(path, said)
+            raise ValueError(f"--set {', '.join(options._fields)}: are for a text table; this file says its own")
+        yield text_curves.curves_of(path, options)
         return
     own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)
     if own is None and not suffix.startswith(map_libraries.SUFFIXES):
@@ -72,14 +72,14 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table
         table: What a person says of a text table (`text_curves.Said`), as JSON.
         report: The descriptor that takes the advance.
     """
-    given = _given(stiffness, sensitivity)
+    constants = _given(stiffness, sensitivity)
     places, counts, columns = [], [], []
-    with _open(path, given, text_curves.said_of(table)) as curves:
+    with _open(path, constants, text_curves.table_options_of(table)) as curves:
         facts: dict[str, Any] = {"shape": curves.shape, "sides": curves.sides_m}
         for read, share in curves.each:
             curve = read()
-            facts.setdefault("stiffness_n_per_m", constants_of(curve, given)[0])
-            factor = factor_to_force(curve, given)
+            facts.setdefault("stiffness_n_per_m", constants_of(curve, constants)[0])
+            factor = factor_to_force(curve, constants)
             ways = [(z, factor * value) for z, value in map(_in_order, curve.ways)]
             places.append(curve.place)
             counts.append([len(way[0]) for way in ways])
@@ -110,11 +110,11 @@ def load_one(
     A curve is its spring constant [N/m], speed [m/s] and points of the approach by name, and the arrays base and
     deflection [m].
     """
-    given, wanted, count = _given(stiffness, sensitivity), int(number), 0
-    with _open(path, given, text_curves.said_of(table)) as curves:
+    constants, wanted, count = _given(stiffness, sensitivity), int(number), 0
+    with _open(path, constants, text_curves.table_options_of(table)) as curves:
         for count, (read, _) in enumerate(curves.each, start=1):
             if count - 1 == wanted:
-                return _deflections_of(read(), given)
+                return _deflections_of(read(), constants)
     raise ValueError(f"it has no curve {number}; it has {count}, and the first is 0")
 
 
@@ -137,9 +137,9 @@ def load_deflections(path: str) -> Found:
     """
     # With constants of 1 the force that afmformats computes is the voltage itself.
     raw = map_libraries.is_raw(path)
-    given = {"stiffness_n_per_m": 1.0, "sensitivity_m_per_v": 1.0} if raw else {}
+    constants = {"stiffness_n_per_m": 1.0, "sensitivity_m_per_v": 1.0} if raw else {}
     ways: list[tuple[Array, Array]] = []
-    with _open(path, given) as curves:
+    with _open(path, constants) as curves:
         for read, _ in curves.each:
             curve = read()
             k, sensitivity = (1.0, 1.0) if raw else (curve.stiffness_n_per_m, curve.sensitivity_m_per_v)

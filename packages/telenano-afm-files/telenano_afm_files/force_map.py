@@ -28,7 +28,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from telenano.extend.maps import SI_UNITS, UNITS, Array, MapFormat, OverMap, Span
-from telenano.files import open_regular, whole_file
+from telenano.files import atomic_file, open_regular
 from telenano.wire import ConfigError
 from telenano_afm_files.recorded_map import MapParams, start, step
 
@@ -123,9 +123,9 @@ def _known(found: dict[str, Any], name: str, known: Any) -> Any:
     value = found.get(name)
     value = int(value) if isinstance(value, float) and value.is_integer() else value
     if value is None or value not in known:
-        said = f"is missing (--set {name}=…)" if value is None else f"is {value!r}"
+        fault = f"is missing (--set {name}=…)" if value is None else f"is {value!r}"
         shown = ", ".join(str(each) for each in known) if len(known) < 12 else "N, nN, pN, Hz, A, m, rad, deg, V"
-        raise MapError(f"{name}: {said}; it must be one of {shown}")
+        raise MapError(f"{name}: {fault}; it must be one of {shown}")
     return value
 
 
@@ -212,7 +212,7 @@ def write_map(path: Path, found: ForceMap) -> None:
     }  # fmt: skip
     if found.quantity == "force":
         members |= {"sign": 1, "axis": "base", "stiffness_n_per_m": found.stiffness_n_per_m}
-    with whole_file(path) as part, part.open("wb") as file:
+    with atomic_file(path) as part, part.open("wb") as file:
         np.savez(file, **members)
 
 
@@ -223,7 +223,7 @@ def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], np
         OSError: The file cannot be read.
         ValueError: It is no whole `.npz`; nothing is taken for what a header states before it was compared.
     """
-    found: dict[str, Any] = {}
+    members: dict[str, Any] = {}
     grid = None
     with open_regular(path) as file:
         try:
@@ -231,7 +231,7 @@ def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], np
                 for member in archive.infolist():
                     name = member.filename.removesuffix(".npy")
                     if name in _KNOWN:
-                        found[name] = _plain(_member(archive, member, _MOST_FACT_BYTES))
+                        members[name] = _plain(_member(archive, member, _MOST_FACT_BYTES))
                     elif values and name == "value":
                         grid = _member(archive, member, 8 * MOST_VALUES)
         except (MapError, OSError):
@@ -241,7 +241,7 @@ def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], np
             raise MapError(f"is no whole .npz file: {error}") from error
     if values and grid is None:
         raise MapError("value: is missing; it must be the grid over (x, y, z)")
-    return found, grid
+    return members, grid
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most_bytes: int) -> npt.NDArray[Any]:
@@ -276,9 +276,9 @@ def read_map(path: Path) -> tuple[ForceMap, str]:
         ConfigError: The file cannot be used; the message names it, the member and what would be right.
     """
     try:
-        found, values = read_members(path)
+        members, values = read_members(path)
         assert values is not None
-        whole = checked_map(found, values)
+        whole = checked_map(members, values)
         digest = hashlib.sha256()
         with open_regular(path) as file:
             while part := file.read(_PIECE_BYTES):
@@ -301,28 +301,28 @@ def span_of(path: Path) -> Span | None:
 
 @lru_cache(maxsize=16)
 def _span(path: str, changed_ns: int, size: int) -> Span | None:
-    found, _ = read_members(Path(path), values=False)
-    if found.get("axis", "base") != "base":
+    members, _ = read_members(Path(path), values=False)
+    if members.get("axis", "base") != "base":
         whole, _ = read_map(Path(path))
         x, y, z, quantity, stiffness = whole.x_m, whole.y_m, whole.z_m, whole.quantity, whole.stiffness_n_per_m
     else:
-        scale = METRES[found["length_unit"]]
-        x, y, z = (np.asarray(found[name], dtype=np.float64) * scale for name in "xyz")
-        quantity = UNITS[found["unit"]][0].replace("voltage", "force")
-        stiffness = float(found["stiffness_n_per_m"]) if quantity == "force" else 0.0
+        scale = METRES[members["length_unit"]]
+        x, y, z = (np.asarray(members[name], dtype=np.float64) * scale for name in "xyz")
+        quantity = UNITS[members["unit"]][0].replace("voltage", "force")
+        stiffness = float(members["stiffness_n_per_m"]) if quantity == "force" else 0.0
     return Span(float(z[0]), float(z[-1]), 0.5 * float(x[-1] - x[0]), 0.5 * float(y[-1] - y[0]), stiffness, quantity)
 
 
 def read_over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> OverMap:
     """Return what an instrument steps over; ConfigError names the file, and what is wrong with it."""
-    found, digest = read_map(path)
-    params = map_params(found, rest_distance_m, stiffness_n_per_m, volts_per_m)
-    points, branches = " x ".join(map(str, found.values.shape[1:])), ("one branch", "approach and retract")
+    force_map, digest = read_map(path)
+    params = map_params(force_map, rest_distance_m, stiffness_n_per_m, volts_per_m)
+    points, branches = " x ".join(map(str, force_map.values.shape[1:])), ("one branch", "approach and retract")
     about = (
-        f"{path.name} ({digest}): {found.quantity} [{SI_UNITS[found.quantity]}], {points} points,"
-        f" {branches[len(found.values) - 1]}"
+        f"{path.name} ({digest}): {force_map.quantity} [{SI_UNITS[force_map.quantity]}], {points} points,"
+        f" {branches[len(force_map.values) - 1]}"
     )
-    return OverMap(params, params.stiffness_n_per_m, "" if params.is_force else found.quantity, about)
+    return OverMap(params, params.stiffness_n_per_m, "" if params.is_force else force_map.quantity, about)
 
 
 NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)

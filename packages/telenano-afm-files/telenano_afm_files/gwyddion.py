@@ -62,16 +62,18 @@ def load_image(path: str) -> Found:
         if ended.returncode != 0 or not out.is_file():
             if b"No module can load" in ended.stderr:
                 raise ValueError("is of no format that Gwyddion knows; export it as .gsf, or as .npy (with --size)")
-            said = ended.stderr.decode("utf-8", "replace").strip().rpartition(source)[2].strip("': \n")
-            raise ValueError(f"Gwyddion's converter cannot read it: {said or f'it ended with code {ended.returncode}'}")
+            message = ended.stderr.decode("utf-8", "replace").strip().rpartition(source)[2].strip("': \n")
+            raise ValueError(
+                f"Gwyddion's converter cannot read it: {message or f'it ended with code {ended.returncode}'}"
+            )
         facts, maps = _maps_of(out, "it holds curves, and no image")
     return facts, maps
 
 
 def converter() -> str | None:
     """Return the path of Gwyddion's converter: on PATH, or as gwyddionpy-converter installed it; None without it."""
-    if found := shutil.which(_PROGRAM):
-        return found
+    if path := shutil.which(_PROGRAM):
+        return path
     place = find_spec("gwyddionpy_converter")
     if place is None or place.origin is None:
         return None

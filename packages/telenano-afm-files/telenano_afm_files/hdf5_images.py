@@ -72,9 +72,9 @@ def _jpk(file: Any) -> Iterator[Map]:
 def _nsid(file: Any, others: list[str]) -> Iterator[Map]:
     import h5py
 
-    found: list[Any] = []
-    file.visititems(lambda name, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
-    for data in found:
+    datasets: list[Any] = []
+    file.visititems(lambda name, item: datasets.append(item) if isinstance(item, h5py.Dataset) else None)
+    for data in datasets:
         axes = [_axis(data, place) for place in range(data.ndim)] if data.ndim == 2 else []
         if data.attrs.get("CLASS", b"") != b"DIMENSION_SCALE":
             others.append(data.name)

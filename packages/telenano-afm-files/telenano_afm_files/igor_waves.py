@@ -102,7 +102,7 @@ def load_maps(path: str) -> Found:
 
 def _unit(name: str, unit: str) -> str:
     other = {"phase": "deg", "potential": "V", "deflvolts": "V"}
-    return next((found for part, found in other.items() if part in name.lower()), unit)
+    return next((unit_of_part for part, unit_of_part in other.items() if part in name.lower()), unit)
 
 
 def curves_of(path: str) -> Curves:
@@ -135,15 +135,15 @@ def curves_of(path: str) -> Curves:
 
 def curves_of_folder(path: str) -> Curves:
     """Return the curves of a map of Asylum's that was saved as a folder of waves, `Line0003Point0012.ibw` each."""
-    found = {}
+    curves = {}
     for file in sorted(Path(path).glob("*.ibw")):
         if place := re.search(r"Line(\d+)Point(\d+)", file.stem, re.IGNORECASE):
-            found[int(place[2]), int(place[1])] = file
-    if not found:
+            curves[int(place[2]), int(place[1])] = file
+    if not curves:
         raise ValueError("is a folder without the waves of a map, which are named as Line0003Point0012.ibw")
-    notes = notes_of(load_wave(str(next(iter(found.values()))))[0])
+    notes = notes_of(load_wave(str(next(iter(curves.values()))))[0])
     sides = [float(notes.get(f"{axis}ScanSize", notes.get("ScanSize", 0.0))) for axis in ("Fast", "Slow")]
-    shape = tuple(max(1 + place[axis] for place in found) for axis in (0, 1))
+    shape = tuple(max(1 + place[axis] for place in curves) for axis in (0, 1))
 
     def curve(place: tuple[int, int], file: Path) -> Recorded:
         try:
@@ -152,7 +152,7 @@ def curves_of_folder(path: str) -> Curves:
         except ValueError as error:
             raise ValueError(f"{file.name}: {error}") from error
 
-    shares = ((partial(curve, *each), (number + 1) / len(found)) for number, each in enumerate(found.items()))
+    shares = ((partial(curve, *each), (number + 1) / len(curves)) for number, each in enumerate(curves.items()))
     return Curves((shape[0], shape[1]), (sides[0], sides[1]), shares)
 
 

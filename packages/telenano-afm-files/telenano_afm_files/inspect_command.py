@@ -13,7 +13,7 @@ from telenano.cli import JsonOption, print_document, report_errors
 from telenano.files import Column, TextTable, as_number, decoded, parse_table, read_in_child, read_regular, unit_of
 from telenano.settings import FileReader, flag_overrides
 from telenano.wire import ConfigError
-from telenano_afm_files.text_curves import NOTHING, Said, curves_of, said_of
+from telenano_afm_files.text_curves import NOTHING, TableOptions, curves_of, table_options_of
 
 _LARGEST_BYTES = 256_000_000
 # A text has none of these bytes in its begin.
@@ -37,18 +37,18 @@ def inspect(
 ) -> None:
     """Say what a file is taken for: format, columns, units, sign, what was left out, and which command takes it."""
     with report_errors(as_json):
-        given = flag_overrides(lacking or ())
-        if unknown := sorted(set(given) - set(Said._fields)):
-            raise ConfigError(f"--set {unknown[0]}: is not one of {', '.join(Said._fields)}")
+        overrides = flag_overrides(lacking or ())
+        if unknown := sorted(set(overrides) - set(TableOptions._fields)):
+            raise ConfigError(f"--set {unknown[0]}: is not one of {', '.join(TableOptions._fields)}")
         try:
-            said = said_of(json.dumps(given))
+            options = table_options_of(json.dumps(overrides))
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        document = inspected(file, said)
+        document = inspected(file, options)
     print_document(document, str(file), as_json=as_json)
 
 
-def inspected(path: Path, said: Said = NOTHING) -> dict[str, Any]:
+def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
     """Return what a file is taken for, a curve by what a person says of its columns and units as well.
 
     Raises:
@@ -68,14 +68,14 @@ def inspected(path: Path, said: Said = NOTHING) -> dict[str, Any]:
     try:
         table = parse_table(content, str(path))
     except ConfigError as error:
-        found = _of_instrument(path)
-        if found["takes_it"]:
-            return {**found, "as_a_table": str(error)}
-        return {**found, "format": "no table, and no file that an installed package reads", "reason": str(error)}
-    return _of_table(path, table, said)
+        document = _of_instrument(path)
+        if document["takes_it"]:
+            return {**document, "as_a_table": str(error)}
+        return {**document, "format": "no table, and no file that an installed package reads", "reason": str(error)}
+    return _of_table(path, table, options)
 
 
-def _of_table(path: Path, table: TextTable, said: Said) -> dict[str, Any]:
+def _of_table(path: Path, table: TextTable, options: TableOptions) -> dict[str, Any]:
     columns = table.columns
     document: dict[str, Any] = {
         "format": f"text table, separated by {_SEPARATORS[table.separator]}",
@@ -90,7 +90,7 @@ def _of_table(path: Path, table: TextTable, said: Said) -> dict[str, Any]:
     else:
         document["columns"] = {f"column {n}": _column(column) for n, column in enumerate(columns, start=1)}
     document["left_out"] = list(table.remarks)
-    kind, takes, gives = _kind(path, table, said)
+    kind, takes, gives = _kind(path, table, options)
     document |= {"taken_for": kind, "takes_it": takes}
     return document | ({"would_give": gives} if gives else {})
 
@@ -112,13 +112,16 @@ def _column(column: Column) -> str:
     return f"{name}: {unit}, {sound.min():.6g} to {sound.max():.6g}, {course}{lost}"
 
 
-def _kind(path: Path, table: TextTable, said: Said) -> tuple[str, list[str], dict[str, Any]]:
+def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, list[str], dict[str, Any]]:
     columns = table.columns
     kinds = {name: _of(columns, name) for name in ("Hz", "m", "N", "V", "s", *_DENSITIES)}
-    if any(said):
-        given = " ".join(f"--set {name}={value}" for name, value in said._asdict().items() if value)
-        takes = [f"telenano curve --overlay {path} {given}", f"telenano sample import {path} {given} --out map.npz"]
-        return "a force curve, as --set says", takes, _curve(path, said)
+    if any(options):
+        settings = " ".join(f"--set {name}={value}" for name, value in options._asdict().items() if value)
+        takes = [
+            f"telenano curve --overlay {path} {settings}",
+            f"telenano sample import {path} {settings} --out map.npz",
+        ]
+        return "a force curve, as --set says", takes, _curve(path, options)
     in_head = table.units_in_head(*_DENSITIES)
     if (kinds["Hz"] and any(kinds[name] for name in _DENSITIES)) or in_head:
         return "a thermal spectrum", [f"telenano calibrate stiffness --spectrum {path}"], {}
@@ -162,9 +165,9 @@ def _of(columns: tuple[Column, ...], unit: str) -> list[Column]:
     return [column for column in columns if wanted and column.known and column.known.powers == wanted.powers]
 
 
-def _curve(path: Path, said: Said) -> dict[str, Any]:
+def _curve(path: Path, options: TableOptions) -> dict[str, Any]:
     try:
-        read, _ = next(curves_of(str(path), said).each)
+        read, _ = next(curves_of(str(path), options).each)
         curve = read()
     except (ValueError, ConfigError) as error:
         return {"refused": str(error)}
@@ -182,11 +185,11 @@ def _curve(path: Path, said: Said) -> dict[str, Any]:
 def _of_instrument(path: Path) -> dict[str, Any]:
     """Return what the reader of an installed package finds in a file: images, curves and spectra."""
     ending = path.suffix.lower().removeprefix(".").replace("-", "_")
-    found = {point.name: point for point in entry_points(group="telenano.readers")}
+    readers = {point.name: point for point in entry_points(group="telenano.readers")}
     document: dict[str, Any] = {"format": f"a file of an instrument, by its ending {path.suffix or 'other'}"}
     takes, refused = [], []
     for name in (ending, "other"):
-        reader = found[name].load() if name in found else FileReader()
+        reader = readers[name].load() if name in readers else FileReader()
         for what, line in (
             ("heights", f"telenano scan --sample {path}"),
             ("curve", f"telenano curve --overlay {path}"),

@@ -13,7 +13,7 @@ Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 def load_spectrum(path: str) -> Found:
     """Return the lines [Hz] and the mean density of a spectrum, with the unit that its head has for that column."""
     text = Path(path).read_bytes().decode("utf-8", "replace")
-    names, units = (re.findall(r"'([^']*)'", found[1]) if (found := re.search(rf"^# {key}:(.*)$", text, re.M)) else []
+    names, units = (re.findall(r"'([^']*)'", match[1]) if (match := re.search(rf"^# {key}:(.*)$", text, re.M)) else []
                     for key in ("Channels", "Units"))  # fmt: skip
     if len(names) < 2 or len(names) != len(units) or units[0] != "Hz":
         raise ValueError("is no thermal spectrum of JPK: its head has no lines of channels and units")

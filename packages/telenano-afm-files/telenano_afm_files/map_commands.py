@@ -14,7 +14,7 @@ from telenano_afm_files.force_map import MEMBERS, gates, write_map
 from telenano_afm_files.map_files import Imported, Wanted
 from telenano_afm_files.map_files import import_map as read_map_of
 from telenano_afm_files.sader_jarvis import ASKED
-from telenano_afm_files.text_curves import Said
+from telenano_afm_files.text_curves import TableOptions
 
 FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, .dat of Nanonis, or force curves of an instrument.")
@@ -92,12 +92,12 @@ def import_map(
     with report_errors(as_json):
         if out.suffix.lower() != ".npz":
             raise ConfigError(f"--out {out}: must be a .npz")
-        found = _read(
+        imported = _read(
             file, members, channel, as_json, level=level.value, points=points, converted=converted is not None,
             correct=None if correct is None else correct.value, baseline=None if baseline is None else 0.01 * baseline,
         )  # fmt: skip
-        write_map(out, found.map)
-    print_document({**_about(found), "file": str(out)}, str(out), as_json=as_json)
+        write_map(out, imported.map)
+    print_document({**_about(imported), "file": str(out)}, str(out), as_json=as_json)
 
 
 def info(
@@ -105,8 +105,8 @@ def info(
 ) -> None:
     """Show what a recorded map is, or what it lacks to be felt."""
     with report_errors(as_json):
-        found = _read(file, members, channel, as_json)
-    print_document(_about(found), str(file), as_json=as_json)
+        imported = _read(file, members, channel, as_json)
+    print_document(_about(imported), str(file), as_json=as_json)
 
 
 def _read(
@@ -118,12 +118,12 @@ def _read(
     converted: bool = False,
     **further: Any,
 ) -> Imported:
-    given = flag_overrides(members or ())
-    known = (*MEMBERS, *Said._fields, *(ASKED if converted else ()))
-    if unknown := sorted(set(given) - set(known)):
-        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(known)}")
+    overrides = flag_overrides(members or ())
+    names = (*MEMBERS, *TableOptions._fields, *(ASKED if converted else ()))
+    if unknown := sorted(set(overrides) - set(names)):
+        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(names)}")
     with progress(file.name, 1.0, shown=not as_json) as show:
-        return read_map_of(file, Wanted(given, channel, converted=converted, **further), show)
+        return read_map_of(file, Wanted(overrides, channel, converted=converted, **further), show)
 
 
 def _about(found: Imported) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from telenano_afm_files.force_map import ForceMap, MapError, checked_map, read_m
 from telenano_afm_files.nanonis import backward_of, is_spectroscopy, sweep_of, unit_of
 from telenano_afm_files.readers import limits_of_curves
 from telenano_afm_files.sader_jarvis import ASKED, as_force
-from telenano_afm_files.text_curves import SUFFIXES, Said
+from telenano_afm_files.text_curves import SUFFIXES, TableOptions
 
 _LONGEST_3DS_HEADER = 1 << 18
 _MOST_SIDE, _LEAST_POINTS = 4096, 8
@@ -104,17 +104,17 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
             open_regular(path).close()
             if path.stat().st_size == 0:
                 raise MapError("is empty")
-        members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *Said._fields)}
-        said = {name: value for name, value in wanted.given.items() if name in Said._fields}
-        if said and path.suffix.lower() not in SUFFIXES:
-            raise MapError(f"--set {next(iter(said))}: is for a text table; this file says its own")
-        found = _import(path, wanted._replace(given=members), json.dumps(said), watch)
-        found = _corrected(found, wanted)
-        found = found._replace(notes=(*_in_free_air(found.map), *found.notes))
+        members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *TableOptions._fields)}
+        options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
+        if options and path.suffix.lower() not in SUFFIXES:
+            raise MapError(f"--set {next(iter(options))}: is for a text table; this file says its own")
+        imported = _import(path, wanted._replace(given=members), json.dumps(options), watch)
+        imported = _corrected(imported, wanted)
+        imported = imported._replace(notes=(*_in_free_air(imported.map), *imported.notes))
         if not wanted.converted:
-            return found
+            return imported
         text = "the force was made of the frequency shift, whose mean in the farthest tenth of a curve was taken as 0"
-        return Imported(as_force(found.map, dict(wanted.given)), (*found.notes, text))
+        return Imported(as_force(imported.map, dict(wanted.given)), (*imported.notes, text))
     except ImportError as error:
         text = f"{path}: needs {error.name} to be read: install telenano-afm-files with its dependencies"
         raise ConfigError(text) from error
@@ -124,13 +124,13 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         raise ConfigError(f"{path}: {error}") from error
 
 
-def _import(path: Path, wanted: Wanted, said: str, watch: Watch) -> Imported:
+def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
     suffix = path.suffix.lower()
     source = {"source": path.name}
     if suffix == ".npz":
-        found, values = read_members(path)
+        members, values = read_members(path)
         assert values is not None
-        return Imported(checked_map({**source, **found, **wanted.given}, values), ())
+        return Imported(checked_map({**source, **members, **wanted.given}, values), ())
     if suffix == ".3ds" or (suffix == ".dat" and is_spectroscopy(str(path))):
         read = _read_3ds if suffix == ".3ds" else _read_dat
         return _on_one_grid(read(path, wanted.channel), wanted, source)
@@ -147,7 +147,7 @@ def _import(path: Path, wanted: Wanted, said: str, watch: Watch) -> Imported:
             return Imported(
                 checked_map({**source, **facts, **dict(zip("xyz", axes, strict=True)), **wanted.given}, values), ()
             )
-    return _on_one_grid(_read_curves(path, wanted, said, watch), wanted, source)
+    return _on_one_grid(_read_curves(path, wanted, options, watch), wanted, source)
 
 
 def _in_free_air(found: ForceMap) -> list[str]:
@@ -202,12 +202,12 @@ def _corrected(found: Imported, wanted: Wanted) -> Imported:
     return Imported(whole._replace(values=values), (*found.notes, *notes))
 
 
-def _read_curves(path: Path, wanted: Wanted, said: str, watch: Watch) -> _Curves:
-    given = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
-    texts = [None if value is None else repr(float(value)) for value in given]
+def _read_curves(path: Path, wanted: Wanted, options: str, watch: Watch) -> _Curves:
+    constants = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
+    texts = [None if value is None else repr(float(value)) for value in constants]
     limits = limits_of_curves(sum(file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())))
     facts, (places, counts, heights, forces) = read_in_child(
-        "telenano_afm_files.curve_files:load_curves", path, *texts, said, limits=limits, watch=watch
+        "telenano_afm_files.curve_files:load_curves", path, *texts, options, limits=limits, watch=watch
     )
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]
@@ -336,13 +336,13 @@ def _chosen(names: list[str], wanted: str | None) -> int:
     """Return the channel that is meant: of those with a unit that can be felt, frequency shift before others."""
     forward = [i for i, name in enumerate(names) if "[bwd]" not in name]
     if wanted is None:
-        found = [i for i in forward if unit_of(names[i]) in ("N", "Hz")]
+        channels = [i for i in forward if unit_of(names[i]) in ("N", "Hz")]
     else:
-        found = [i for i in forward if wanted.lower() in names[i].lower()]
-    if not found:
+        channels = [i for i in forward if wanted.lower() in names[i].lower()]
+    if not channels:
         text = "has no force and no frequency shift" if wanted is None else f"has no channel {wanted!r}"
         raise MapError(f"Channels: {text}; choose one of {', '.join(names[i] for i in forward)}")
-    return found[0]
+    return channels[0]
 
 
 def _backward(names: list[str], chosen: int) -> int | None:

@@ -119,8 +119,8 @@ def is_raw(path: str) -> bool:
 
 
 def _recorded(curve: Any) -> Recorded:
-    found = curve.metadata
-    require_force_curve(found)
+    metadata = curve.metadata
+    require_force_curve(metadata)
     height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
     force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
     if not len(force) or {len(height), len(segment)} != {len(force)}:
@@ -130,9 +130,9 @@ def _recorded(curve: Any) -> Recorded:
     if segment[0] == segment[-1]:
         raise ValueError("it needs an approach and a retraction")
     ways = tuple((height[part], force[part]) for part in (segment == segment[0], segment == segment[-1]))
-    place = (int(found.get("grid index x", 0)), int(found.get("grid index y", 0)))
-    stiffness, sensitivity = (float(found[key]) if key in found else None for key in _NAMES.values())
-    return Recorded(place, ways, "N", stiffness, sensitivity, float(found.get("speed approach", 1.0)))
+    place = (int(metadata.get("grid index x", 0)), int(metadata.get("grid index y", 0)))
+    stiffness, sensitivity = (float(metadata[key]) if key in metadata else None for key in _NAMES.values())
+    return Recorded(place, ways, "N", stiffness, sensitivity, float(metadata.get("speed approach", 1.0)))
 
 
 def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> None:
@@ -140,11 +140,11 @@ def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> N
     if not zipfile.is_zipfile(path):
         return
     with zipfile.ZipFile(path) as archive:
-        found = sorted(archive.infolist(), key=lambda each: each.header_offset)
+        entries = sorted(archive.infolist(), key=lambda each: each.header_offset)
     most_bytes = min(most_bytes, _ORDINARY_BYTES + _GREATEST_RATIO * Path(path).stat().st_size)
-    if (unpacked := sum(each.file_size for each in found)) > most_bytes:
+    if (unpacked := sum(each.file_size for each in entries)) > most_bytes:
         raise ValueError(f"it unpacks to {unpacked} bytes, at most {most_bytes} are read")
-    for one, after in pairwise(found):
+    for one, after in pairwise(entries):
         if one.header_offset + _LEAST_HEAD + one.compress_size > after.header_offset:
             raise ValueError(f"its entries {one.filename!r} and {after.filename!r} lie over one another")
 
@@ -207,8 +207,8 @@ def _segments_of(path: str) -> int:
     if not zipfile.is_zipfile(path):
         return 0
     with zipfile.ZipFile(path) as archive:
-        found = [re.search(r"(?:^|/)segments/(\d{1,6})/", name) for name in archive.namelist()]
-    return max((int(each[1]) + 1 for each in found if each), default=0)
+        matches = [re.search(r"(?:^|/)segments/(\d{1,6})/", name) for name in archive.namelist()]
+    return max((int(each[1]) + 1 for each in matches if each), default=0)
 
 
 def tell(report: int, share: float) -> None:

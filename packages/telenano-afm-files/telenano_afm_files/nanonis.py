@@ -93,8 +93,8 @@ def sweep_of(facts: dict[str, Any], table: Array) -> Sweep:
 
 def unit_of(name: str) -> str:
     """Return the unit at the end of the name of a column, empty without one."""
-    found = re.search(r"\(([^()]*)\)$", name)
-    return found[1] if found else ""
+    match = re.search(r"\(([^()]*)\)$", name)
+    return match[1] if match else ""
 
 
 def backward_of(name: str) -> str:

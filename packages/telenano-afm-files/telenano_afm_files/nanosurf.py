@@ -87,10 +87,10 @@ def load_maps(path: str) -> Found:
 
 def load_spectrum(path: str) -> Found:
     """Return a thermal spectrum: its lines [Hz] and density, with its unit and the number of averages."""
-    sections, found = sections_of(path)
-    one = next((each for each in found if each.frame == _SPECTRUM), None)
+    sections, channels = sections_of(path)
+    one = next((each for each in channels if each.frame == _SPECTRUM), None)
     if one is None:
-        raise ValueError(f"has no thermal spectrum; it has {', '.join(sorted({each.frame for each in found}))}")
+        raise ValueError(f"has no thermal spectrum; it has {', '.join(sorted({each.frame for each in channels}))}")
     start, span = (float(one.facts[f"Dim0{key}"]) for key in ("Min", "Range"))
     frequency = np.linspace(start, start + span, one.values.shape[1])
     averages = sections.get("DataSet-Info", {}).get("Averages", "")
@@ -99,10 +99,10 @@ def load_spectrum(path: str) -> Found:
 
 def curves_of_nid(path: str) -> Curves:
     """Return the force curves of a .nid."""
-    sections, found = sections_of(path)
-    by_frame = {frame: [each for each in found if each.frame == frame] for frame in (_FORWARD, _BACKWARD)}
+    sections, channels = sections_of(path)
+    by_frame = {frame: [each for each in channels if each.frame == frame] for frame in (_FORWARD, _BACKWARD)}
     if not all(by_frame.values()):
-        raise ValueError(f"has no force curves; it has {', '.join(sorted({each.frame for each in found}))}")
+        raise ValueError(f"has no force curves; it has {', '.join(sorted({each.frame for each in channels}))}")
     places, sides = _grid_of(sections, len(by_frame[_FORWARD][0].values))
     lever = re.match(r"D\[([^\]]*)\]\*\[N/m\]", sections.get(r"DataSet\Calibration\Cantilever", {}).get("Prop0", ""))
     stiffness = float(lever[1]) if lever else None

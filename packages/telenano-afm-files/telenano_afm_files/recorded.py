@@ -66,5 +66,5 @@ def factor_to_force(curve: Recorded, given: dict[str, float], *, as_deflection: 
 
 def lacks(names: list[str]) -> str:
     """Return what is said of constants that neither the file has nor the user gave."""
-    given = " ".join(f"--set {name}=…" for name in names)
-    return f"{', '.join(names)}: the file has no such value; give {given}"
+    settings = " ".join(f"--set {name}=…" for name in names)
+    return f"{', '.join(names)}: the file has no such value; give {settings}"

@@ -39,8 +39,8 @@ def as_force(found: ForceMap, given: dict[str, Any]) -> ForceMap:
     for name in ("stiffness_n_per_m", *ASKED):
         value = given.get(name)
         if not (isinstance(value, int | float) and 0.0 < value < math.inf):
-            said = "is missing" if value is None else f"is {value!r}"
-            raise MapError(f"{name}: {said}; --as force needs it as a number above 0 (--set {name}=…)")
+            fault = "is missing" if value is None else f"is {value!r}"
+            raise MapError(f"{name}: {fault}; --as force needs it as a number above 0 (--set {name}=…)")
         numbers.append(float(value))
     stiffness, resonance_hz, amplitude_m = numbers
     far = found.values[..., -max(len(found.z_m) // _FAR, 2) :]

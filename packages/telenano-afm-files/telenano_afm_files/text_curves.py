@@ -33,7 +33,7 @@ _TOGETHER = 0.5
 _END = 0.1
 
 
-class Said(NamedTuple):
+class TableOptions(NamedTuple):
     """What a person says of a table: its columns by number or title (`1,2`), and the units of height and value."""
 
     columns: str = ""
@@ -41,26 +41,26 @@ class Said(NamedTuple):
     value_unit: str = ""
 
 
-def said_of(text: str | None) -> Said:
+def table_options_of(text: str | None) -> TableOptions:
     """Return what a JSON object says of a table; nothing where there is none.
 
     Raises:
         ValueError: A unit is that of no height or of no force and no deflection; the message says what would be.
     """
-    said = Said(**{name: str(value) for name, value in json.loads(text or "{}").items()})
+    options = TableOptions(**{name: str(value) for name, value in json.loads(text or "{}").items()})
     for name, word, kinds, examples in (
-        ("way_unit", said.way_unit, ("m",), "nm"),
-        ("value_unit", said.value_unit, _VALUES, "nN, nm or mV"),
+        ("way_unit", options.way_unit, ("m",), "nm"),
+        ("value_unit", options.value_unit, _VALUES, "nN, nm or mV"),
     ):
         if word and _kind_of(word) not in kinds:
             raise ValueError(f"--set {name}={word}: must be a unit such as {examples}")
-    return said
+    return options
 
 
-NOTHING = Said()
+NOTHING = TableOptions()
 
 
-def curves_of(path: str, said: Said = NOTHING) -> Curves:
+def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
     """Return the force curve in a text table.
 
     Raises:
@@ -68,13 +68,13 @@ def curves_of(path: str, said: Said = NOTHING) -> Curves:
             what says it instead.
     """
     table = read_table(Path(path))
-    pairs = list(_pairs(table, said))
+    pairs = list(_pairs(table, options))
     if len(table.lines) < _FEWEST_POINTS:
         raise ValueError(f"it is a table of {len(table.lines)} lines; a force curve has {_FEWEST_POINTS} and more")
     lacking = [] if pairs else ["--set columns=1,2"]
-    if not (said.way_unit or (pairs and all(height.unit for height, _ in pairs))):
+    if not (options.way_unit or (pairs and all(height.unit for height, _ in pairs))):
         lacking.append("--set way_unit=nm")
-    if not (said.value_unit or (pairs and all(value.unit for _, value in pairs))):
+    if not (options.value_unit or (pairs and all(value.unit for _, value in pairs))):
         lacking.append("--set value_unit=nN")
     if lacking:
         raise ValueError(
@@ -86,16 +86,16 @@ def curves_of(path: str, said: Said = NOTHING) -> Curves:
         z, force = (
             table.in_si(column, kinds, word, f"--set {name}")
             for column, kinds, word, name in (
-                (height, ("m",), said.way_unit, "way_unit"),
-                (value, _VALUES, said.value_unit, "value_unit"),
+                (height, ("m",), options.way_unit, "way_unit"),
+                (value, _VALUES, options.value_unit, "value_unit"),
             )
         )
         assert z is not None and force is not None
         sound = np.isfinite(z) & np.isfinite(force)
         ways.append((z[sound], force[sound]))
-    unit = _kind_of(said.value_unit or pairs[0][1].unit)
-    found = _in_order(ways)
-    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), found, unit), 1.0)]))
+    unit = _kind_of(options.value_unit or pairs[0][1].unit)
+    ordered = _in_order(ways)
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), ordered, unit), 1.0)]))
 
 
 def is_of_other_columns(path: str) -> bool:
@@ -117,13 +117,13 @@ def _titles_of(table: TextTable) -> str:
     return ", ".join(column.title or "without a name" for column in table.columns[:8])
 
 
-def _pairs(table: TextTable, said: Said) -> Iterator[tuple[Column, Column]]:
+def _pairs(table: TextTable, options: TableOptions) -> Iterator[tuple[Column, Column]]:
     """Yield the columns of a height and of a value beside it; of several values the force is taken."""
     columns = table.columns
-    if said.columns:
-        chosen = [table.column(word) for word in said.columns.split(",")]
+    if options.columns:
+        chosen = [table.column(word) for word in options.columns.split(",")]
         if len(chosen) not in (2, 4):
-            raise ValueError(f"--set columns={said.columns}: must be two columns, a height and a value, or four")
+            raise ValueError(f"--set columns={options.columns}: must be two columns, a height and a value, or four")
         yield from zip(chosen[::2], chosen[1::2], strict=True)
         return
     # a column whose unit is not known, or not named, is that of its name
@@ -157,8 +157,8 @@ def _both_ways(columns: list[Column]) -> list[Column]:
 
 def _named(columns: tuple[Column, ...], words: tuple[str, ...]) -> list[Column]:
     """Return the column without a unit that is known whose name begins with one of these words, the first of them."""
-    found = [column for word in words for column in columns if not column.known and _begins(column, word)]
-    return found[:1]
+    matching = [column for word in words for column in columns if not column.known and _begins(column, word)]
+    return matching[:1]
 
 
 def _begins(column: Column, word: str) -> bool:

@@ -42,24 +42,24 @@ def particles(
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
         from telenano.afm import read_surface
-        from telenano.files import whole_file
+        from telenano.files import atomic_file
         from telenano_assembly.find import find_particles
         from telenano_assembly.particles.tip_shape import tip_shape
 
         surface = read_surface(file, channel, None if size is None else size * 1e-9, may_lack=True)
         shape = tip_shape(tip_radius * 1e-9, math.radians(cone))
         try:
-            found = find_particles(surface.height_m, surface.step_x_m, surface.step_y_m, shape)
+            particles_here = find_particles(surface.height_m, surface.step_x_m, surface.step_y_m, shape)
         except ValueError as error:
             raise ConfigError(f"{file}: {error}") from error
-        document = {"file": str(file), "particles": [one._asdict() for one in found]}
+        document = {"file": str(file), "particles": [one._asdict() for one in particles_here]}
         if out is not None:
-            with whole_file(out) as part:
+            with atomic_file(out) as part:
                 part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     if as_json:
         print_document(document, "", as_json=True)
         return
-    _print_found(found, file)
+    _print_found(particles_here, file)
 
 
 def _print_found(found: "list[Found]", file: Path) -> None:

@@ -105,18 +105,18 @@ def find_particles(
         raise ValueError(f"an image has at least 3 rows and columns, not the shape {heights.shape}")
     if not (step_x_m > 0.0 and step_y_m > 0.0):
         raise ValueError(f"pixels of {step_x_m:g} x {step_y_m:g} m have no size")
-    known = np.isfinite(heights)
-    if not known.any():
+    is_finite = np.isfinite(heights)
+    if not is_finite.any():
         return []
-    heights[~known] = np.median(heights[known])
+    heights[~is_finite] = np.median(heights[is_finite])
     level, noise = flattened(heights)
     rows, columns = heights.shape
     x = middle[0] + (np.arange(columns) - 0.5 * (columns - 1)) * step_x_m
     y = middle[1] + (np.arange(rows) - 0.5 * (rows - 1)) * step_y_m
-    found: list[Found] = []
+    particles: list[Found] = []
     for pixels, tops in _groups(level, noise, step_x_m, step_y_m):
-        found += _fitted(level, pixels & known, tops, x, y, noise, tip)
-    return sorted(found, key=lambda one: (one.x_m, one.y_m))
+        particles += _fitted(level, pixels & is_finite, tops, x, y, noise, tip)
+    return sorted(particles, key=lambda one: (one.x_m, one.y_m))
 
 
 def fixed_places(
@@ -138,16 +138,16 @@ def fixed_places(
         middle: The place of the middle of the image [m].
     """
     heights = np.array(height_m, np.float64)
-    known = np.isfinite(heights)
-    if not found or not known.any():
+    is_finite = np.isfinite(heights)
+    if not found or not is_finite.any():
         return []
-    heights[~known] = np.median(heights[known])
+    heights[~is_finite] = np.median(heights[is_finite])
     level, noise = flattened(heights)
     usual = 2.0 * float(np.median([one.radius_m for one in found]))
     rows, columns = level.shape
     x = middle[0] + (np.arange(columns) - 0.5 * (columns - 1)) * step_x_m
     y = middle[1] + (np.arange(rows) - 0.5 * (rows - 1)) * step_y_m
-    stands = known & (ndimage.median_filter(level, 3) > max(_STANDS_DEVIATIONS * noise, _STANDS_SHARE * usual))
+    stands = is_finite & (ndimage.median_filter(level, 3) > max(_STANDS_DEVIATIONS * noise, _STANDS_SHARE * usual))
     for one in found:
         stands &= np.hypot(x[None, :] - one.x_m, y[:, None] - one.y_m) > _BESIDE * reach_m
     places: list[tuple[float, float]] = []
@@ -207,10 +207,10 @@ def _fitted(
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * variance
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, 3) * scale
     kind = residual > _CLUSTER + 0.5 * noise / scale
-    found = []
+    fits = []
     for (p, q, r), (p_error, q_error, r_error) in zip(
         (fit.x.reshape(-1, 3) * scale).tolist(), errors.tolist(), strict=True
     ):
         when = min(max((q - float(y[0])) / float(y[-1] - y[0]), 0.0), 1.0)
-        found.append(Found(p, q, abs(r), p_error, q_error, r_error, residual, kind, when))
-    return found
+        fits.append(Found(p, q, abs(r), p_error, q_error, r_error, residual, kind, when))
+    return fits

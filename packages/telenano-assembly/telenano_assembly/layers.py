@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from telenano.afm import Ground, Height, Layer, Said
+from telenano.afm import Ground, Height, Layer, TruthMessage
 from telenano.wire import Array
 from telenano_assembly.particles.settings import ParticlesConfig
 
@@ -23,11 +23,11 @@ def _around(settings: ParticlesConfig, part: Any, ground: Ground) -> Any:
     return particle_layer(settings, part, ground)
 
 
-def says(found: "Particles") -> Said:
+def says(found: "Particles") -> TruthMessage:
     """Return the message of where the particles really are: `afm/particles`."""
     arrays = found._replace(moving=found.moving.astype(np.uint8))._asdict()
     fields = {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
-    return Said("afm/particles", fields, bool(found.moving.any()))
+    return TruthMessage("afm/particles", fields, bool(found.moving.any()))
 
 
 PARTICLES = Layer("particles", ParticlesConfig, _height, _around, says)

@@ -46,9 +46,9 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
     except UnicodeDecodeError as error:
         raise ConfigError(f"--pattern {name}: is no text; a line is x and y in m, such as 1e-6 0") from error
     except OSError as error:
-        known = ", ".join(NAMES)
+        names = ", ".join(NAMES)
         raise ConfigError(
-            f"--pattern {name}: is not one of {known}, and cannot be read as a file: {error.strerror}"
+            f"--pattern {name}: is not one of {names}, and cannot be read as a file: {error.strerror}"
         ) from error
     places = []
     for number, line in enumerate(lines, 1):

@@ -67,7 +67,7 @@ def _place(option: str, text: str) -> tuple[float, float]:
     return x, y
 
 
-def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
+def _values(values: "Mapping[str, Scalar]") -> dict[str, Any]:
     """Return what a push says of itself, its places as pairs."""
     document = dict(values)
     believed = document.pop("believed_x_m"), document.pop("believed_y_m")
@@ -81,7 +81,7 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
     report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
     if report.state != "finished" or report.values is None:
         raise RigError(report.text)
-    return _told(report.values)
+    return _values(report.values)
 
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
@@ -102,6 +102,6 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     if outcome is None or outcome.values is None or outcome.state != "finished":
         raise ConfigError("--from: nothing was pushed" if outcome is None else outcome.text)
     places = instrument.truths["particles"].places_m.tolist()
-    told = _told(outcome.values)
+    outcome_values = _values(outcome.values)
     # What the simulation knows, and neither the program nor a real instrument does.
-    return {**told, "true_m": min(places, key=lambda place: math.dist(place, told["believed_m"]))}
+    return {**outcome_values, "true_m": min(places, key=lambda place: math.dist(place, outcome_values["believed_m"]))}

@@ -172,8 +172,8 @@ class Push(Program[PushSettings, PushPlan, PushState]):
         if furthest > reach_m:
             raise RefusedError(f"push: it reaches {furthest:.3g} m, and lateral.reach_m is {reach_m:g} m")
         width_m, depth_m = instrument.size_m
-        known = instrument.reach is not None and instrument.reach.surface is not None
-        if known and (abs(s.x1_m) > 0.5 * width_m or abs(s.y1_m) > 0.5 * depth_m):
+        has_surface = instrument.reach is not None and instrument.reach.surface is not None
+        if has_surface and (abs(s.x1_m) > 0.5 * width_m or abs(s.y1_m) > 0.5 * depth_m):
             raise RefusedError(
                 f"push: its goal at {s.x1_m:g}, {s.y1_m:g} m lies outside of the sample of {width_m:g} x {depth_m:g} m,"
                 " whose middle is 0, 0"

@@ -59,9 +59,9 @@ class AssemblyRecorder:
         self._writer.finish()
 
     def _truth(self) -> None:
-        said = says(self._instrument.truths["particles"])
-        if said.changes or self._is_due(said.topic, _RESTING_S):
-            self._write(said.topic, **said.fields)
+        message = says(self._instrument.truths["particles"])
+        if message.changes or self._is_due(message.topic, _RESTING_S):
+            self._write(message.topic, **message.fields)
 
     def _report(self, report: Report) -> None:
         self._write("afm/program", **report.fields())

@@ -355,8 +355,8 @@ class Assembler:
 
     def _seen(self, look: Look) -> list[tuple[Found, float]]:
         """Return the particles of an image, and when each was seen [s]; what is too small or too large is none."""
-        found = find_particles(look.height_m, *look.step_m, self._tip, look.middle)
-        spheres = [one for one in found if abs(one.radius_m / self._nominal_m - 1.0) < _OTHER_RADIUS]
+        particles = find_particles(look.height_m, *look.step_m, self._tip, look.middle)
+        spheres = [one for one in particles if abs(one.radius_m / self._nominal_m - 1.0) < _OTHER_RADIUS]
         return [(one, look.began_s + one.time * (look.ended_s - look.began_s)) for one in spheres]
 
     def _whole(self) -> Look:
@@ -371,10 +371,12 @@ class Assembler:
         drifted = self._on_stage((0.0, 0.0))
         self._fixed = [
             (x - drifted[0], y - drifted[1])
-            for x, y in fixed_places(look.height_m, *look.step_m, [found for found, _ in seen], reach_m, look.middle)
+            for x, y in fixed_places(
+                look.height_m, *look.step_m, [particle for particle, _ in seen], reach_m, look.middle
+            )
         ]
-        for found, time_s in seen:
-            one = _Known(found.x_m, found.y_m, found.radius_m, time_s)
+        for particle, time_s in seen:
+            one = _Known(particle.x_m, particle.y_m, particle.radius_m, time_s)
             near = [old for old in before if math.dist(self._place(old), self._place(one)) < one.radius_m]
             self._known.append(one._replace(pushes=near[0].pushes if near else 0))
         return look

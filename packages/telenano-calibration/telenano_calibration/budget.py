@@ -70,16 +70,16 @@ def scale_errors(handle: HandleCalibration | None, stage: InstrumentCalibration 
         handle: The calibration of the handle, if there is one.
         stage: The calibration of stage, read-out and cantilever, if there is one.
     """
-    found: dict[str, tuple[float, float]] = {}
+    errors: dict[str, tuple[float, float]] = {}
     if handle is not None:
-        found["force of the hand for a count"] = (handle.force.standard_error_n_per_count, handle.force.n_per_count)
+        errors["force of the hand for a count"] = (handle.force.standard_error_n_per_count, handle.force.n_per_count)
         position = handle.position
-        found["position of the hand for a count"] = (position.standard_error_m_per_count, position.m_per_count)
+        errors["position of the hand for a count"] = (position.standard_error_m_per_count, position.m_per_count)
     if stage is not None:
         lever, deflection = stage.cantilever, stage.deflection
-        found["stiffness of the cantilever"] = (lever.standard_error_n_per_m, lever.stiffness_n_per_m)
-        found["deflection for a volt"] = (deflection.standard_error_v_per_m, deflection.v_per_m)
-    return {name: abs(error / scale) for name, (error, scale) in found.items() if error > 0.0}
+        errors["stiffness of the cantilever"] = (lever.standard_error_n_per_m, lever.stiffness_n_per_m)
+        errors["deflection for a volt"] = (deflection.standard_error_v_per_m, deflection.v_per_m)
+    return {name: abs(error / scale) for name, (error, scale) in errors.items() if error > 0.0}
 
 
 def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> list[Budget]:
@@ -89,7 +89,7 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
         summary: The summary of the session.
         shares: The standard error of each scale as a share of it, as `scale_errors` returns it.
     """
-    found = []
+    budgets = []
     for figure, scales in _SCALES.items():
         value, interval = summary.get(figure), summary.get("intervals", {}).get(figure)
         if value is None or not (interval or any(scale in shares for scale in scales)):
@@ -102,8 +102,8 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
             Source(figure, name, part, part**2 / variance if variance else 0.0) for name, part in parts.items()
         )
         without = tuple(scale for scale in scales if scale not in shares) + (() if interval else (_SCATTER,))
-        found.append(Budget(figure, value, DEVIATIONS * math.sqrt(variance), sources, without))
-    return found
+        budgets.append(Budget(figure, value, DEVIATIONS * math.sqrt(variance), sources, without))
+    return budgets
 
 
 def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[Stage]:
@@ -136,11 +136,11 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
     # a simulated device has no age, and on one machine there is no line
     found_s = {name: values for name, values in parts.items() if values.any()}
     loop_ms = 1e3 * np.sum(list(found_s.values()), axis=0)
-    found = [
+    rows = [
         _stage(name, 1e3 * values, loop_ms, open_ms if name in ACROSS_CLOCKS else 0.0)
         for name, values in found_s.items()
     ]
-    return [*found, _stage("loop", loop_ms, loop_ms, 0.0)]
+    return [*rows, _stage("loop", loop_ms, loop_ms, 0.0)]
 
 
 def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[np.float64], clock_ms: float) -> Stage:

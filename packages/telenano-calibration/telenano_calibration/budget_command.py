@@ -72,9 +72,9 @@ def _tables(figures: Any, stages: Any) -> list[tuple[str, list[dict[str, str]]]]
 
 def _sentences(figures: Any, document: dict[str, Any]) -> list[str]:
     trip_ms = document["link_round_trip_ms"]
-    found = [] if trip_ms is None else [f"The link delays by {trip_ms:g} ms there and back on purpose."]
+    sentences = [] if trip_ms is None else [f"The link delays by {trip_ms:g} ms there and back on purpose."]
     without = dict.fromkeys(scale for one in figures for scale in one.without)
-    return [*found, *([f"{_WITHOUT} {', '.join(without)}."] if without else [])]
+    return [*sentences, *([f"{_WITHOUT} {', '.join(without)}."] if without else [])]
 
 
 def _show(figures: Any, stages: Any, document: dict[str, Any]) -> None:

@@ -125,18 +125,18 @@ def stiffness(
         width, length = (1e-9 * value for value in size) if size else (None, None)
         way_m, way_error_m = (1.0, 0.0) if is_of_metres else (1e-9 * (sensitivity_nm or 0.0), 1e-9 * sensitivity_error)
         mode = BY_ANGLE if factor is None else factor
-        known = Thermal(
+        thermal = Thermal(
             way_m, temperature, mode, width, length, rate, averages, way_error_m, 1e-9 * size_error,
             (exclude,) if exclude else (), anyway,
         )  # fmt: skip
         if spectrum is not None:
-            found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, known)
+            stiffness_found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, thermal)
             remarks = found_spectrum.remarks
         else:
             deflection, remarks = record_of(record or Path(), unit)
-            found = stiffness_of_record(deflection, known)
-        found = found._replace(remarks=(*remarks, *found.remarks))
-    print_document(found._asdict(), str(spectrum or record), as_json=as_json)
+            stiffness_found = stiffness_of_record(deflection, thermal)
+        stiffness_found = stiffness_found._replace(remarks=(*remarks, *stiffness_found.remarks))
+    print_document(stiffness_found._asdict(), str(spectrum or record), as_json=as_json)
 
 
 def _sensitivity(
@@ -166,12 +166,12 @@ def _sensitivity(
     if not anyway:
         require_usual(several)
     if len(several) + refused == 1:
-        (found,) = several
+        (sensitivity,) = several
         return {
-            "sensitivity_nm_per_v": 1e9 * found.m_per_v,
-            "standard_error_nm_per_v": 1e9 * found.standard_error_m_per_v,
-            "points": found.points,
-            "residual_nm": 1e9 * found.residual_m,
+            "sensitivity_nm_per_v": 1e9 * sensitivity.m_per_v,
+            "standard_error_nm_per_v": 1e9 * sensitivity.standard_error_m_per_v,
+            "points": sensitivity.points,
+            "residual_nm": 1e9 * sensitivity.residual_m,
             "remarks": remarks,
         }
     from telenano_studies.repetitions import statistic

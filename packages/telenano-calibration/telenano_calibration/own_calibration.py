@@ -200,25 +200,25 @@ def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "", columns: S
 
 def _density_of(table: TextTable, column: Column, unit: str) -> tuple[Array, bool]:
     values = table.numbers(column)
-    known = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
+    choices = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
     kinds = [kind.powers for kind in map(unit_of, DENSITIES) if kind]
     if unit:
-        found = unit_of(unit)
-        if found is None or found.powers not in kinds:
-            raise ConfigError(f"--unit {unit}: must be {known}")
+        unit_read = unit_of(unit)
+        if unit_read is None or unit_read.powers not in kinds:
+            raise ConfigError(f"--unit {unit}: must be {choices}")
         return _power_of(values, unit, "--unit")
     if column.unit:
-        found = unit_of(column.unit)
-        if found is None or found.powers not in kinds:
+        unit_read = unit_of(column.unit)
+        if unit_read is None or unit_read.powers not in kinds:
             raise ConfigError(
                 f"{table.name}, line {column.line}: the unit {column.unit!r} of {column.title!r} is that of no density:"
-                f" {_NO_DECIBELS if column.unit.startswith('dB') else 'give --unit,'} {known}"
+                f" {_NO_DECIBELS if column.unit.startswith('dB') else 'give --unit,'} {choices}"
             )
         return _power_of(values, column.unit, table.name)
     words = table.units_in_head(*DENSITIES)
     if len({unit_of(word) for word in words}) != 1:
         several = f"names several units ({', '.join(sorted(words))})" if words else "names no unit"
-        raise ConfigError(f"{table.name}: its head {several} for the density: give --unit, {known}")
+        raise ConfigError(f"{table.name}: its head {several} for the density: give --unit, {choices}")
     return _power_of(values, words.pop(), table.name)
 
 
@@ -273,8 +273,8 @@ def curve_of(
     first, second = _pair_of(table, columns, ("m",), ("V",), ways, ("defl", "volt", "signal"))
     remarks = list(table.remarks)
     way, volts = (
-        table.in_si(column, wanted, given, option)
-        for column, wanted, given, option in (
+        table.in_si(column, wanted, unit, option)
+        for column, wanted, unit, option in (
             (first, ("m",), way_unit, "--way-unit"),
             (second, ("V",), deflection_unit, "--deflection-unit"),
         )
@@ -314,16 +314,16 @@ def _pair_of(
         )
     if chosen:
         return table.column(chosen[0]), table.column(chosen[1])
-    found: list[Column | None] = []
+    pair: list[Column | None] = []
     for kinds, words in ((first, names), (second, others)):
         powers = [kind.powers for kind in map(unit_of, kinds) if kind]
         of_unit = [column for column in columns if (unit := column.known) and unit.powers in powers]
         if len(of_unit) > 1 and (by_name := [one for one in of_unit if one.name.lower().startswith(tuple(words))]):
             of_unit = by_name
         named = table.find(*words)
-        found.append(of_unit[0] if of_unit else named if named is None or not named.known else None)
-    x = found[0] if found[0] is not None and found[0] is not found[1] else None
-    y = found[1]
+        pair.append(of_unit[0] if of_unit else named if named is None or not named.known else None)
+    x = pair[0] if pair[0] is not None and pair[0] is not pair[1] else None
+    y = pair[1]
     x = x or next(column for column in columns if column is not y)
     y = y or next(column for column in columns if column is not x)
     return x, y
@@ -369,29 +369,29 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
         if not starts or all(abs(math.log(start[1] / other[1])) > 0.5 / start[2] for other in starts):
             starts.append(start)
     try:
-        found: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages)
+        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    k = known.factor * constants.Boltzmann * known.temperature_k / found.mean_square_m2
+    k = known.factor * constants.Boltzmann * known.temperature_k / peak.mean_square_m2
     if not _STIFFNESS[0] <= k <= _STIFFNESS[1]:
         raise ConfigError(
             f"a stiffness of {k:.3g} N/m is that of no cantilever: look at the unit of the density (--unit), or of a "
             "record, which is V, and at the way for a volt in nm/V"
         )
     if not known.anyway:
-        _ask_about(k, found)
-    deviation = k * math.hypot(found.share, known.sensitivity_share)
+        _ask_about(k, peak)
+    deviation = k * math.hypot(peak.share, known.sensitivity_share)
     thermal = Stiffness(
-        k, deviation, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor, averages=found.averages,
-        deviance_ratio=found.deviance, residual_ratio=found.mismatch, lines_left_out=found.tones,
-        influence=found.influence, remarks=_remarks_on(found, averages),
+        k, deviation, peak.resonance_hz, peak.quality, peak.floor_m2_per_hz, known.factor, averages=peak.averages,
+        deviance_ratio=peak.deviance, residual_ratio=peak.mismatch, lines_left_out=peak.tones,
+        influence=peak.influence, remarks=_remarks_on(peak, averages),
     )  # fmt: skip
     if known.width_m is None or known.length_m is None:
         return thermal
-    by_sader, slopes = _sader_with_slopes(known.width_m, known.length_m, found.resonance_hz, found.quality)
+    by_sader, slopes = _sader_with_slopes(known.width_m, known.length_m, peak.resonance_hz, peak.quality)
     # log k is -log s^2 and a constant by the thermal method: the same spectrum gives s^2, f0 and Q
     of_ratio = np.array([1.0, slopes["resonance"], 1.0])
-    by_spectrum = float(of_ratio @ found.covariance @ of_ratio)
+    by_spectrum = float(of_ratio @ peak.covariance @ of_ratio)
     by_size = known.size_error_m * math.hypot(slopes["width"] / known.width_m, 1.0 / known.length_m)
     share = math.sqrt(by_spectrum + known.sensitivity_share**2 + by_size**2)
     ratio = by_sader / k
@@ -456,19 +456,19 @@ def _sader_with_slopes(
 def _agreement(ratio: float, share: float, known: Thermal) -> str:
     """Return in words whether both methods agree within their errors, and which errors those are."""
     apart = abs(math.log(ratio)) / share
-    said = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
+    text = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
     if apart <= _WITHIN:
-        said += "they agree within their errors"
+        text += "they agree within their errors"
     elif max(ratio, 1.0 / ratio) > _FARTHEST:
-        said += "a lever of this size cannot have it: the unit of the density, the sensitivity or the size is wrong"
+        text += "a lever of this size cannot have it: the unit of the density, the sensitivity or the size is wrong"
     else:
-        said += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
+        text += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
     unknown = [
         name
         for name, error in (("the sensitivity", known.sensitivity_error_m_per_v), ("the size", known.size_error_m))
         if not error
     ]
-    return said + (f" (not counting that of {' and of '.join(unknown)}: not given)" if unknown else "")
+    return text + (f" (not counting that of {' and of '.join(unknown)}: not given)" if unknown else "")
 
 
 def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:
@@ -568,17 +568,17 @@ def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> t
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
         raise ConfigError(f"{path}: is no file of curves: {error}") from error
-    found, reason = [], ""
+    sensitivities, reason = [], ""
     ends = np.cumsum(counts)[:-1]
     for height, volt in zip(np.split(heights, ends), np.split(volts, ends), strict=True):
         try:
             # the height rises away from the sample
-            found.append(sensitivity_of_curve(-height, volt, low, high))
+            sensitivities.append(sensitivity_of_curve(-height, volt, low, high))
         except ConfigError as error:
             reason = str(error)
-    if not found:
+    if not sensitivities:
         raise ConfigError(f"{path}: none of its {len(counts)} curves will do: {reason}")
-    return found, len(counts) - len(found)
+    return sensitivities, len(counts) - len(sensitivities)
 
 
 def _require_straight(way_m: Array, volts: Array) -> None:

@@ -41,10 +41,10 @@ def recalibrate(
         for message in recording.raw():
             topic = message.channel.topic.partition("@")[0]
             if topic in read:
-                found = read[topic](decode(topic, message.payload))
-                if found is not None:
+                reading = read[topic](decode(topic, message.payload))
+                if reading is not None:
                     again[topic] += 1
-                    message = message._replace(payload=encode(found))
+                    message = message._replace(payload=encode(reading))
             elif topic == "node/health":
                 health = decode(topic, message.payload)
                 if isinstance(health, NodeHealth) and health.calibration:
@@ -63,9 +63,11 @@ def recalibrate(
 
 def _require_same_device(source: Path, recorded: str, wanted: str) -> None:
     # an identity is the device, a blank, and when it was calibrated
-    device, given = recorded.rpartition(" ")[0], wanted.rpartition(" ")[0]
-    if device != given:
-        raise ConfigError(f"{source}: was recorded with the device {device}, and the calibration is that of {given}")
+    device, wanted_name = recorded.rpartition(" ")[0], wanted.rpartition(" ")[0]
+    if device != wanted_name:
+        raise ConfigError(
+            f"{source}: was recorded with the device {device}, and the calibration is that of {wanted_name}"
+        )
 
 
 def _hand(message: Message, calibration: HandleCalibration) -> Message | None:

@@ -25,10 +25,10 @@ def recalibrate(
         from telenano.devices import read_handle_calibration, read_stage_calibration
         from telenano_calibration.recalibrate import recalibrate as read_again
 
-        found = read_again(
+        written = read_again(
             file,
             out,
             handle=None if handle is None else read_handle_calibration(handle),
             stage=None if stage is None else read_stage_calibration(stage),
         )
-    print_document(found.model_dump(mode="json"), str(out), as_json=as_json)
+    print_document(written.model_dump(mode="json"), str(out), as_json=as_json)

@@ -349,8 +349,8 @@ def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
         return np.log(np.where(total > 0.0, total, np.nan))
 
     def cost(log_density: Array) -> float:
-        found = float((power * np.exp(-log_density) + log_density).sum())
-        return found if math.isfinite(found) else math.inf
+        sum_of_terms = float((power * np.exp(-log_density) + log_density).sum())
+        return sum_of_terms if math.isfinite(sum_of_terms) else math.inf
 
     present = logs(free)
     least = cost(present)
@@ -403,5 +403,5 @@ def _seen_through(kernel: Array, places: npt.NDArray[np.int_], rate_hz: float, s
 def _autocorrelation(window: Array) -> Array:
     """Return that of a window for shifts of 0 to its length, in units of that without a shift."""
     spectrum = np.abs(np.fft.rfft(window, 2 * len(window))) ** 2
-    found = np.fft.irfft(spectrum)[: len(window)]
-    return np.asarray(found / found[0])
+    correlation = np.fft.irfft(spectrum)[: len(window)]
+    return np.asarray(correlation / correlation[0])

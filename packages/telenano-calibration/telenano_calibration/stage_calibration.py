@@ -80,8 +80,8 @@ class Mover:
     def point(self, output_v: float) -> tuple[float, float, float]:
         """Go to a voltage; return that of the output, read back, the mean of the input and its standard error [V]."""
         self.settle(output_v)
-        found = [self.hold(output_v) for _ in range(self._samples)]
-        return self.output_v, *mean_of(found)
+        readings = [self.hold(output_v) for _ in range(self._samples)]
+        return self.output_v, *mean_of(readings)
 
 
 def fit_travel(outputs_v: Sequence[float], gauges_m: Sequence[float], output_step_v: float) -> LineFit:
@@ -155,5 +155,5 @@ def _departs(free: Sequence[tuple[float, float, float]], point: tuple[float, flo
     first, last = free[0], free[-1]
     slope = (last[1] - first[1]) / (last[0] - first[0]) if last[0] != first[0] else 0.0
     expected = last[1] + slope * (point[0] - last[0])
-    noise = max(max(found[2] for found in free), point[2], 1e-9)
+    noise = max(max(reading[2] for reading in free), point[2], 1e-9)
     return abs(point[1] - expected) > _DEPARTURE * noise

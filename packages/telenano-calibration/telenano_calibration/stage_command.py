@@ -113,14 +113,14 @@ def _measure_deflection(document: dict[str, Any], step_v: float, press_m: float)
     driver, mover, calibration = _opened(document)
     try:
         _ask(mover, calibration.stage.retract_v, "approach a hard sample (mica, silicon, sapphire), then Enter", "")
-        found = press(mover, calibration, step_v, press_m)
+        slope = press(mover, calibration, step_v, press_m)
     finally:
         driver.close()
     document["deflection"].update(
-        zero_v=found.zero_v, v_per_m=found.v_per_m, standard_error_v_per_m=found.standard_error_v_per_m
+        zero_v=slope.zero_v, v_per_m=slope.v_per_m, standard_error_v_per_m=slope.standard_error_v_per_m
     )
     typer.echo(
-        f"deflection: {found.v_per_m:.4g} V/m, standard error {found.standard_error_v_per_m:.2g}, {found.points} points"
+        f"deflection: {slope.v_per_m:.4g} V/m, standard error {slope.standard_error_v_per_m:.2g}, {slope.points} points"
     )
 
 

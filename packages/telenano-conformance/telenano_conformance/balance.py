@@ -156,11 +156,11 @@ def worst_balances(
         settings: The settings of the law's section.
     """
     limit_s = silence_limit_s(law.config.model_validate(dict(settings or {})))
-    found = {}
+    worst = {}
     for kind in kinds:
         done = [balance(law, drawn(seed, case, kind, limit_s, longest_s), settings) for case in range(cases)]
-        found[kind] = sorted(done, key=lambda one: one.margin_j)
-    return found
+        worst[kind] = sorted(done, key=lambda one: one.margin_j)
+    return worst
 
 
 class _Granted:
@@ -284,7 +284,7 @@ class _Run:
             self._arm()
         elif event.kind == "switch":
             self._shift_base(event.tip_shift_m)
-            self._take_up(tick)
+            self._resume(tick)
         elif event.kind == "hand lost":
             self.hand_lost_since = None
             # one that was moved was begun again, and is off at first; one that was held up is where it was
@@ -310,7 +310,7 @@ class _Run:
         self.retracted = False
         self._go_to(self.asked_m)
 
-    def _take_up(self, tick: int) -> None:
+    def _resume(self, tick: int) -> None:
         """Take the law up again from the places of device and base, as after a change from another law and back."""
         self.away = False
         self.asked_m = self.base_m
@@ -438,7 +438,7 @@ class _Run:
         if arrived is not None and arrived[0] != self.reign:
             arrived = None
         if arrived is None:
-            self._go_on(tick, now_s)
+            self._continue(tick, now_s)
             return
         _, hand_tick, signal = arrived
         self.heard_j[0] = signal.energy_j
@@ -460,7 +460,7 @@ class _Run:
         self.sent_j[1] = answer.energy_j
         self.backward.put(tick, (self.reign, hand_tick, answer), silent=silent)
 
-    def _go_on(self, tick: int, now_s: float) -> None:
+    def _continue(self, tick: int, now_s: float) -> None:
         """Continue without a signal: a half with a loop of its own steps with the instrument, the others stand."""
         silent = tick - self.slave_tick
         counts = silent * self.period_s <= silence_limit_s(self.slave_config)

@@ -38,18 +38,18 @@ def law_balance(
             raise ConfigError(f"--kind {unknown[0]}: known are {', '.join(_ALL)}")
         for name in laws:
             known_law(name)
-        found: list[Row] = []
+        rows: list[Row] = []
         if not as_json:
             typer.echo(_head(laws))
         for name, one in product(laws, kinds):
-            found.append((name, one, _run(name, one, seed, cases, longest)))
+            rows.append((name, one, _run(name, one, seed, cases, longest)))
             if not as_json:
-                typer.echo(_line(_facts(*found[-1]), laws))
-    broken = [row for row in found if states_passivity(known_law(row[0])) and not row[2][0].is_kept]
+                typer.echo(_line(_facts(*rows[-1]), laws))
+    broken = [row for row in rows if states_passivity(known_law(row[0])) and not row[2][0].is_kept]
     if as_json:
-        print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in found]})
+        print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in rows]})
     else:
-        _print_findings(found, broken)
+        _print_findings(rows, broken)
     if broken:
         raise typer.Exit(1)
 

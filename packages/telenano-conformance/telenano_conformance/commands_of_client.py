@@ -30,7 +30,7 @@ class _Command:
     phase: Literal["silent", "refused", "acknowledged", "acknowledged plainly", "ended"] = "silent"
     phase_ns: int = 0
     copies: int = 1
-    told_ns: int = 0
+    answered_ns: int = 0
     quoted: set[str] = field(default_factory=set)
 
 
@@ -51,49 +51,49 @@ class CommandsOfClient:
         identifier, account = fields.get("id"), self._account
         if not isinstance(identifier, str) or not isinstance(fields.get("target"), str):
             return
-        known = self._commands.get(identifier)
-        if known is None and len(self._commands) >= _MOST_COMMANDS:
+        command = self._commands.get(identifier)
+        if command is None and len(self._commands) >= _MOST_COMMANDS:
             account.fail("identifiers", f"more than {_MOST_COMMANDS} commands come within the examination")
             return
-        if known is None:
+        if command is None:
             self._commands[identifier] = _Command(fields, _node_of(fields["target"]), now_ns, fields["t_ns"])
             return
-        if any(fields.get(key) != known.first.get(key) for key in ("command", "target", "parameters")):
+        if any(fields.get(key) != command.first.get(key) for key in ("command", "target", "parameters")):
             account.fail("identifiers", f"the id {identifier} is that of two commands")
             return
         account.hold("identifiers")
-        if fields["t_ns"] <= known.t_ns:
+        if fields["t_ns"] <= command.t_ns:
             account.fail("repetition", f"{identifier} comes again with the t_ns of before")
-        known.t_ns = fields["t_ns"]
-        known.copies += 1
-        if known.phase == "silent":
+        command.t_ns = fields["t_ns"]
+        command.copies += 1
+        if command.phase == "silent":
             account.hold("repetition")
-        elif known.phase == "refused":
-            self._quotations(identifier, known, fields)
-        elif now_ns - known.phase_ns > ENDED_NS and known.phase == "acknowledged":
-            self._acknowledge(identifier, known, now_ns, plainly=True)
-        elif now_ns - known.phase_ns > ENDED_NS:
+        elif command.phase == "refused":
+            self._quotations(identifier, command, fields)
+        elif now_ns - command.phase_ns > ENDED_NS and command.phase == "acknowledged":
+            self._acknowledge(identifier, command, now_ns, plainly=True)
+        elif now_ns - command.phase_ns > ENDED_NS:
             account.fail("end of repetition", f"{identifier} is sent again after its ack")
-            known.phase = "ended"
+            command.phase = "ended"
 
     def tick(self, now_ns: int) -> None:
         """Answer what is due at a time [ns since 1970]."""
-        for identifier, known in self._commands.items():
-            if known.phase == "silent" and now_ns - known.first_ns >= SILENT_NS:
-                if known.copies == 1:
+        for identifier, command in self._commands.items():
+            if command.phase == "silent" and now_ns - command.first_ns >= SILENT_NS:
+                if command.copies == 1:
                     text = f"{identifier} has no answer for {SILENT_NS / 1e9:g} s, and is not sent again"
                     self._account.fail("repetition", text)
                 if self._answers is not None:
-                    self._refuse_or_take(identifier, known, now_ns)
-            elif known.phase == "refused" and (self._is_quoted(known) or now_ns - known.phase_ns >= QUOTED_NS):
-                self._miss_quotations(identifier, known)
-                self._acknowledge(identifier, known, now_ns)
-            elif known.phase.startswith("acknowledged") and now_ns - known.phase_ns >= 2 * ENDED_NS:
-                if known.phase == "acknowledged":
+                    self._refuse_or_take(identifier, command, now_ns)
+            elif command.phase == "refused" and (self._is_quoted(command) or now_ns - command.phase_ns >= QUOTED_NS):
+                self._miss_quotations(identifier, command)
+                self._acknowledge(identifier, command, now_ns)
+            elif command.phase.startswith("acknowledged") and now_ns - command.phase_ns >= 2 * ENDED_NS:
+                if command.phase == "acknowledged":
                     self._account.hold("unknown keys")
                 else:
                     self._account.fail("unknown keys", f"the ack of {identifier} was taken without further_k alone")
-                known.phase = "ended"
+                command.phase = "ended"
                 self._account.hold("end of repetition", "identifiers")
 
     def _refuse_or_take(self, identifier: str, known: _Command, now_ns: int) -> None:
@@ -106,7 +106,7 @@ class CommandsOfClient:
         if known.first["command"] == "arm":
             data |= {"latch": LATCH, "estop_age_s": 3600.0, "latched": False}
         answer = {"id": identifier, "kind": "refused", "level": "warning", "text": text, "data": data}
-        known.told_ns = self._answers(known.node, answer)
+        known.answered_ns = self._answers(known.node, answer)
         known.phase, known.phase_ns = "refused", now_ns
 
     def _acknowledge(self, identifier: str, known: _Command, now_ns: int, *, plainly: bool = False) -> None:
@@ -117,7 +117,7 @@ class CommandsOfClient:
 
     def _wanted(self, known: _Command) -> dict[str, tuple[str, Any]]:
         """Return what is to be quoted by its rule: the key, and the value for the node."""
-        wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", known.told_ns)}
+        wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", known.answered_ns)}
         return wanted | ({"quoted stop": ("node_latch", LATCH)} if known.first["command"] == "arm" else {})
 
     def _quotations(self, identifier: str, known: _Command, fields: dict[str, Any]) -> None:

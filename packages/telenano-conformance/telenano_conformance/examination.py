@@ -92,10 +92,10 @@ class _Rig:
         for _ in range(_MOST_A_TURN):
             if not self._socket.poll(0):
                 return
-            told = self._socket.recv()
-            if told[:1] == b"\x01":
+            subscription = self._socket.recv()
+            if subscription[:1] == b"\x01":
                 self._subscribed_s = time.monotonic()
-                self.topics |= {topic for topic in TOPICS if topic.encode().startswith(told[1:])}
+                self.topics |= {topic for topic in TOPICS if topic.encode().startswith(subscription[1:])}
 
     def is_heard(self) -> bool:
         """Whether commands are subscribed to, and no subscription came just now: others may come before the client."""

@@ -81,11 +81,11 @@ class HostileService:
 class TakenReading(NamedTuple):
     """A reading: the age that the driver tells and the true one [s], and whether the driver calls it good."""
 
-    told_s: float
+    reported_age_s: float
     true_s: float
     is_good: bool
 
 
 def unseen(readings: Iterable[TakenReading], limit_s: float = 0.05) -> list[TakenReading]:
     """Return the readings that are older than a limit, while the driver calls them good and not older than that."""
-    return [found for found in readings if found.is_good and found.told_s <= limit_s < found.true_s]
+    return [reading for reading in readings if reading.is_good and reading.reported_age_s <= limit_s < reading.true_s]

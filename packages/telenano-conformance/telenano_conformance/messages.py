@@ -125,7 +125,7 @@ class MessageExaminer:
         if name in TOPICS:
             account.hold("frames", "topic")
             return name
-        if payload in (known.encode() for known in TOPICS):
+        if payload in (row.encode() for row in TOPICS):
             account.fail("frames", f"the first frame is the map, and the topic {payload.decode()} comes behind it")
         else:
             account.fail("topic", f"the topic {topic[:40]!r} is not in the table")
@@ -188,7 +188,7 @@ class MessageExaminer:
     def _publisher(self, topic: str, src: str) -> None:
         publishers = TOPICS[topic].publishers
         name = src.partition("@")[0]
-        if any(fnmatchcase(src if "@" in known else name, known) for known in publishers):
+        if any(fnmatchcase(src if "@" in pattern else name, pattern) for pattern in publishers):
             self._account.hold("publisher")
         else:
             self._account.fail("publisher", f"{src} sends on {topic}, which is for {', '.join(publishers)}")
@@ -259,11 +259,11 @@ class MessageExaminer:
             if src != fields["src"]:
                 continue
             stream.ended = True
-            told = data.get(f"sent.{topic}")
-            if told == stream.seq + 1:
+            last = data.get(f"sent.{topic}")
+            if last == stream.seq + 1:
                 self._account.hold("last message")
             else:
-                self._account.fail("last message", f"sent.{topic} is {told}, and {stream.seq + 1} were sent")
+                self._account.fail("last message", f"sent.{topic} is {last}, and {stream.seq + 1} were sent")
 
 
 def _has_the_keys(topic: str, fields: dict[str, Any]) -> bool:

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 Outcome = Literal["passed", "failed", "not seen"]
 # This number of faults of one rule are reported; the others are counted.
-_MOST_TOLD = 3
+_MOST_LISTED = 3
 # A client that breaks a rule in more ways than this fills no memory.
 _MOST_KEPT = 1000
 
@@ -93,11 +93,11 @@ class Account:
 
     def findings(self) -> list[Finding]:
         """Return what came of each rule."""
-        found = []
+        rows = []
         for rule in RULES:
-            told = list(self.broken.get(rule.name, {}).values())
-            outcome: Outcome = "failed" if told else "passed" if rule.name in self.held else "not seen"
-            least = "at least " * (len(told) == _MOST_KEPT)
-            more = f" (and {least}{len(told) - _MOST_TOLD} more)" if len(told) > _MOST_TOLD else ""
-            found.append(Finding(rule.name, outcome, rule.section, rule.right, "; ".join(told[:_MOST_TOLD]) + more))
-        return found
+            texts = list(self.broken.get(rule.name, {}).values())
+            outcome: Outcome = "failed" if texts else "passed" if rule.name in self.held else "not seen"
+            least = "at least " * (len(texts) == _MOST_KEPT)
+            more = f" (and {least}{len(texts) - _MOST_LISTED} more)" if len(texts) > _MOST_LISTED else ""
+            rows.append(Finding(rule.name, outcome, rule.section, rule.right, "; ".join(texts[:_MOST_LISTED]) + more))
+        return rows

@@ -76,10 +76,10 @@ class HandleOnPty:
         with contextlib.suppress(FileNotFoundError):
             self._link.unlink()
 
-    def run(self, goes_on: Callable[[], bool]) -> None:
-        """Run in real time as long as `goes_on` returns true; it is asked once a millisecond."""
+    def run(self, continues: Callable[[], bool]) -> None:
+        """Run in real time as long as `continues` returns true; it is asked once a millisecond."""
         self._next_ns = time.monotonic_ns()
-        while goes_on():
+        while continues():
             self._next_ns += _TICK_NS
             while (left_ns := self._next_ns - time.monotonic_ns()) > 0:
                 self._listen(left_ns * 1e-9)

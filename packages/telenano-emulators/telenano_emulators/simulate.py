@@ -67,7 +67,7 @@ def simulate_handle(
         run_ahead()
         has_keys = sys.stdin.isatty()
 
-        def goes_on() -> bool:
+        def continues() -> bool:
             if has_keys and select.select([sys.stdin], [], [], 0.0)[0] and (line := sys.stdin.readline()):
                 if line.strip():
                     typer.echo(handled(handle, line))
@@ -86,7 +86,7 @@ def simulate_handle(
             return True
 
         try:
-            port.run(goes_on)
+            port.run(continues)
         finally:
             port.pull_out()
 

@@ -175,8 +175,8 @@ class T7Model:
         wanted = range(address, address + count)
         if not count or any(place not in self._words for place in wanted):
             raise RegisterError(ILLEGAL_ADDRESS)
-        found = [self._words[place] for place in wanted]
-        return found[::-1] if self._word_swapped and count == 2 else found
+        words = [self._words[place] for place in wanted]
+        return words[::-1] if self._word_swapped and count == 2 else words
 
     def write(self, address: int, words: Sequence[int], now_ns: int) -> None:
         """Write one quantity.
@@ -212,13 +212,13 @@ class T7Model:
 
     def feedback(self, operations: Sequence[Operation], now_ns: int) -> list[int]:
         """Carry out the frames of function 76 in order; return what was read."""
-        found: list[int] = []
+        answer: list[int] = []
         for address, count, words in operations:
             if words:
                 self.write(address, words, now_ns)
             else:
-                found += self.read(address, count, now_ns)
-        return found
+                answer += self.read(address, count, now_ns)
+        return answer
 
     def _hear(self, now_ns: int) -> None:
         self.pass_time(now_ns)
@@ -278,11 +278,11 @@ class HeartbeatScript:
         elif value == 0.0:
             self._stepped_ns = None
         elif not self.runs and len(self._source) == self._model.value(_LUA_SIZE):
-            found = re.search(
+            match = re.search(
                 rb"^-- telenano heartbeat.*?^local VERSION = ([0-9]+)$", self._source, re.DOTALL | re.MULTILINE
             )
-            if found is not None:
-                self._version = float(found[1])
+            if match is not None:
+                self._version = float(match[1])
                 self._last, self._silent_ms, self._tripped = 0.0, 0.0, False
                 self._stepped_ns = now_ns
 

@@ -67,11 +67,11 @@ class Analysis(NamedTuple):
         return {
             "counts": self.counts,
             "choice": self.choice._asdict(),
-            "factors": {task: [factor._asdict() for factor in found] for task, found in self.factors.items()},
+            "factors": {task: [factor._asdict() for factor in factors] for task, factors in self.factors.items()},
             "measures": self.measures,
             "models": [
-                {"task": task, "measure": measure, "model": found.model, "remarks": list(found.remarks)}
-                for (task, measure), found in self.effects.items()
+                {"task": task, "measure": measure, "model": factors.model, "remarks": list(factors.remarks)}
+                for (task, measure), factors in self.effects.items()
             ],
             **{part: as_rows(self.effects, part) for part in ("terms", "slopes", "pairs")},
             "cells": self.cells,
@@ -113,25 +113,29 @@ def analyse(
     fitted = dict(adaptive or {})
     factors, measures, cells, tested = {}, {}, [], {}
     for task, of_task in frame.groupby("task", sort=True):
-        found = tuple(factor for factor in _factors(of_task, tables, choice.categories) if factor.name not in fitted)
+        factors_of_task = tuple(
+            factor for factor in _factors(of_task, tables, choice.categories) if factor.name not in fitted
+        )
         chosen = {name: unit for name, unit in known.items() if _is_measured(of_task, name, choice.measures)}
-        factors[str(task)], measures[str(task)] = found, chosen
+        factors[str(task)], measures[str(task)] = factors_of_task, chosen
         for name in chosen:
-            cells += _cells(of_task, str(task), name, found, choice.confidence)
-            result = effects(of_task, name, found, choice.correction, choice.confidence, choice.within)
+            cells += _cells(of_task, str(task), name, factors_of_task, choice.confidence)
+            result = effects(of_task, name, factors_of_task, choice.correction, choice.confidence, choice.within)
             if result.terms and _is_yes_or_no(of_task[name].dropna()):
                 remark = "yes and no are taken as 1 and 0, so that differences are of shares"
                 result = result._replace(remarks=(*result.remarks, remark))
             tested[str(task), name] = result
     thresholds = [row for name, settings in fitted.items() for row in _thresholds(frame, name, settings)]
-    for task, found in factors.items():
+    for task, factors_of_task in factors.items():
         rows_of_task = [row for row in thresholds if row["task"] == task]
-        if rows_of_task and found:
+        if rows_of_task and factors_of_task:
             name = f"threshold of {rows_of_task[0]['factor']}"
-            tracks = pd.DataFrame(rows_of_task).rename(columns={factor.name: factor.column for factor in found})
-            cells += _cells(tracks.rename(columns={"threshold": name}), task, name, found, choice.confidence)
+            tracks = pd.DataFrame(rows_of_task).rename(
+                columns={factor.name: factor.column for factor in factors_of_task}
+            )
+            cells += _cells(tracks.rename(columns={"threshold": name}), task, name, factors_of_task, choice.confidence)
             tested[task, name] = effects(
-                tracks, "threshold", found, choice.correction, choice.confidence, choice.within
+                tracks, "threshold", factors_of_task, choice.correction, choice.confidence, choice.within
             )
     detections = _detections(frame, factors, choice.confidence)
     terms = _terms_corrected(tested, choice.correction)
@@ -142,10 +146,13 @@ def check_choice(tables: Tables, choice: Choice) -> None:
     """Raise ConfigError where a measure, factor or correction that is chosen is not known."""
     if choice.correction not in CORRECTIONS:
         raise ConfigError(f"correction {choice.correction}: {known_names(choice.correction, CORRECTIONS)}")
-    known = measures_of(tables)
+    measures = measures_of(tables)
     factors = [row.name.removeprefix(CONDITION) for row in tables.dictionary if row.name.startswith(CONDITION)]
     within = (choice.within,) if choice.within else ()
-    for kind, names, there in (("measure", choice.measures, known), ("factor", (*choice.categories, *within), factors)):
+    for kind, names, there in (
+        ("measure", choice.measures, measures),
+        ("factor", (*choice.categories, *within), factors),
+    ):
         for name in names:
             if name not in there:
                 raise ConfigError(f"{kind} {name}: {known_names(name, there)}")
@@ -165,7 +172,7 @@ def _is_measured(frame: Any, name: str, chosen: Sequence[str]) -> bool:
 
 
 def _factors(frame: Any, tables: Tables, categories: Sequence[str]) -> list[Factor]:
-    found = []
+    factors = []
     for column in (name for name in frame.columns if name.startswith(CONDITION)):
         levels = sorted(frame[column].dropna().unique().tolist())
         if len(levels) < 2:
@@ -174,8 +181,8 @@ def _factors(frame: Any, tables: Tables, categories: Sequence[str]) -> list[Fact
         is_number = all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels)
         is_within = bool((frame.groupby("participant")[column].nunique() > 1).any())
         numeric = is_number and name not in categories
-        found.append(Factor(name, column, tables.unit(column), tuple(levels), numeric, is_within))
-    return found
+        factors.append(Factor(name, column, tables.unit(column), tuple(levels), numeric, is_within))
+    return factors
 
 
 def _counts(tables: Tables, rows: Sequence[Row]) -> dict[str, int]:
@@ -193,7 +200,7 @@ def _counts(tables: Tables, rows: Sequence[Row]) -> dict[str, int]:
 def _cells(frame: Any, task: str, measure: str, factors: Sequence[Factor], confidence: float) -> list[Row]:
     """Return the descriptive statistics of a measure in each condition; intervals are over participants' means."""
     columns = [factor.column for factor in factors]
-    found = []
+    cells = []
     for levels, cell in frame.groupby(columns, sort=True) if columns else [((), frame)]:
         values = cell[measure].dropna()
         if not len(values):
@@ -204,7 +211,7 @@ def _cells(frame: Any, task: str, measure: str, factors: Sequence[Factor], confi
         if _is_yes_or_no(values):
             low, high = wilson(int(numbers.sum()), len(numbers)) if len(people) < 2 else (max(low, 0.0), min(high, 1.0))
         quarter, median, three = (float(part) for part in np.quantile(numbers, (0.25, 0.5, 0.75)))
-        found.append({
+        cells.append({
             "task": task, "measure": measure,
             **{factor.name: level for factor, level in zip(factors, levels, strict=True)},
             "participants": len(people), "trials": len(numbers), "mean": mean, "low": _finite(low),
@@ -212,7 +219,7 @@ def _cells(frame: Any, task: str, measure: str, factors: Sequence[Factor], confi
             "least": float(numbers.min()), "quarter": quarter, "median": median, "three_quarters": three,
             "greatest": float(numbers.max()),
         })  # fmt: skip
-    return found
+    return cells
 
 
 def _is_yes_or_no(values: Any) -> bool:
@@ -221,10 +228,10 @@ def _is_yes_or_no(values: Any) -> bool:
 
 def _terms_corrected(tested: Mapping[tuple[str, str], Effects], correction: str) -> dict[tuple[str, str], Effects]:
     """Correct the tests of terms together, over all measures of all tasks."""
-    ps = iter(corrected([term.p for found in tested.values() for term in found.terms], correction))
+    ps = iter(corrected([term.p for effects in tested.values() for term in effects.terms], correction))
     return {
-        key: found._replace(terms=tuple(term._replace(p_corrected=next(ps)) for term in found.terms))
-        for key, found in tested.items()
+        key: effects._replace(terms=tuple(term._replace(p_corrected=next(ps)) for term in effects.terms))
+        for key, effects in tested.items()
     }
 
 
@@ -239,17 +246,17 @@ def _thresholds(frame: Any, factor: str, settings: Mapping[str, Any]) -> list[Ro
         if name.startswith(CONDITION) and name != column and frame[name].nunique() > 1
     ]  # fmt: skip
     given = frame.dropna(subset=[column, answered])
-    found = []
+    thresholds = []
     for key, track in given.groupby(["task", "participant", *others], sort=True):
         ordered = track.sort_values("trial")
         answers = [(float(level), bool(right)) for level, right in zip(ordered[column], ordered[answered], strict=True)]
         method = replay(settings, 0, answers)
         names = ("task", "participant", *(name.removeprefix(CONDITION) for name in others))
-        found.append({
+        thresholds.append({
             **dict(zip(names, key, strict=True)), "factor": factor, **method.estimate()._asdict(), **method.summary(),
             "function": method.settings.function.model_dump(), "answers": answers,
         })  # fmt: skip
-    return found
+    return thresholds
 
 
 def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence: float) -> list[Row]:
@@ -258,7 +265,7 @@ def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence:
     In a choice of two a signal is the stiffer sample that comes first. Where the touch is to be detected, the time
     before it is the noise of the same trial: a trial with a false alarm has no signal left to detect.
     """
-    found = []
+    detections = []
     for task, of_task in frame.groupby("task", sort=True):
         measured = {str(name) for name in of_task.columns[of_task.notna().any()]}
         of_two = {"chose_first", "comparison_first"} <= measured
@@ -266,8 +273,8 @@ def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence:
         if not set(names) <= measured:
             continue
         varied = factors[str(task)]
-        given = of_task.dropna(subset=list(names))
-        for key, cell in given.groupby(["participant", *(factor.column for factor in varied)], sort=True):
+        answers = of_task.dropna(subset=list(names))
+        for key, cell in answers.groupby(["participant", *(factor.column for factor in varied)], sort=True):
             yes, second = (cell[name].to_numpy(bool) for name in names)
             if of_two:
                 counts = int((yes & second).sum()), int(second.sum()), int((yes & ~second).sum()), int((~second).sum())
@@ -275,8 +282,8 @@ def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence:
                 counts = int((yes & ~second).sum()), int((~second).sum()), int(second.sum()), len(second)
             row = detection(*counts, of_two=of_two, confidence=confidence)
             labels = ("participant", *(factor.name for factor in varied))
-            found.append({"task": task, **dict(zip(labels, key, strict=True)), **row._asdict()})
-    return found
+            detections.append({"task": task, **dict(zip(labels, key, strict=True)), **row._asdict()})
+    return detections
 
 
 def _finite(value: float) -> float | None:

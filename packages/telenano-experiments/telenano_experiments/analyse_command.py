@@ -112,4 +112,4 @@ def _print(document: dict[str, Any], page: Path) -> None:
 
 def _varied(document: dict[str, Any]) -> list[str]:
     """Return the names of the factors beside an adaptive one."""
-    return list(dict.fromkeys(factor["name"] for found in document["factors"].values() for factor in found))
+    return list(dict.fromkeys(factor["name"] for factors in document["factors"].values() for factor in factors))

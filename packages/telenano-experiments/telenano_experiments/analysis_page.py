@@ -70,7 +70,7 @@ def figures(analysis: Analysis, tables: Tables, options: FigureOptions) -> "Iter
                 figure = Figure(figsize=(1.6 * COLUMN_IN, 1.05 * COLUMN_IN), layout="constrained")
                 _measure(figure.subplots(), analysis, tables, task, measure, unit)
                 yield f"{task}_{measure}".replace("/", "_").replace(".", "_"), figure
-    terms = [(task, measure, term) for (task, measure), found in analysis.effects.items() for term in found.terms]
+    terms = [(task, measure, term) for (task, measure), effects in analysis.effects.items() for term in effects.terms]
     if terms:
         figure = Figure(figsize=(1.6 * COLUMN_IN, 0.8 + 0.22 * len(terms)), layout="constrained")
         _forest(figure.subplots(), terms)
@@ -93,7 +93,7 @@ def methods_paragraph(analysis: Analysis, about: Mapping[str, Any]) -> str:
     apparatus = about.get("apparatus")
     if apparatus:
         sentences.append(f"The apparatus was {apparatus}.")
-    for factor in {factor.name: factor for found in analysis.factors.values() for factor in found}.values():
+    for factor in {factor.name: factor for factors in analysis.factors.values() for factor in factors}.values():
         levels = ", ".join(f"{level:g}" if isinstance(level, float) else str(level) for level in factor.levels)
         unit = f" {factor.unit}" if factor.unit else ""
         sentences.append(
@@ -101,8 +101,8 @@ def methods_paragraph(analysis: Analysis, about: Mapping[str, Any]) -> str:
         )
     if about.get("order"):
         sentences.append(f"The order of the trials was {about['order']}, from seed {about.get('seed')}.")
-    for model in dict.fromkeys(found.model for found in analysis.effects.values()):
-        number = sum(found.model == model for found in analysis.effects.values())
+    for model in dict.fromkeys(factors.model for factors in analysis.effects.values()):
+        number = sum(factors.model == model for factors in analysis.effects.values())
         verb = "was" if number == 1 else "were"
         what = "not tested" if model == "none" else f"analysed by a {model}"
         sentences.append(f"{_many(number, 'measure')} {verb} {what}.")
@@ -175,7 +175,10 @@ def _people(
         counts = row["task"] == task and row["phase"] == "main" and row["status"] == "done" and not row["excluded"]
         if counts and row[measure] is not None and tuple(row[factor.column] for factor in others) == key:
             values.setdefault(row["participant"], {}).setdefault(row[across.column], []).append(float(row[measure]))
-    return [{level: float(np.mean(found)) for level, found in person.items()} for person in values.values()]
+    return [
+        {level: float(np.mean(values_at_level)) for level, values_at_level in person.items()}
+        for person in values.values()
+    ]
 
 
 def _forest(axes: "Axes", terms: Sequence[tuple[str, str, Any]]) -> None:
@@ -210,8 +213,10 @@ def _psychometric(analysis: Analysis, options: FigureOptions) -> "Figure":
 def _track(axes: "Axes", track: Row) -> None:
     levels = sorted({level for level, _ in track["answers"]})
     for level in levels:
-        found = [right for at, right in track["answers"] if at == level]
-        axes.plot(level, np.mean(found), "o", ms=2.0 + min(6.0, math.sqrt(len(found))), color=LINES[2][0], alpha=0.6)
+        answers = [right for at, right in track["answers"] if at == level]
+        axes.plot(
+            level, np.mean(answers), "o", ms=2.0 + min(6.0, math.sqrt(len(answers))), color=LINES[2][0], alpha=0.6
+        )
     model = Psychometric.model_validate(track["function"])
     if track["threshold"] is not None and track["width"] is not None:
         places = np.linspace(float(model.on_axis([levels[0]])[0]), float(model.on_axis([levels[-1]])[0]), 200)
@@ -249,8 +254,8 @@ def _page(
     page = Page(str(about.get("title") or "Analysis of an experiment"))
     page.code(command)
     page.paragraph(methods)
-    for (task, measure), found in analysis.effects.items():
-        for remark in found.remarks:
+    for (task, measure), effects in analysis.effects.items():
+        for remark in effects.remarks:
             page.paragraph(f"{task}, {measure}: {remark}.")
     document = analysis.as_dict()
     heads = {

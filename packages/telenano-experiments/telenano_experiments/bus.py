@@ -68,7 +68,7 @@ class ExperimentBus:
         self._sender = os.urandom(6).hex()
         self._issued = 0
         self._cue: dict[str, Any] | None = None
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self._taken: deque[str] = deque(maxlen=MOST_QUESTIONS)
         self._known: set[tuple[str, ...]] = set()
 
@@ -173,10 +173,10 @@ class ExperimentBus:
         Of the answers of a participant to the same question of a cue, the first one counts.
         """
         self._network.process_events()
-        found = [answer for message in self._received() if (answer := self._new(message)) is not None]
-        if found or time.monotonic() - self._told_s >= _REPEAT_S:
+        new = [answer for message in self._received() if (answer := self._new(message)) is not None]
+        if new or time.monotonic() - self._reported_s >= _REPEAT_S:
             self._tell()
-        return found
+        return new
 
     def wait(
         self, cue: str, timeout_s: float | None = None, idle: Callable[[list[Answer]], object] = lambda answers: None
@@ -207,8 +207,8 @@ class ExperimentBus:
         self._open.close()
 
     def _received(self) -> list[ExperimentAnswer]:
-        found = [received.message for subscriber in self._subscribers for received in subscriber.receive()]
-        return [message for message in found if isinstance(message, ExperimentAnswer) and message.src == VIEW]
+        messages = [received.message for subscriber in self._subscribers for received in subscriber.receive()]
+        return [message for message in messages if isinstance(message, ExperimentAnswer) and message.src == VIEW]
 
     def _new(self, message: ExperimentAnswer) -> Answer | None:
         """Return an answer that is new: of a participant the first to a question counts, also where it came twice."""
@@ -224,8 +224,8 @@ class ExperimentBus:
         """Publish the cue as it stands: with the time that is left, and the answers that were taken."""
         if self._cue is None:
             return
-        self._told_s = time.monotonic()
-        left_s = None if self._ends_s is None else max(0.0, self._ends_s - self._told_s)
+        self._reported_s = time.monotonic()
+        left_s = None if self._ends_s is None else max(0.0, self._ends_s - self._reported_s)
         self._publisher.publish(
             "experiment/cue", **{**self._cue, "remaining_s": left_s, "answered": tuple(dict.fromkeys(self._taken))}
         )

@@ -102,10 +102,10 @@ class BusDesk(Desk):
         self._tell(trial, attempt, "running", "")
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
-        found = self._taken([] if self.bus is None else self.bus.answers())
+        answers = self._taken([] if self.bus is None else self.bus.answers())
         if self.action in _NOW:
             raise AbortedError(self.reason or self.action)
-        return found
+        return answers
 
     def over(self, trial: Trial, attempt: int, outcome: TrialOutcome) -> None:
         self._tell(trial, attempt, "skipped" if self.action == "skip" else outcome.status, outcome.disturbance)
@@ -146,12 +146,12 @@ class PersonDesk(BusDesk):
         return answer is not None and answer.values.get(asked.name) == words.agree
 
     def instruct(self, trial: Trial) -> None:
-        self._wait("instruction", *self._told(trial), practice=trial.phase == "practice")
+        self._wait("instruction", *self._instructions(trial), practice=trial.phase == "practice")
 
     def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
         bus, task = self._bus(), self.plan.tasks[trial.task]
         parameters = parameters_of(task, trial.task_parameters)
-        title, text = self._told(trial)
+        title, text = self._instructions(trial)
         shown: dict[str, Any] = {"done": self.place.done, "total": self.place.total, "labels": self.words.labels}
         shown |= {"practice": trial.phase == "practice"}
         if first:
@@ -171,7 +171,7 @@ class PersonDesk(BusDesk):
 
     def ask(self, trial: Trial, questions: tuple[Question, ...], data: TrialData) -> Answers:
         end_s = float(data.haptic["time_s"][-1]) if len(data.haptic["time_s"]) else 0.0
-        answer = self._wait("question", self._told(trial)[0], "", questions=self._asked(trial, questions))
+        answer = self._wait("question", self._instructions(trial)[0], "", questions=self._asked(trial, questions))
         if answer is None:
             return ()
         time_s = end_s + answer.shown_s
@@ -195,10 +195,10 @@ class PersonDesk(BusDesk):
         self._bus().cue("end", self.words.end, self.words.end_text, labels=self.words.labels)
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
-        found = super().during(elapsed_s)
-        return [{**answer, "value": self._meant(answer["name"], answer["value"])} for answer in found]
+        answers = super().during(elapsed_s)
+        return [{**answer, "value": self._meant(answer["name"], answer["value"])} for answer in answers]
 
-    def _told(self, trial: Trial) -> tuple[str, str]:
+    def _instructions(self, trial: Trial) -> tuple[str, str]:
         """Return heading and instruction of a trial's task."""
         task, words = self.plan.tasks[trial.task], self.words.tasks.get(trial.task)
         parameters = parameters_of(task, trial.task_parameters)
@@ -211,10 +211,10 @@ class PersonDesk(BusDesk):
 
     def _asked(self, trial: Trial, questions: tuple[Question, ...]) -> tuple[Question, ...]:
         """Return questions of a task in the words of the experiment, and note what their answers mean."""
-        found = tuple(self.words.of(trial.task, question) for question in questions)
-        for shown, question in zip(found, questions, strict=True):
+        asked = tuple(self.words.of(trial.task, question) for question in questions)
+        for shown, question in zip(asked, questions, strict=True):
             self._meanings[question.name] = dict(zip(shown.options, question.options, strict=False))
-        return found
+        return asked
 
     def _meant(self, name: str, value: Any) -> Any:
         return self._meanings.get(name, {}).get(value, value)

@@ -99,9 +99,9 @@ def _noncentral(
     from scipy.optimize import brentq
 
     def chance(centre: float) -> float:
-        found = chance_below(centre)
+        below = chance_below(centre)
         # far from the statistic the library's series does not end; there the chance is 1 or 0
-        return (1.0 if centre < start else 0.0) if math.isnan(found) else found
+        return (1.0 if centre < start else 0.0) if math.isnan(below) else below
 
     def centre_of(quantile: float) -> float:
         low = high = start

@@ -145,7 +145,7 @@ def effects(
 
 def _with_values(data: Any, factors: Sequence[Factor], remarks: list[str]) -> list[Factor]:
     """Return the factors as they are in the rows that have a value of the measure."""
-    found = []
+    rows = []
     for factor in factors:
         there = set(data[factor.column].tolist())
         levels = tuple(level for level in factor.levels if level in there)
@@ -153,8 +153,8 @@ def _with_values(data: Any, factors: Sequence[Factor], remarks: list[str]) -> li
             remarks.append(f"{factor.name} is not tested: there are values at {levels[0]} only")
         elif levels:
             is_within = bool((data.groupby("participant")[factor.column].nunique() > 1).any())
-            found.append(factor._replace(levels=levels, is_within=is_within))
-    return found
+            rows.append(factor._replace(levels=levels, is_within=is_within))
+    return rows
 
 
 def _tested(
@@ -243,15 +243,15 @@ def _terms(
     for number in range(1, len(factors) + 1):
         for chosen in itertools.combinations(factors, number):
             title = " × ".join(factor.name for factor in chosen)
-            found = _test(cells, factors, chosen)
-            f, epsilon, p = (float(part) for part in (found.f, found.epsilon, found.p))
+            tests = _test(cells, factors, chosen)
+            f, epsilon, p = (float(part) for part in (tests.f, tests.epsilon, tests.p))
             if not f < _NO_SCATTER:
                 remarks.append(f"every participant has the same difference: {title} is not tested")
                 continue
-            eta = partial_eta2(f, epsilon * found.df1, epsilon * found.df2, confidence)
-            terms.append(Term(title, f, found.df1, found.df2, p, *eta, epsilon))
+            eta = partial_eta2(f, epsilon * tests.df1, epsilon * tests.df2, confidence)
+            terms.append(Term(title, f, tests.df1, tests.df2, p, *eta, epsilon))
             if number == 1 and chosen[0].is_numeric:
-                slopes.append(_slope(chosen[0], found, number_of_cells, p, confidence))
+                slopes.append(_slope(chosen[0], tests, number_of_cells, p, confidence))
     return tuple(terms), tuple(slopes)
 
 
@@ -295,7 +295,7 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
             for level in held.levels
             for pair in _pairs(data[data[held.column] == level], measure, others, confidence, "")
         )
-    found = []
+    pairs = []
     for factor in factors:
         others = [other for other in factors if other.is_within and other is not factor]
         rows = list(itertools.product(*(other.levels for other in others)))
@@ -315,8 +315,8 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
             paired = np.array([means[who, level] - means[who, against] for who in both]) if factor.is_within else None
             pair = compared(left, right, paired, confidence)
             if pair is not None:
-                found.append(Pair(factor.name, level, against, *pair))
-    return tuple(found)
+                pairs.append(Pair(factor.name, level, against, *pair))
+    return tuple(pairs)
 
 
 def as_rows(found: Mapping[tuple[str, str], Effects], part: str) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from telenano.cli import (
     print_rows,
     report_errors,
 )
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.settings import read_yaml
 from telenano.wire import ConfigError
 from telenano_experiments.analyse_command import analyse
@@ -73,7 +73,7 @@ def new(
         source = find_experiment(base)
         first = f"name: {read_yaml(source).get('name', '')}"
         text = source.read_text(encoding="utf-8").replace(f"\n{first}\n", f"\nname: {name}\n", 1)
-        with whole_file(path, replace=False) as part:
+        with atomic_file(path, replace=False) as part:
             part.write_text(text, encoding="utf-8")
             _load(part)
     print_answer({"file": str(path)}, f"{path}; next: telenano experiment check {path}", as_json=as_json)
@@ -86,14 +86,14 @@ def check(file: FileArgument, as_json: JsonOption = False) -> None:
         from telenano_experiments.summary import summary_of
 
         plan = _load(find_experiment(file))
-        found = summary_of(plan)
+        summary = summary_of(plan)
         balance = plan.balance()
     if as_json:
-        print_json({**found, "places": balance.places, "followed": balance.followed})
+        print_json({**summary, "places": balance.places, "followed": balance.followed})
         return
-    blocks = found.pop("blocks")
-    doubts = found.pop("doubts")
-    for key, value in found.items():
+    blocks = summary.pop("blocks")
+    doubts = summary.pop("doubts")
+    for key, value in summary.items():
         shown = ", ".join(map(str, value)) or "none" if isinstance(value, list) else value
         typer.echo(f"{key.replace('_', ' ')}: {shown}")
     if len(blocks) > 1:
@@ -158,12 +158,12 @@ def status(folder: FolderArgument, as_json: JsonOption = False) -> None:
 
         path = folder / journal.NAME
         plan = _load(folder_plan(folder))
-        found = state_of(plan, journal.read(path) if path.exists() else [])
+        state = state_of(plan, journal.read(path) if path.exists() else [])
     if as_json:
-        print_json(found)
+        print_json(state)
         return
-    rows = found.pop("participants")
-    for key, value in found.items():
+    rows = state.pop("participants")
+    for key, value in state.items():
         typer.echo(f"{key.replace('_', ' ')}: {value}")
     print_rows(rows)
 
@@ -182,8 +182,8 @@ def publish(
         from telenano_experiments.publish import publish as made
         from telenano_experiments.runner import folder_plan
 
-        found = made(_load(folder_plan(folder)), folder, out, with_recordings=recordings)
-    print_document(found, str(out), as_json=as_json)
+        publication = made(_load(folder_plan(folder)), folder, out, with_recordings=recordings)
+    print_document(publication, str(out), as_json=as_json)
 
 
 @app.command()
@@ -218,8 +218,8 @@ def add(
     with report_errors(as_json):
         from telenano_experiments.people import People
 
-        known: dict[str, Any] = {"handedness": handedness} if handedness != "unknown" else {}
-        person = People(folder).change(pseudonym, **known, **({"consent": True} if consent else {}))
+        fields: dict[str, Any] = {"handedness": handedness} if handedness != "unknown" else {}
+        person = People(folder).change(pseudonym, **fields, **({"consent": True} if consent else {}))
     print_document({"participant": pseudonym, **person.model_dump()}, str(folder), as_json=as_json)
 
 
@@ -262,7 +262,9 @@ def _balance_rows(plan: "Plan") -> list[dict[str, Any]]:
             counts = {"at a place": _range(places), "after another": _range(after)}
         else:
             at = {f"at {place + 1}": str(count) for place, count in enumerate(places)}
-            counts = at | {f"after {other}": str(found[number]) for other, found in enumerate(balance.followed)}
+            counts = at | {
+                f"after {other}": str(counts_after[number]) for other, counts_after in enumerate(balance.followed)
+            }
         rows.append({"condition": f"{number}: {name}", **counts})
     return rows
 
@@ -289,10 +291,10 @@ def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | N
     folder.mkdir(parents=True, exist_ok=True)
     if (source.parent / plan.experiment.scenario).is_file() or plan.experiment.scenario.endswith((".yaml", ".yml")):
         changed["scenario"] = "scenario.yaml"
-        with whole_file(folder / "scenario.yaml") as part:
+        with atomic_file(folder / "scenario.yaml") as part:
             part.write_text(yaml.safe_dump(plan.scenario, sort_keys=False), encoding="utf-8")
     text = yaml.safe_dump({**document, **changed}, sort_keys=False) if changed else source.read_text(encoding="utf-8")
-    with whole_file(folder / _FILE) as part:
+    with atomic_file(folder / _FILE) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -308,8 +310,8 @@ def _marks(port: Path | None, baud: int, apparatus: ApparatusName, plan: "Plan")
         raise ConfigError(f"--marks {port}: simulated time has nothing to mark; take apparatus live")
     if (count := len(plan.block_conditions) * len(plan.within_block)) >= PRACTICE:
         raise ConfigError(f"--marks {port}: {count} conditions are more than the {PRACTICE - 1} numbers of a byte")
-    with contextlib.closing(Marks(port, baud)) as found:
-        yield found
+    with contextlib.closing(Marks(port, baud)) as marks:
+        yield marks
 
 
 def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *, as_json: bool) -> None:
@@ -331,9 +333,9 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
             runner = Runner(plan, journal, People(folder), apparatus, desk, show)
             runner.begin()
             stopped = runner.run(wanted)
-        found = state_of(plan, journal.records)
-    text = f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}"
-    print_answer(found, text, as_json=as_json)
+        state = state_of(plan, journal.records)
+    text = f"{state['trials_done']} trials done, {state['trials_left']} left: {folder}"
+    print_answer(state, text, as_json=as_json)
     if stopped.reason:
         typer.echo(f"telenano: stopped: {stopped.reason}; `telenano experiment resume {folder}` continues", err=True)
         raise typer.Exit(EXIT_FAILED)
@@ -343,8 +345,8 @@ def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> lis
     """Return the participants of a run: those given; else all that are left, of people the first one."""
     for name in given or ():
         if name not in plan.experiment.pseudonyms:
-            known = ", ".join(plan.experiment.pseudonyms)
-            raise ConfigError(f"--participant {name}: is no participant of {plan.path}; there are {known}")
+            pseudonyms = ", ".join(plan.experiment.pseudonyms)
+            raise ConfigError(f"--participant {name}: is no participant of {plan.path}; there are {pseudonyms}")
     return given or (left[:1] if plan.experiment.operator.kind == "person" else left)
 
 

@@ -33,8 +33,8 @@ def tables_of(folder: Path) -> Tables:
 
 def describe(task: str) -> dict[str, tuple[str, str]]:
     """Return unit and description of each measure of a task; nothing of one whose package is not installed."""
-    known = TASKS.get(task)
-    return {measure.name: (measure.unit, measure.description) for measure in known.measures} if known else {}
+    task_row = TASKS.get(task)
+    return {measure.name: (measure.unit, measure.description) for measure in task_row.measures} if task_row else {}
 
 
 def adaptive_factors(folder: Path) -> dict[str, dict[str, Any]]:

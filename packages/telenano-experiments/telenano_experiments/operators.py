@@ -93,9 +93,9 @@ class Simulated:
         """Return the answers of a trial: to the questions of its task, and those that are given during it."""
         draw = self._draw(trial, "answer")
         end_s = task.duration_s(p)
-        found: list[Mapping[str, Any]] = []
+        answers: list[Mapping[str, Any]] = []
         if task.name == "detect_contact" and (felt_s := self._felt_s(data)) is not None:
-            found.append({"name": CONTACT, "value": True, "time_s": felt_s + self.profile.reaction_time_s})
+            answers.append({"name": CONTACT, "value": True, "time_s": felt_s + self.profile.reaction_time_s})
         for question in task.questions(p):
             if question.name == ANSWER:
                 value: Any = self._stiffer(p.ratio, trial.seed, draw)
@@ -103,8 +103,8 @@ class Simulated:
                 value = draw.choice(question.options)
             else:
                 value = self.rate(question.least, question.most, question.step, draw)
-            found.append({"name": question.name, "value": value, "time_s": end_s + self.profile.reaction_time_s})
-        return tuple(found)
+            answers.append({"name": question.name, "value": value, "time_s": end_s + self.profile.reaction_time_s})
+        return tuple(answers)
 
     def rate(self, least: float, most: float, step: float, draw: random.Random) -> float:
         """Return a rating on a scale: normal about the mean of the profile, with a scatter of a tenth of the scale."""
@@ -172,9 +172,9 @@ class Simulated:
         total = np.concatenate(([0.0], np.cumsum(force_n)))
         first = np.searchsorted(time_s, time_s - _BEFORE_S - _GAP_S)
         last = np.searchsorted(time_s, time_s - _GAP_S)
-        known = (last > first) & (time_s >= _STEADY_S)
+        is_steady = (last > first) & (time_s >= _STEADY_S)
         before = (total[last] - total[first]) / np.maximum(last - first, 1)
-        noticed = np.flatnonzero(known & (np.abs(force_n - before) > self.profile.threshold_n))
+        noticed = np.flatnonzero(is_steady & (np.abs(force_n - before) > self.profile.threshold_n))
         return float(time_s[noticed[0]]) if noticed.size else None
 
 

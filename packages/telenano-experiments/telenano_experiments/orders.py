@@ -59,10 +59,10 @@ def sequence(kind: OrderKind, size: int, number: int, seed: str) -> tuple[int, .
         return square[number % len(square)]
     if kind == "counterbalanced":
         return next(itertools.islice(itertools.permutations(range(size)), number % math.factorial(size), None))
-    found = list(range(size))
+    order = list(range(size))
     if kind == "shuffle":
-        random.Random(f"{seed}/{number}").shuffle(found)
-    return tuple(found)
+        random.Random(f"{seed}/{number}").shuffle(order)
+    return tuple(order)
 
 
 class Balance(NamedTuple):
@@ -90,9 +90,9 @@ def balance(sequences: Iterable[Sequence[int]], size: int) -> Balance:
     """Count places and neighbours of conditions in sequences."""
     places: Counter[tuple[int, int]] = Counter()
     followed: Counter[tuple[int, int]] = Counter()
-    for found in sequences:
-        places.update((condition, place) for place, condition in enumerate(found))
-        followed.update(itertools.pairwise(found))
+    for sequence_of in sequences:
+        places.update((condition, place) for place, condition in enumerate(sequence_of))
+        followed.update(itertools.pairwise(sequence_of))
     square = range(size)
     return Balance(
         tuple(tuple(places[condition, place] for place in square) for condition in square),

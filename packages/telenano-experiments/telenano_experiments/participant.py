@@ -44,7 +44,7 @@ _AFM, _AFM_KEYS = "afm/state/slave", ("in_contact", "meniscus")
 _MOST_HELD = 300
 # A picture that is later than it can be held would never be shown.
 _LONGEST_DELAY_S = 9.0
-_SAID = {True: "done", False: "not carried out: tell the experimenter"}
+_ACKNOWLEDGEMENTS = {True: "done", False: "not carried out: tell the experimenter"}
 
 Changes = Mapping[str, Any]
 
@@ -70,14 +70,14 @@ class ParticipantPicture:
         state = changes.get("state", {})
         if TRIAL in state:
             self.delay_s = min(float(state[TRIAL]["picture_delay_s"]), _LONGEST_DELAY_S)
-        found: list[dict[str, Any]] = []
+        taken: list[dict[str, Any]] = []
         now: dict[str, Any] = {key: changes[key] for key in ("origin_ns",) if key in changes}
         if CUE in state:
             now["state"] = {CUE: state[CUE]}
         if streams := self._streams(changes, _HAND):
             now["streams"] = streams
         if now:
-            found.append(now)
+            taken.append(now)
         picture: dict[str, Any] = {}
         if streams := self._streams(changes, _PICTURE):
             picture["streams"] = streams
@@ -90,8 +90,8 @@ class ParticipantPicture:
             self._held.append((now_s, picture))
         while self._held and now_s - self._held[0][0] >= self.delay_s:
             taken_s, picture = self._held.popleft()
-            found.append(_shown_at(picture, now_s - taken_s if self.delay_s > 0.0 else 0.0))
-        return found
+            taken.append(_shown_at(picture, now_s - taken_s if self.delay_s > 0.0 else 0.0))
+        return taken
 
     def snapshot(self, snapshot: Changes, *, hand: bool) -> dict[str, Any]:
         """Return what the page of a participant begins with, of what that of an operator begins with."""
@@ -120,9 +120,9 @@ class ParticipantPicture:
             "lines": snapshot.get("lines", []),
         }
 
-    def said(self, *, is_ok: bool) -> str:
+    def acknowledgement(self, *, is_ok: bool) -> str:
         """Return the answer to a request in words of its own: those of a node may name the law."""
-        return _SAID[is_ok]
+        return _ACKNOWLEDGEMENTS[is_ok]
 
     def _streams(self, changes: Changes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
         streams = changes.get("streams", {})
@@ -131,12 +131,12 @@ class ParticipantPicture:
 
 def _places(streams: Sequence[Mapping[str, Any]]) -> dict[str, list[int]]:
     """Return by stream the places of the columns that pass."""
-    found = {}
+    places = {}
     for stream in streams:
         if wanted := (_HAND | _PICTURE).get(stream["name"]):
             names = [column["name"] for column in stream["columns"]]
-            found[stream["name"]] = [names.index(name) for name in wanted]
-    return found
+            places[stream["name"]] = [names.index(name) for name in wanted]
+    return places
 
 
 def _of_columns(stream: Mapping[str, Any], places: list[int]) -> dict[str, Any]:

@@ -171,14 +171,14 @@ def _folders(parent: Path, pseudonym: str) -> Iterator[Path]:
 
 def _left(folder: Path, pseudonym: str) -> list[str]:
     """Return the text files beside plan and journal that still name a participant."""
-    found = []
+    files = []
     for path in sorted(folder.rglob("*")):
         is_text = path.suffix in (".json", ".jsonl", ".csv", ".md", ".txt", ".log", ".yaml")
         if not path.is_file() or not is_text or path.name in ("journal.jsonl", "experiment.yaml"):
             continue
         if re.search(rf"\b{re.escape(pseudonym)}\b", path.read_text(encoding="utf-8", errors="replace")):
-            found.append(str(path.relative_to(folder)))
-    return found
+            files.append(str(path.relative_to(folder)))
+    return files
 
 
 def shown(people: Mapping[str, Person]) -> list[dict[str, Any]]:

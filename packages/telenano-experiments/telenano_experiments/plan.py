@@ -96,8 +96,8 @@ class Plan:
 
     def _checked(self, number: int, entry: TaskEntry, changed: Mapping[str, Any]) -> dict[str, Any]:
         model = self.tasks[entry.name].parameters
-        found = validate(model, {**entry.parameters, **changed}, str(self.path), f"tasks.{number}.parameters")
-        return dict(found.model_dump(mode="json"))
+        parameters = validate(model, {**entry.parameters, **changed}, str(self.path), f"tasks.{number}.parameters")
+        return dict(parameters.model_dump(mode="json"))
 
     @property
     def adaptive(self) -> str:
@@ -152,15 +152,15 @@ class Plan:
 
     def settings(self, condition: Mapping[str, Scalar]) -> dict[str, Any]:
         """Return the dotted keys that hold in a condition."""
-        found = dict(flatten(nested(self.experiment.settings, f"{self.path}: settings")))
+        values = dict(flatten(nested(self.experiment.settings, f"{self.path}: settings")))
         for name, level in condition.items():
-            found |= self.keys(name, level)
-        return found
+            values |= self.keys(name, level)
+        return values
 
     def conditions(self, names: Sequence[str]) -> list[Condition]:
         """Return all combinations of the levels of some factors."""
         levels = [self.experiment.factors[name].names for name in names]
-        return [dict(zip(names, found, strict=True)) for found in itertools.product(*levels)]
+        return [dict(zip(names, levels_chosen, strict=True)) for levels_chosen in itertools.product(*levels)]
 
     @cached_property
     def block_conditions(self) -> list[tuple[str, Condition]]:
@@ -201,10 +201,10 @@ class Plan:
     def trials(self, participant: str) -> list[Trial]:
         """Return the trials of a participant, in their order over all sessions."""
         number = self.experiment.pseudonyms.index(participant)
-        found: list[Trial] = []
+        planned: list[Trial] = []
         for session in range(1, self.experiment.sessions + 1):
-            found += self._session(participant, number, session, len(found))
-        return found
+            planned += self._session(participant, number, session, len(planned))
+        return planned
 
     def _session(self, participant: str, number: int, session: int, first: int) -> Iterator[Trial]:
         order = self._sequence(

@@ -54,16 +54,19 @@ def plan(
         from telenano_experiments.plan import load_plan
         from telenano_experiments.power import MOST_PEOPLE, expected
 
-        found = load_plan(find_experiment(file))
-        factors = _factors(found, tuple(category or ()))
-        people, own = len(found.experiment.pseudonyms), found.experiment.repetitions * found.experiment.sessions
+        plan_loaded = load_plan(find_experiment(file))
+        factors = _factors(plan_loaded, tuple(category or ()))
+        people, own = (
+            len(plan_loaded.experiment.pseudonyms),
+            plan_loaded.experiment.repetitions * plan_loaded.experiment.sessions,
+        )
         # a threshold is one value for each condition, however many trials it is made of
-        counts = (1,) if found.adaptive else tuple(sorted({own, *_TRIALS}))
+        counts = (1,) if plan_loaded.adaptive else tuple(sorted({own, *_TRIALS}))
         differ = 0.5 * effect if spread is None else spread
         rows: list[dict[str, Any]] = [
             {
                 "term": term.term,
-                "power_of_the_plan": round(term.power(people, 1 if found.adaptive else own, effect, differ), 4),
+                "power_of_the_plan": round(term.power(people, 1 if plan_loaded.adaptive else own, effect, differ), 4),
                 "people": {str(trials): term.people(power, trials, effect, differ) for trials in counts},
             }
             for term in expected(factors)
@@ -97,7 +100,7 @@ def plan(
 def _factors(plan: "Plan", categories: tuple[str, ...]) -> "list[Levels]":
     from telenano_experiments.power import Levels
 
-    found = []
+    factors = []
     for name in categories:
         if name not in plan.experiment.factors:
             raise ConfigError(f"--category: factor {name}: {known_names(name, plan.experiment.factors)}")
@@ -107,9 +110,9 @@ def _factors(plan: "Plan", categories: tuple[str, ...]) -> "list[Levels]":
             continue
         numbers = [float(level) for level in levels if isinstance(level, int | float) and not isinstance(level, bool)]
         is_numeric = len(numbers) == len(levels) and name not in categories
-        found.append(
+        factors.append(
             Levels(name, tuple(sorted(numbers)) if is_numeric else tuple(map(float, range(len(levels)))), is_numeric)
         )
-    if not found:
+    if not factors:
         raise ConfigError(f"{plan.path}: factors: none has two levels, so there is no effect to plan for")
-    return found
+    return factors

@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from telenano.files import whole_file, whole_folder
+from telenano.files import atomic_file, whole_folder
 from telenano.wire import ConfigError
 from telenano_experiments.folder_tables import describe
 from telenano_experiments.journal import NAME, Journal, Record, now_utc
@@ -66,7 +66,7 @@ def publish(plan: Plan, folder: Path, out: Path, *, with_recordings: bool = Fals
         target = out.with_suffix("") if out.suffix == ".zip" else out
         files = sorted(path for path in (folder / "recordings").rglob("*.mcap"))
         if out.suffix == ".zip":
-            with whole_file(out) as part:
+            with atomic_file(out) as part:
                 inner = part.with_name(f"{part.name}.d")
                 try:
                     _fill(plan, folder, inner, journal.records, records, files, with_recordings)

@@ -38,17 +38,17 @@ class RecordedTrial:
         hand = _Rows(self._recording.messages(["haptic/state"]), self._timeline)
         self.start_ns, self.end_ns = _last_run(path, hand)
         self.duration_s = 1e-9 * (self.end_ns - self.start_ns)
-        found: dict[str, list[RecordedMessage]] = {topic: [] for topic in _WANTED}
+        messages_of: dict[str, list[RecordedMessage]] = {topic: [] for topic in _WANTED}
         for message in self._recording.messages(_WANTED, self.start_ns - _MARGIN_NS, self.end_ns + _MARGIN_NS):
-            if message.channel.topic in found and "@" not in message.channel_topic:
-                found[message.channel.topic].append(message)
-        status = [message for message in found.pop("law/status") if message.src == _MASTER]
+            if message.channel.topic in messages_of and "@" not in message.channel_topic:
+                messages_of[message.channel.topic].append(message)
+        status = [message for message in messages_of.pop("law/status") if message.src == _MASTER]
         self._rows = {
             "haptic/state": hand,
-            "afm/state": _Rows(found.pop("afm/state"), self._timeline),
+            "afm/state": _Rows(messages_of.pop("afm/state"), self._timeline),
             "law/status": _Rows(status, self._timeline),
         }
-        self._messages = found
+        self._messages = messages_of
 
     def data(self, most_s: float, answers: Iterable[Mapping[str, Any]] = ()) -> TrialData:
         """Return the tables of the trial, from its beginning to its end, or for the longest time that counts [s]."""
@@ -121,13 +121,13 @@ class RecordedTrial:
 
     def _missing(self) -> list[str]:
         """Return what of the states of the devices the recording lacks, by their numbers."""
-        found = []
+        missing = []
         for topic in ("haptic/state", "afm/state"):
             _, numbers = self._inside(topic, "seq")
             lost = int(np.maximum(np.diff(np.sort(numbers)) - 1, 0).sum())
             if lost:
-                found.append(f"{lost} messages of {topic} are missing")
-        return found
+                missing.append(f"{lost} messages of {topic} are missing")
+        return missing
 
     def _passage(self, way: str) -> Passage:
         arrived: list[int] = []
@@ -145,23 +145,23 @@ class RecordedTrial:
         return Passage(_seconds(arrived, self.start_ns), _seconds(released, self.start_ns))
 
     def _estops(self) -> list[tuple[str, float]]:
-        found = []
+        stops = []
         for topic, field, stopped in (("haptic/state", "estop", True), ("afm/state", "mode", "estop")):
             times_s, values = self._inside(topic, field)
             if len(when := times_s[values == stopped]):
-                found.append((self._rows[topic].src, float(when[0])))
-        return found
+                stops.append((self._rows[topic].src, float(when[0])))
+        return stops
 
     def _restarted(self) -> list[str]:
         newest: dict[str, Any] = {}
-        found = set()
+        nodes = set()
         for message in self._of("node/health"):
             health: Any = message.decode()
             before = newest.get(message.src)
             if before is not None and (health.pid != before.pid or health.t_ns - before.t_ns > 3 * 10**9):
-                found.add(message.src)
+                nodes.add(message.src)
             newest[message.src] = health
-        return sorted(found)
+        return sorted(nodes)
 
     def _table(self, topic: str, most_s: float) -> ColumnTable:
         rows = self._rows[topic]
@@ -182,10 +182,10 @@ class _Rows:
     """Messages of one source as columns."""
 
     def __init__(self, messages: Iterable[RecordedMessage], timeline: Timeline) -> None:
-        found = list(messages)
-        self.src = found[0].src if found else ""
-        self.columns = columns_of(found)
-        stamps = np.array([message.publish_ns for message in found], dtype=np.int64)
+        message_list = list(messages)
+        self.src = message_list[0].src if message_list else ""
+        self.columns = columns_of(message_list)
+        stamps = np.array([message.publish_ns for message in message_list], dtype=np.int64)
         self.times_ns = timeline.times_ns(self.src, stamps)
 
     def times_s(self, start_ns: int) -> npt.NDArray[np.float64]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.wire import ConfigError
 
 Row = dict[str, Any]
@@ -95,10 +95,10 @@ def tidy(records: Iterable[Mapping[str, Any]], describe: Describe = lambda task:
     excluded = _excluded(kept)
     trials = [_trial(record, excluded) for record in kept if record["record"] == "trial"]
     asked = [row for record in kept if record["record"] == "asked" for row in _asked(record)]
-    known = dict(FIXED)
+    columns = dict(FIXED)
     for task in dict.fromkeys(row["task"] for row in trials):
-        known |= {_measure(name): about for name, about in describe(task).items()}
-    dictionary = (*_dictionary(TRIALS, trials, known), *_dictionary(QUESTIONNAIRES, asked, _ASKED))
+        columns |= {_measure(name): about for name, about in describe(task).items()}
+    dictionary = (*_dictionary(TRIALS, trials, columns), *_dictionary(QUESTIONNAIRES, asked, _ASKED))
     return Tables(_even(trials), _even(asked), dictionary)
 
 
@@ -114,7 +114,7 @@ def write_tables(tables: Tables, folder: Path) -> list[Path]:
             described = {row.name: row for row in tables.dictionary if row.table == name}
             for write, suffix in ((_write_parquet, "parquet"), (_write_csv, "csv")):
                 written.append(folder / f"{name}.{suffix}")
-                with whole_file(written[-1]) as part:
+                with atomic_file(written[-1]) as part:
                     write(part, rows, described)
     document = [row._asdict() for row in tables.dictionary]
     for name, text in (
@@ -122,7 +122,7 @@ def write_tables(tables: Tables, folder: Path) -> list[Path]:
         ("dictionary.md", dictionary_page(tables)),
     ):
         written.append(folder / name)
-        with whole_file(written[-1]) as part:
+        with atomic_file(written[-1]) as part:
             part.write_text(text, encoding="utf-8")
     return written
 
@@ -163,13 +163,13 @@ def dictionary_page(tables: Tables) -> str:
 
 
 def _excluded(records: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for record in records:
         if record["record"] == "excluded":
-            found[record["participant"]] = record.get("reason") or "no reason given"
+            reasons[record["participant"]] = record.get("reason") or "no reason given"
         elif record["record"] == "included":
-            found.pop(record["participant"], None)
-    return found
+            reasons.pop(record["participant"], None)
+    return reasons
 
 
 def _trial(record: Mapping[str, Any], excluded: Mapping[str, str]) -> Row:

@@ -276,7 +276,7 @@ def test_a_participant_has_one_answer_under_way_to_the_cue_that_stands(
 ) -> None:
     # What is refused is said to nobody but the test, because a participant's answers are in words of their own.
     said: list[bool] = []
-    monkeypatch.setattr(ParticipantPicture, "said", lambda self, *, is_ok: said.append(is_ok) or "said")
+    monkeypatch.setattr(ParticipantPicture, "acknowledgement", lambda self, *, is_ok: said.append(is_ok) or "said")
     page, rig.takes = Page(stack, client), False
     assert not page.answer(**given())["ok"]
     rig.cue()

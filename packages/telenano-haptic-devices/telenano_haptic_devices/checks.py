@@ -37,5 +37,5 @@ def _inverse_service(service: str, install: str) -> Finding:
         with socket.create_connection((host, int(port)), timeout=_PATIENCE_S):
             return Finding("haply", "ok", f"something answers at {service}: ask it by `telenano device probe`")
     except OSError:
-        found = f"no Inverse Service answers at {service}, which haptic_node.driver haply needs"
-        return Finding("haply", "ok", found, install)
+        problem = f"no Inverse Service answers at {service}, which haptic_node.driver haply needs"
+        return Finding("haply", "ok", problem, install)

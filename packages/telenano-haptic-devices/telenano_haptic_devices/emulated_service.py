@@ -74,9 +74,9 @@ async def serve_service(
     def http(connection: ServerConnection, request: Request) -> Response | None:
         if "Upgrade" in request.headers:
             return None
-        known = request.path == "/version"
-        body = {"ok": True, "data": service.version} if known else {"ok": False, "error": "no such route"}
-        return connection.respond(200 if known else 404, json.dumps(body))
+        is_version = request.path == "/version"
+        body = {"ok": True, "data": service.version} if is_version else {"ok": False, "error": "no such route"}
+        return connection.respond(200 if is_version else 404, json.dumps(body))
 
     async def listen() -> None:
         while lines is not None:

@@ -259,11 +259,11 @@ class HaplyWire:
             self._sleep(0.1)
             self._conversation.send(b'{"session":{"force_render_full_state":{}}}')
             answer = self._conversation.receive()
-        found = [arm for arm in answer.inverse3 if self._settings.device_id in (None, arm.device_id)]
-        if len(found) > 1:
-            there = ", ".join(arm.device_id for arm in found)
+        arms = [arm for arm in answer.inverse3 if self._settings.device_id in (None, arm.device_id)]
+        if len(arms) > 1:
+            there = ", ".join(arm.device_id for arm in arms)
             raise DeviceError(f"{self._service}: several devices, {there}: give one as haptic_node.haply.device_id")
-        return found[0], [*answer.wireless_verse_grip, *answer.verse_grip]
+        return arms[0], [*answer.wireless_verse_grip, *answer.verse_grip]
 
     def _send(self, force: Vector) -> None:
         assert self._conversation is not None

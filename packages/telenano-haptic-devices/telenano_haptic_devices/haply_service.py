@@ -68,13 +68,13 @@ class HaplyService:
         """Take one message of a client at a time [s], and return the states that answer it."""
         self.advance(now_s)
         self.messages += 1
-        told = json.loads(message)
-        session = told.get("session", {})
+        request = json.loads(message)
+        session = request.get("session", {})
         name = session.get("configure", {}).get("profile", {}).get("name")
         if name is not None:
             self.arm.start_session(name == SESSION_RUNS)
         force: Vector = ZERO
-        for device in told.get("inverse3", ()):
+        for device in request.get("inverse3", ()):
             if device.get("device_id") == self.device_id and self.plugged:
                 self._configure(device.get("configure", {}))
                 force = self._commanded(device.get("commands", {}))
@@ -96,16 +96,16 @@ class HaplyService:
         if now_s - self._heard[0] >= _GRIP_S:
             self._heard = (now_s, dict(self.buttons))
 
-    def _configure(self, told: dict[str, Any]) -> None:
-        self.gate = float(told.get("force_gate", {}).get("gain", self.gate))
-        self.damping = float(told.get("damping", {}).get("scalar", self.damping))
+    def _configure(self, settings: dict[str, Any]) -> None:
+        self.gate = float(settings.get("force_gate", {}).get("gain", self.gate))
+        self.damping = float(settings.get("damping", {}).get("scalar", self.damping))
 
     def _commanded(self, commands: dict[str, Any]) -> Vector:
-        told = commands.get("set_cursor_force", {})
+        force_command = commands.get("set_cursor_force", {})
         for spelling in self.accepts:
-            if spelling in told:
+            if spelling in force_command:
                 self.spellings[spelling] += 1
-                vector = told[spelling]
+                vector = force_command[spelling]
                 return (float(vector["x"]), float(vector["y"]), float(vector["z"]))
         return ZERO
 
@@ -128,19 +128,19 @@ class HaplyService:
         return 1.0 - min(self.gate, 1.0) * (len(self._turns) > _GATE_HZ * _GATE_S)
 
     def _states(self, full: bool) -> dict[str, Any]:
-        found: dict[str, Any] = {"inverse3": [], "wireless_verse_grip": [], "verse_grip": [], "custom_verse_grip": []}
+        states: dict[str, Any] = {"inverse3": [], "wireless_verse_grip": [], "verse_grip": [], "custom_verse_grip": []}
         if self.plugged:
-            found["inverse3"].append(self._inverse3(full))
+            states["inverse3"].append(self._inverse3(full))
         if self.has_grip:
             state = {
                 "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
                 "buttons": dict(self._heard[1]),
                 "battery_level": 0.8,
             }
-            found["wireless_verse_grip"].append(
+            states["wireless_verse_grip"].append(
                 {"device_id": "6060", "state": state, "status": {"awake": self.grip_awake, "connected": True}}
             )
-        return found
+        return states
 
     def _inverse3(self, full: bool) -> dict[str, Any]:
         place = self.arm.measured_m if self.frozen is None else self.frozen

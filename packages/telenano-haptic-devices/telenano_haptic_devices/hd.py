@@ -231,13 +231,13 @@ class HdWire(LibraryWire):
 
     def _errors(self) -> list[int]:
         """Return the errors on the library's stack, the newest first, and leave it empty."""
-        found: list[int] = []
-        while self._lib is not None and (code := self._lib.hdGetError().code) and len(found) < 100:
-            found.append(code)
-        return found
+        codes: list[int] = []
+        while self._lib is not None and (code := self._lib.hdGetError().code) and len(codes) < 100:
+            codes.append(code)
+        return codes
 
     def _check(self, call: str) -> None:
-        found = self._errors()
-        if found:
-            text = (self._lib.hdGetErrorString(found[-1]) or b"unknown error").decode(errors="replace")
-            raise DeviceError(f"{self._name}: {call} failed: {text} ({found[-1]:#06x})")
+        codes = self._errors()
+        if codes:
+            text = (self._lib.hdGetErrorString(codes[-1]) or b"unknown error").decode(errors="replace")
+            raise DeviceError(f"{self._name}: {call} failed: {text} ({codes[-1]:#06x})")

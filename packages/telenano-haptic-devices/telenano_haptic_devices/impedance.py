@@ -45,9 +45,9 @@ def impedance_driver(
 
         return ImpedanceDevice(ProcessLink(name, settings.model_dump(mode="json")), coupling, period_s)
 
-    told = ("coupling", "period_s")
+    keywords = ("coupling", "period_s")
     return DeviceDriver(
-        "haptic_node", name, config, build, told=told, own=Impedance(wire), what=what, experimental=experimental
+        "haptic_node", name, config, build, keywords=keywords, own=Impedance(wire), what=what, experimental=experimental
     )
 
 

@@ -79,9 +79,9 @@ class ImpedanceDevice:
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
         """Return the newest sample of the servo, and note in the report how old it is."""
         self._require_open()
-        found = self._link.newest(session_time_s, dt_s)
-        if found is not None:
-            self._sample = found
+        sample = self._link.newest(session_time_s, dt_s)
+        if sample is not None:
+            self._sample = sample
         age_s = max(0.0, (self._now_ns() - self._sample.taken_ns) * 1e-9)
         status: Literal["ok", "stale", "lost"] = "ok" if age_s <= _STALE_S else "stale"
         text = self._ready_text

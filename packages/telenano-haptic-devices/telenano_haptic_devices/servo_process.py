@@ -101,7 +101,7 @@ class ServoLoop:
         found: What it reported of itself; another one that comes back in its place is refused.
         now_ns: The monotonic clock [ns]; a test replaces it.
         sleep: Waits while the device is lost.
-        goes_on: Whether the node is still there.
+        is_needed: Whether the node is still there.
     """
 
     def __init__(
@@ -112,10 +112,10 @@ class ServoLoop:
         *,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
-        goes_on: Callable[[], bool] = lambda: True,
+        is_needed: Callable[[], bool] = lambda: True,
     ) -> None:
         self._shared, self._wire, self._found = shared, wire, found
-        self._now_ns, self._sleep, self._goes_on = now_ns, sleep, goes_on
+        self._now_ns, self._sleep, self._is_needed = now_ns, sleep, is_needed
         self._period_s = 1.0 / found.rate_hz
         self.servo = Servo(self._period_s)
         self._sample = DeviceSample(_NOWHERE, 0)
@@ -144,7 +144,7 @@ class ServoLoop:
         return self._step(sample)
 
     def _ends(self) -> bool:
-        return self._shared.stops or not self._goes_on()
+        return self._shared.stops or not self._is_needed()
 
     def _step(self, sample: DeviceSample) -> Vector:
         now_ns = self._now_ns()
@@ -154,8 +154,8 @@ class ServoLoop:
         passed_s = passed_ns * 1e-9 if self._turn_ns else self._period_s
         self._turn_ns, self._sample = now_ns, sample
         command = self._shared.command()
-        force, told = self.servo.step(command, sample, now_ns, min(max(passed_s, 1e-6), _LONGEST_STEP_S))
-        self._shared.write_sample(told)
+        force, report = self.servo.step(command, sample, now_ns, min(max(passed_s, 1e-6), _LONGEST_STEP_S))
+        self._shared.write_sample(report)
         return force
 
     def _reopened(self, error: str) -> bool:
@@ -169,13 +169,15 @@ class ServoLoop:
                 continue
             waited_s = 0.0
             try:
-                found = self._wire.open()
-                if found.identity == self._found.identity:
+                capabilities = self._wire.open()
+                if capabilities.identity == self._found.identity:
                     # What the coupling knew is of the device before its loss: it begins with the hand at rest.
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
-                error = f"the device is now {found.identity}, and it was {self._found.identity}: restart the node"
+                error = (
+                    f"the device is now {capabilities.identity}, and it was {self._found.identity}: restart the node"
+                )
             except Exception as still:  # noqa: BLE001
                 error = cause(still)
             self._let_go()
@@ -232,11 +234,11 @@ class ProcessLink:
                 what = f"answered nothing for {OPEN_S:g} s" if not ready else "ended; its reason is in the log above"
                 raise DeviceError(f"the servo of haptic_node.driver {self._kind} {what}")
             answer += part
-        found = json.loads(answer)
-        if "error" in found:
+        document = json.loads(answer)
+        if "error" in document:
             self.close()
-            raise DeviceError(found["error"])
-        self._found = Capabilities(**{name: _as_tuples(value) for name, value in found["found"].items()})
+            raise DeviceError(document["error"])
+        self._found = Capabilities(**{name: _as_tuples(value) for name, value in document["found"].items()})
 
     def send(self, command: ServoCommand) -> None:
         if self._shared is not None:
@@ -328,14 +330,14 @@ def main() -> int:
         shared = SharedServo(mmap.mmap(file.fileno(), SharedServo.SIZE))
     try:
         wire = wire_of(order["kind"], order["settings"])
-        found = wire.open()
+        capabilities = wire.open()
     except Exception as error:  # noqa: BLE001
         _answer({"error": cause(error)})
         return 2
     try:
-        _answer({"found": found._asdict()})
+        _answer({"found": capabilities._asdict()})
         schedule_as_node("servo")
-        ServoLoop(shared, wire, found, goes_on=lambda: not ended and os.getppid() == parent).run()
+        ServoLoop(shared, wire, capabilities, is_needed=lambda: not ended and os.getppid() == parent).run()
         return 0
     finally:
         wire.close()
@@ -344,8 +346,8 @@ def main() -> int:
             Path(order["shared"]).unlink(missing_ok=True)
 
 
-def _answer(said: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(said) + "\n")
+def _answer(answer: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 
 

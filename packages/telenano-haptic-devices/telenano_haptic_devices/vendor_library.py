@@ -40,9 +40,9 @@ def find(library: VendorLibrary) -> str:
                 return str(folder / name)
     for name in library.names:
         stem = name.removeprefix("lib").split(".")[0]
-        found = ctypes.util.find_library(stem)
-        if found:
-            return found
+        library_path = ctypes.util.find_library(stem)
+        if library_path:
+            return library_path
     return ""
 
 
@@ -54,13 +54,13 @@ def load(library: VendorLibrary, path: str | None) -> ctypes.CDLL:
     """
     if path and (text := refused_code(library.setting, path)):
         raise DeviceError(text)
-    found = path or find(library)
-    if not found:
+    name = path or find(library)
+    if not name:
         raise DeviceError(f"{library.what} is not installed: {library.install}, or name it as {library.setting}")
     try:
-        return ctypes.CDLL(found)
+        return ctypes.CDLL(name)
     except OSError as error:
-        raise DeviceError(f"{library.what}: {found} cannot be loaded ({error}): {library.install}") from error
+        raise DeviceError(f"{library.what}: {name} cannot be loaded ({error}): {library.install}") from error
 
 
 def _declare(loaded: ctypes.CDLL, library: VendorLibrary) -> None:

@@ -42,10 +42,10 @@ class Frame:
 
     def to_device(self, of_master: Vector) -> Vector:
         """Return a vector of the master frame in that of the device."""
-        found = [0.0, 0.0, 0.0]
+        turned = [0.0, 0.0, 0.0]
         for (axis, sign), value in zip(self._axes, of_master, strict=True):
-            found[axis] = sign * value
-        return (found[0], found[1], found[2])
+            turned[axis] = sign * value
+        return (turned[0], turned[1], turned[2])
 
     def orientation(self, rows: Sequence[Sequence[float]]) -> Quaternion:
         """Return the orientation of a rotation matrix D in the frame of the device, by its rows: R = P D P^T."""

@@ -222,11 +222,11 @@ class ServoBench:
             self.found,
             now_ns=self.time.now_ns,
             sleep=self.time.sleep,
-            goes_on=self._goes_on,
+            is_needed=self._is_needed,
         )
         loop.run()
 
-    def _goes_on(self) -> bool:
+    def _is_needed(self) -> bool:
         """Play the node, a millisecond after the other, whenever the servo asks whether it is there."""
         sample = self.shared.sample()
         if sample is not None:

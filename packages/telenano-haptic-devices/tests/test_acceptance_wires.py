@@ -172,7 +172,7 @@ class TakeBench:
             self.capabilities,
             now_ns=self.time.now_ns,
             sleep=self.time.sleep,
-            goes_on=self._goes_on,
+            is_needed=self._is_needed,
         )
         loop.run()
         node.join()
@@ -192,7 +192,7 @@ class TakeBench:
         self._to_servo.release()
         self._to_node.acquire()
 
-    def _goes_on(self) -> bool:
+    def _is_needed(self) -> bool:
         while not self._ended and self.time.ns >= self._due_ns:
             self._to_node.release()
             self._to_servo.acquire()

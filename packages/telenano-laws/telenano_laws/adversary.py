@@ -146,16 +146,16 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first draw (default: %(default)s)")
     parser.add_argument("--draws", type=int, default=300, help="how many draws (default: %(default)s)")
     parser.add_argument("--hours", type=int, default=0, help="how many of them last an hour (default: %(default)s)")
-    given = parser.parse_args()
-    found = []
-    for number in range(given.first, given.first + given.draws):
-        lasts_s = _HOUR_S if number - given.first < given.hours else _SHORT_S
-        found.append(judged(number, given.law, lasts_s))
-        sys.stdout.write(json.dumps(found[-1]._asdict()) + "\n")
+    options = parser.parse_args()
+    draws = []
+    for number in range(options.first, options.first + options.draws):
+        lasts_s = _HOUR_S if number - options.first < options.hours else _SHORT_S
+        draws.append(judged(number, options.law, lasts_s))
+        sys.stdout.write(json.dumps(draws[-1]._asdict()) + "\n")
         sys.stdout.flush()
-    worst = sorted(found, key=lambda one: one.least_j)[:5]
-    told = ", ".join(f"draw {one.number}: {1e3 * one.least_j:.4g} mJ" for one in worst)
-    sys.stderr.write(f"{len(found)} draws of {given.law}; least energy at the ports: {told}\n")
+    worst = sorted(draws, key=lambda one: one.least_j)[:5]
+    energies = ", ".join(f"draw {one.number}: {1e3 * one.least_j:.4g} mJ" for one in worst)
+    sys.stderr.write(f"{len(draws)} draws of {options.law}; least energy at the ports: {energies}\n")
 
 
 if __name__ == "__main__":

@@ -55,18 +55,18 @@ from telenano.numerics import compiled
 from telenano_laws.ports import (
     Store,
     account_of,
+    continues,
     credited,
     followed,
-    goes_on,
     has_to_be_armed,
     is_heard,
     is_retracted,
     kept_below,
     of_scales,
     opened,
-    opened_anew,
     paid_way,
-    received_anew,
+    recount_received,
+    reopen,
     sent_on,
     slid_work,
     tank,
@@ -431,10 +431,10 @@ def _let_go(
         undone_j = hand.force_n * (hand.position_m - state.mass.position_m)
         store = tank(store, min(undone_j, 0.0), params.cap_j)
         ahead += undone_j - _at_device(state, hand)
-    anew = is_retracted(p, signal)
+    is_new = is_retracted(p, signal)
     seen, lag = state.seen, state.lag_s
-    if anew:
-        seen, lag, store, ahead = nothing_seen(), 0.0, opened_anew(store, 0.0, False, params.start_j), 0.0
+    if is_new:
+        seen, lag, store, ahead = nothing_seen(), 0.0, reopen(store, 0.0, False, params.start_j), 0.0
     mass = let_go(p, state.mass, hand, signal)
     return MasterState(
         mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s, hand.position_m, ahead, 0.0
@@ -482,7 +482,7 @@ def master_receive(
     p, scale = params.mass, params.mass.position_scale
     coupled = is_coupled(p, signal)
     off_s = 0.0 if hand.following else state.stood_s + dt
-    if not goes_on(p, state.mass, hand, signal, off_s):
+    if not continues(p, state.mass, hand, signal, off_s):
         state = _let_go(params, state, hand, signal, off_s)
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     mass, seen, contact, rendered, store = state.mass, state.seen, state.contact, state.rendered, state.store
@@ -586,9 +586,9 @@ def slave_receive(
     if not (is_coupled(p, signal) and tip.following):
         base = state.position_m if tip.following else signal.position_m
         heard = is_heard(signal, p.silence_limit_s)
-        store = received_anew(store, signal.energy_j, heard)
+        store = recount_received(store, signal.energy_j, heard)
         if has_to_be_armed(tip):
-            store = opened_anew(store, signal.energy_j, heard, params.start_j)
+            store = reopen(store, signal.energy_j, heard, params.start_j)
         return _standing(params, base, tip, store), SlaveReference(base, True)
     store = credited(store, signal.energy_j, params.cap_j)
     pressed, start = p.force_scale * signal.force_n, followed(p, state.position_m, tip)

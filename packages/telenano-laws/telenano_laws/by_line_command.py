@@ -63,31 +63,31 @@ def by_line(
 def policy_of(scenario: Path, laws: str, stiffness_n_per_m: float | None) -> Policy:
     """Return the policy for the rig of a scenario; ConfigError names a law or a stiffness that is missing."""
     controller = section_of(scenario, "controller", ControllerConfig)
-    known = {one.law: one for one in CANDIDATES}
+    candidates = {one.law: one for one in CANDIDATES}
     names = laws.split(",")
-    if strange := [name for name in names if name not in known]:
-        raise ConfigError(f"--law: {', '.join(strange)}: law by-line chooses among {', '.join(known)}")
+    if strange := [name for name in names if name not in candidates]:
+        raise ConfigError(f"--law: {', '.join(strange)}: law by-line chooses among {', '.join(candidates)}")
     if stiffness_n_per_m is None:
         stiffness_n_per_m = section_of(scenario, "afm_node", AfmConfig).stiffest_n_per_m
     if stiffness_n_per_m is None:
         raise ConfigError(f"{scenario}: does not say how stiff the sample is: give --stiffness")
-    return Policy(controller, stiffness_n_per_m, [known[name] for name in names])
+    return Policy(controller, stiffness_n_per_m, [candidates[name] for name in names])
 
 
 def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
     """Change the law, say so, and mark it in the recording; return whether the law was changed."""
-    told = f"law {decision.law}: {decision.reason}"
+    text_of_decision = f"law {decision.law}: {decision.reason}"
     try:
         text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
     except TelenanoError as error:
         # Somebody else has control, or no answer came: that is no fault of the law, which is asked for again.
-        typer.echo(f"not asked: {told}: {error}")
+        typer.echo(f"not asked: {text_of_decision}: {error}")
         return False
     if text:
         policy.refused(decision.law, text)
-        typer.echo(f"refused: {told}: {text}")
+        typer.echo(f"refused: {text_of_decision}: {text}")
         return False
-    typer.echo(told)
+    typer.echo(text_of_decision)
     try:
         unmarked = send(Command("mark", RECORDER, parameters=dict(facts_of(decision))))
     except TelenanoError as error:

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.launcher import run_session
 from telenano.signals import start
 from telenano.wire import RigError
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 rows.append(row(law, line, device, summary))
                 sys.stdout.write(f"{rows[-1]}\n")
                 sys.stdout.flush()
-                with whole_file(chosen.folder / "sessions.md") as part:
+                with atomic_file(chosen.folder / "sessions.md") as part:
                     part.write_text("\n".join([*rows, ""]), encoding="utf-8")
 
 

@@ -57,8 +57,8 @@ from telenano.numerics import compiled
 from telenano_laws.ports import (
     HandPort,
     begun_again,
+    continues,
     followed,
-    goes_on,
     is_retracted,
     kept_near,
     of_scales,
@@ -240,7 +240,7 @@ def master_receive(
     position = signal.position_m / p.position_scale
     off_s = 0.0 if hand.following else state.stood_s + dt
     port = worked_at(state, hand)
-    if not goes_on(p, state.mass, hand, signal, off_s):
+    if not continues(p, state.mass, hand, signal, off_s):
         mass = let_go(p, state.mass, hand, signal)
         state = MasterState(
             mass,

@@ -39,14 +39,14 @@ def opened(start_j: float) -> Store:
 
 
 @compiled
-def opened_anew(store: Store, energy_j: float, heard: bool, start_j: float) -> Store:
+def reopen(store: Store, energy_j: float, heard: bool, start_j: float) -> Store:
     """Begin once more with E_0 [J]: what is missing is granted, and what was received up to a signal does not count."""
     granted = store.granted_j + max(start_j - store.left_j, 0.0)
     return Store(store.sent_j, energy_j if heard else store.received_j, start_j, granted)
 
 
 @compiled
-def received_anew(store: Store, energy_j: float, heard: bool) -> Store:
+def recount_received(store: Store, energy_j: float, heard: bool) -> Store:
     """Start counting what is received at a signal; what is left stays."""
     return Store(store.sent_j, energy_j if heard else store.received_j, store.left_j, store.granted_j)
 
@@ -183,7 +183,7 @@ def has_to_be_armed(tip: TipMeasurement) -> bool:
 
 
 @compiled
-def goes_on(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal, stood_s: float) -> bool:
+def continues(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal, stood_s: float) -> bool:
     """Return whether a master half moves or, its device being off for a moment, stands; else it lets the hand go."""
     return is_coupled(params, signal) and (hand.following or (mass.coupled and stood_s <= params.silence_limit_s))
 
@@ -195,11 +195,11 @@ def worked_at(state: Any, hand: HandSample) -> HandPort:
 
 
 @compiled
-def armed_anew(store: Store, port: HandPort, energy_j: float, heard: bool, start_j: float) -> tuple[Store, HandPort]:
+def rearm(store: Store, port: HandPort, energy_j: float, heard: bool, start_j: float) -> tuple[Store, HandPort]:
     """Begin once more at the hand's port, with what no hand has paid of what was sent granted."""
     port = begun_again(port, store.sent_j, True)
     paid = Store(port.sent_j, store.received_j, store.left_j, store.granted_j)
-    return opened_anew(paid, energy_j, heard, start_j), port
+    return reopen(paid, energy_j, heard, start_j), port
 
 
 @compiled

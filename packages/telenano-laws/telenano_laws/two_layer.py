@@ -34,20 +34,20 @@ from telenano.extend.laws import (
 from telenano.extend.virtual_mass import MassParams, is_coupled, let_go, moved, periods_in
 from telenano.numerics import compiled
 from telenano_laws.ports import (
-    armed_anew,
     clipped_force,
+    continues,
     credited,
     followed,
-    goes_on,
     has_to_be_armed,
     is_heard,
     is_retracted,
     kept_near,
-    opened_anew,
     paid_base,
     paid_or_granted,
     put_in,
-    received_anew,
+    rearm,
+    recount_received,
+    reopen,
     sent_on,
     slid_work,
     stood,
@@ -129,11 +129,11 @@ def master_receive(
     coupled = is_coupled(p, signal)
     off_s = 0.0 if hand.following else state.stood_s + dt
     port = worked_at(state, hand)
-    if not goes_on(p, mass, hand, signal, off_s):
+    if not continues(p, mass, hand, signal, off_s):
         heard = is_heard(signal, p.silence_limit_s)
-        store = received_anew(state.store, signal.energy_j, heard)
+        store = recount_received(state.store, signal.energy_j, heard)
         if is_retracted(p, signal):
-            store, port = armed_anew(store, port, signal.energy_j, heard, params.start_j)
+            store, port = rearm(store, port, signal.energy_j, heard, params.start_j)
         state = MasterState(let_go(p, mass, hand, signal), store, off_s, port)
         return state, MasterReference(hand.position_m, 0.0, received if coupled else 0.0, coupled)
     store = credited(state.store, signal.energy_j, params.cap_j)
@@ -172,9 +172,9 @@ def slave_receive(
         store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
     if not (is_coupled(p, signal) and tip.following):
         heard = is_heard(signal, p.silence_limit_s)
-        store = received_anew(store, signal.energy_j, heard)
+        store = recount_received(store, signal.energy_j, heard)
         if has_to_be_armed(tip):
-            store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
+            store = reopen(state.store, signal.energy_j, heard, params.start_j)
         base = state.position_m if tip.following else signal.position_m
         return standing(params, base, tip, store), SlaveReference(base, True)
     store = credited(store, signal.energy_j, params.cap_j)

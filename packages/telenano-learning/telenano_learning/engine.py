@@ -58,7 +58,8 @@ TIP_X, TIP_Y, TIP_Z, TIME, CONTACT, FELT_X, FELT_Y, BENT = range(8)
 BELIEVED_X, BELIEVED_Y, ERROR, LOSSES, PEAK, STANDS, TRUE_ERROR = range(8, 15)
 _STATE = 15
 # what an agent observes: this many values of the observation, the goal that is achieved, and the one that is desired
-OBSERVED, TOLD = 10, 14
+OBSERVED = 10
+AGENT_VALUES = 14
 _NOISES = 3
 
 
@@ -83,19 +84,19 @@ def drawn(random: np.random.Generator, steps: int) -> Drawn:
     drift_m_per_s, drifts = random.uniform(0.0, 0.1e-9), random.uniform(-math.pi, math.pi)
     error_m, beside = random.uniform(2e-9, 20e-9), random.standard_normal(2)
     bearing = random.uniform(-math.pi, math.pi)
-    known = tip_shape(TIP_RADIUS_M, cone + math.radians(2.0) * random.standard_normal())
-    given, state = np.zeros(_GIVEN), np.zeros(_STATE)
-    given[[GOAL_X, GOAL_Y]] = way_m * math.cos(heading), way_m * math.sin(heading)
-    given[[DRIFT_X, DRIFT_Y]] = drift_m_per_s * math.cos(drifts), drift_m_per_s * math.sin(drifts)
-    given[KNOWN_M] = kind.radius_m * (1.0 + 0.01 * random.standard_normal())
-    given[[KNOWN_SIN, KNOWN_COS, KNOWN_TAN]] = known.sin_cone, known.cos_cone, known.tan_cone
-    given[[FORCE_NOISE, HEIGHT_NOISE]] = random.uniform(0.1e-9, 0.5e-9), 0.2e-9
+    tip = tip_shape(TIP_RADIUS_M, cone + math.radians(2.0) * random.standard_normal())
+    constants, state = np.zeros(_GIVEN), np.zeros(_STATE)
+    constants[[GOAL_X, GOAL_Y]] = way_m * math.cos(heading), way_m * math.sin(heading)
+    constants[[DRIFT_X, DRIFT_Y]] = drift_m_per_s * math.cos(drifts), drift_m_per_s * math.sin(drifts)
+    constants[KNOWN_M] = kind.radius_m * (1.0 + 0.01 * random.standard_normal())
+    constants[[KNOWN_SIN, KNOWN_COS, KNOWN_TAN]] = tip.sin_cone, tip.cos_cone, tip.tan_cone
+    constants[[FORCE_NOISE, HEIGHT_NOISE]] = random.uniform(0.1e-9, 0.5e-9), 0.2e-9
     state[[BELIEVED_X, BELIEVED_Y]] = error_m * beside
     state[[ERROR, TIP_Z, STANDS]] = error_m, HIGH_M, 1.0
     state[[TIP_X, TIP_Y]] = 3.0 * D_M * math.cos(bearing), 3.0 * D_M * math.sin(bearing)
     model = packed(tip_shape(TIP_RADIUS_M, cone), Spring(_K_N_PER_M, _K_LATERAL_N_PER_M, 0.0, False, _REST_S))
     fixed = np.array([[kind.radius_m, *hold]])
-    return Drawn(given, state, fixed, np.array([[0.0, 0.0, 1.0]]), model, random.standard_normal((steps, _NOISES)))
+    return Drawn(constants, state, fixed, np.array([[0.0, 0.0, 1.0]]), model, random.standard_normal((steps, _NOISES)))
 
 
 @always_compiled
@@ -161,8 +162,8 @@ def _believe(g: Array, s: Array, high: bool) -> None:
         s[CONTACT] = 0.0
         return
     s[CONTACT] = 1.0
-    known = TipShape(TIP_RADIUS_M, g[KNOWN_SIN], g[KNOWN_COS], g[KNOWN_TAN])
-    reach = touch_distance_m(known, g[KNOWN_M], s[TIP_Z] + max(s[BENT], 0.0))
+    tip = TipShape(TIP_RADIUS_M, g[KNOWN_SIN], g[KNOWN_COS], g[KNOWN_TAN])
+    reach = touch_distance_m(tip, g[KNOWN_M], s[TIP_Z] + max(s[BENT], 0.0))
     s[BELIEVED_X] = s[TIP_X] - reach * s[FELT_X] / size
     s[BELIEVED_Y] = s[TIP_Y] - reach * s[FELT_Y] / size
     aside, known_m = reach * g[FORCE_NOISE] / size, 0.05 * reach
@@ -170,14 +171,14 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 
 @always_compiled
-def tell(given: Array, state: Array, moving: Array, told: npt.NDArray[np.float32], truth: bool) -> None:
-    """Write what an agent observes into told, shape (n, 14), in units of d and of the usual friction.
+def tell(given: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
+    """Write what an agent observes into `observations`, shape (n, 14), in units of d and of the usual friction.
 
     With `truth` it observes the true place of the particle in the place of the believed one. The true distance from the
     goal goes into `state`, for who judges.
     """
     for i in range(given.shape[0]):
-        g, s, row = given[i], state[i], told[i]
+        g, s, row = given[i], state[i], observations[i]
         true_x, true_y = moving[i, 0, X], moving[i, 0, Y]
         x, y = true_x - g[GOAL_X], true_y - g[GOAL_Y]
         s[TRUE_ERROR] = math.sqrt(x * x + y * y)
@@ -201,7 +202,7 @@ class Episodes:
     """
 
     def __init__(self, count: int, longest_s: float, *, truth: bool = False) -> None:
-        self._truth, self._told = truth, np.zeros((count, TOLD), np.float32)
+        self._truth, self._observations = truth, np.zeros((count, AGENT_VALUES), np.float32)
         self.steps = max(round(longest_s / CONTROL_S), 1)
         self.given, self.state = np.zeros((count, _GIVEN)), np.zeros((count, _STATE))
         self.fixed, self.moving = np.zeros((count, 1, 4)), np.zeros((count, 1, 3))
@@ -220,7 +221,7 @@ class Episodes:
         advance(self.given, self.state, self.fixed, self.moving, self.model, self.noise, self.taken, action)
         self.taken += 1
 
-    def told(self) -> npt.NDArray[np.float32]:
+    def observations(self) -> npt.NDArray[np.float32]:
         """Return what an agent observes, a row for each episode, shape (n, 14)."""
-        tell(self.given, self.state, self.moving, self._told, self._truth)
-        return self._told.copy()
+        tell(self.given, self.state, self.moving, self._observations, self._truth)
+        return self._observations.copy()

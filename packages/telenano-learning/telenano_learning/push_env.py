@@ -40,9 +40,9 @@ class _Pushing:
     """What one environment and many have in common."""
 
     def __init__(self, count: int, obs: str, reward: str, longest_s: float) -> None:
-        for name, value, known in (("obs", obs, ("felt", "state")), ("reward", reward, ("progress", "sparse"))):
-            if value not in known:
-                raise ValueError(f"{name}={value!r} must be one of {', '.join(known)}")
+        for name, value, choices in (("obs", obs, ("felt", "state")), ("reward", reward, ("progress", "sparse"))):
+            if value not in choices:
+                raise ValueError(f"{name}={value!r} must be one of {', '.join(choices)}")
         if not 1.0 <= longest_s <= 3600.0:
             raise ValueError(f"longest_s = {longest_s} must lie between 1 and 3600 s")
         self.is_sparse = reward == "sparse"
@@ -60,10 +60,10 @@ class _Pushing:
         return np.where(now <= _ARRIVED, 0.0, more - 1.0)
 
 
-def _named(told: npt.NDArray[np.float32]) -> Observation:
+def _named(observations: npt.NDArray[np.float32]) -> Observation:
     """Return what an agent observes by the names of its parts, of one episode or of all."""
     goals = e.OBSERVED + 2
-    parts = told[..., : e.OBSERVED], told[..., e.OBSERVED : goals], told[..., goals:]
+    parts = observations[..., : e.OBSERVED], observations[..., e.OBSERVED : goals], observations[..., goals:]
     return {"observation": parts[0], "achieved_goal": parts[1], "desired_goal": parts[2]}
 
 
@@ -144,10 +144,10 @@ class PushEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._pushing.rewards(achieved_goal, desired_goal, _before(info))
 
     def _observed(self) -> Observation:
-        told = self._pushing.episodes.told()[0]
+        observations = self._pushing.episodes.observations()[0]
         # what is handed out may be changed by who gets it
-        self._last = _named(told.copy())
-        return _named(told)
+        self._last = _named(observations.copy())
+        return _named(observations)
 
 
 class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
@@ -188,19 +188,19 @@ class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[
         for row, random in enumerate(self._random):
             self._pushing.episodes.begin(row, random)
         self._ended[:] = False
-        return _named(self._pushing.episodes.told()), {}
+        return _named(self._pushing.episodes.observations()), {}
 
     def step(
         self, actions: npt.NDArray[np.float32]
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         pushing, episodes, fresh = self._pushing, self._pushing.episodes, self._ended
-        before = _named(episodes.told())["achieved_goal"]
+        before = _named(episodes.observations())["achieved_goal"]
         # a row that has ended is begun again after the step of the others
         episodes.taken[fresh] = 0
         episodes.step(np.ascontiguousarray(actions, np.float64))
         for row in np.flatnonzero(fresh).tolist():
             episodes.begin(row, self._random[row])
-        now = _named(episodes.told())
+        now = _named(episodes.observations())
         rewards = pushing.rewards(now["achieved_goal"], now["desired_goal"], before)
         rewards[fresh] = 0.0
         arrived = _distance(now["achieved_goal"], now["desired_goal"]) <= _ARRIVED

@@ -148,9 +148,11 @@ class LslBridge:
         self.sent += 1
 
     def _mark(self, message: RecordedMessage) -> None:
-        told = message.src in self._offsets_ns
-        sent_ns = message.publish_ns - self._offsets_ns[message.src] if told else message.log_ns - self._own_ns
-        stamped = "sent" if told else "received"
+        is_offset_known = message.src in self._offsets_ns
+        sent_ns = (
+            message.publish_ns - self._offsets_ns[message.src] if is_offset_known else message.log_ns - self._own_ns
+        )
+        stamped = "sent" if is_offset_known else "received"
         text = json.dumps({"topic": message.topic, "src": message.src, "stamped": stamped, **plain(message)})
         self._send_marker(Sample((text,), self._time_s(sent_ns)))
         self.sent += 1

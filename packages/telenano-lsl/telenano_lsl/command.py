@@ -25,10 +25,10 @@ def lsl(
         open_stream, clock = lsl_streams()
         with live_rig(site_file) as live:
             bridge = LslBridge(open_stream, clock, live.epoch_offset_ns, name, live.is_here)
-            found = bridge.clocks
+            clocks = bridge.clocks
             typer.echo(
                 f"publishing on LSL as {name}; LSL's clock is ahead of the rig's monotonic clock by"
-                f" {1e6 * found.offset_s:.3f} us, known to {1e6 * found.uncertainty_s:.3f} us"
+                f" {1e6 * clocks.offset_s:.3f} us, known to {1e6 * clocks.uncertainty_s:.3f} us"
             )
             hand_on(bridge, live, duration)
             if bridge.elsewhere:

@@ -141,13 +141,13 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
         )
         for shift in _SHIFTS_NM
     ]
-    found = min(fits, key=lambda fit: float(fit.cost))
+    best = min(fits, key=lambda fit: float(fit.cost))
     refusal = f"the reduced modulus {model.modulus_pa:.3g} Pa does not suit this curve: give the one of this sample"
-    _refuse_bounds(found.x, refusal)
-    if not found.success:
+    _refuse_bounds(best.x, refusal)
+    if not best.success:
         raise ConfigError(refusal)
     try:
-        free, errors, noise = _with_noise(predicted, found.x, part, scale, refusal)
+        free, errors, noise = _with_noise(predicted, best.x, part, scale, refusal)
     except np.linalg.LinAlgError as error:
         raise ConfigError(refusal) from error
     radius, work = float(np.exp(free[0])), float(np.exp(free[1]))
@@ -276,6 +276,6 @@ def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float)
     forces += model.capillary_n_per_m * radius
     bases = np.maximum.accumulate(depths + free[2] * 1e-9 + forces / k)
     # beyond both ends along the spring, so that the fit is led back
-    found = np.interp(base, bases, forces)
-    found += np.where(base > bases[-1], (base - bases[-1]) * k, 0.0)
-    return np.asarray(found + np.where(base < bases[0], (base - bases[0]) * k, 0.0))
+    predicted = np.interp(base, bases, forces)
+    predicted += np.where(base > bases[-1], (base - bases[-1]) * k, 0.0)
+    return np.asarray(predicted + np.where(base < bases[0], (base - bases[0]) * k, 0.0))

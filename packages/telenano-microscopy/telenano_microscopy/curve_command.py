@@ -85,16 +85,16 @@ def curve(
         # A curve of a real tip is not lost by a signal that comes while its files are written.
         with finishing() as finish, results_in(out) as folder:
             if live:
-                found = _live(site_file, CurveSettings(**given), given, finish, as_json=as_json)
+                curve_taken = _live(site_file, CurveSettings(**given), given, finish, as_json=as_json)
             else:
                 with progress("curve", 2 * points, shown=not as_json) as show:
                     s = CurveSettings(**given)
-                    found = curves.force_curve(
+                    curve_taken = curves.force_curve(
                         config, s.start_m, s.load_n, points, s.speed_m_per_s,
                         dynamic=model is CurveModel.DYNAMIC, progress=show,
                     )  # fmt: skip
             finish()
-            marks = curves.marks_of(found)
+            marks = curves.marks_of(curve_taken)
             other = None if measured is None else (measured, curves.marks_of(measured))
             fit: dict[str, Any] | None = None
             contact = None
@@ -105,10 +105,10 @@ def curve(
                     fit = contact.as_dict()
                 except ConfigError as error:
                     fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
-            pairs = [(found, marks), *([] if other is None else [other])]
-            curves.write_hdf5(folder / "curve.h5", found)
+            pairs = [(curve_taken, marks), *([] if other is None else [other])]
+            curves.write_hdf5(folder / "curve.h5", curve_taken)
             curve_figure(pairs, contact).savefig(folder / "curve.png", dpi=130)
-    document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
+    document = {"model": curve_taken.model, "stiffness_n_per_m": curve_taken.stiffness_n_per_m, **marks.as_dict()}
     if other is not None:
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
     if fit is not None:

@@ -39,9 +39,9 @@ def compare_models(
         config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": k}})
         # far enough for the soft one to come off: its spring is as long as the pull-off over k
         start_m = 10e-9 + 16e-9 / k
-        found = [force_curve(config, start_m, 20e-9, points, dynamic=dynamic) for dynamic in (False, True)]
-        static, dynamic = (marks_of(curve) for curve in found)
-        base = found[0].approach.base_m
+        curves = [force_curve(config, start_m, 20e-9, points, dynamic=dynamic) for dynamic in (False, True)]
+        static, dynamic = (marks_of(curve) for curve in curves)
+        base = curves[0].approach.base_m
         rows.append(_row(k, static, dynamic, float(base[1] - base[0])))
         progress(number + 1, len(stiffnesses))
     return rows

@@ -301,8 +301,8 @@ def read_measured(path: Path, number: int = 0, given: Mapping[str, Any] | None =
     given = given or {}
     table = {name: str(value) for name, value in given.items() if name in OF_TABLES}
     if unknown := [name for name in given if name not in (*CONSTANTS, *OF_TABLES)]:
-        known = ", ".join((*CONSTANTS, *OF_TABLES))
-        raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {known}")
+        names = ", ".join((*CONSTANTS, *OF_TABLES))
+        raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {names}")
     for name, value in given.items():
         if name in CONSTANTS and not (isinstance(value, int | float) and 0.0 < value < math.inf):
             raise ConfigError(f"--set {name}: is {value!r}; it must be a number above 0")

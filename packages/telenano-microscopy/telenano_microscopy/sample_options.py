@@ -41,9 +41,9 @@ def sample_config(
     if ":" in name:
         # a person has named this function here, and no file of somebody else
         permit_code()
-    given: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
+    settings_of_sample: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
     if size_nm is not None:
-        given["size_m"] = size_nm * 1e-9
+        settings_of_sample["size_m"] = size_nm * 1e-9
     if channel is not None:
-        given["channel"] = channel
-    return validate(SampleConfig, given, "--sample")
+        settings_of_sample["channel"] = channel
+    return validate(SampleConfig, settings_of_sample, "--sample")

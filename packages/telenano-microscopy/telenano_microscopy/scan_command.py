@@ -100,24 +100,24 @@ def scan(
                     show(n)
                     return True
 
-                found = take_image(config, keys, advanced)
+                image = take_image(config, keys, advanced)
             finish()
-            said = _say_if_interrupted(found.lines.partial)
-            files = write_images(folder, _images(found), mode, sample=sample.name)
+            is_reported = _say_if_interrupted(image.lines.partial)
+            files = write_images(folder, _images(image), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
-        "lines": found.lines.finished,
+        "lines": image.lines.finished,
         "pixels": wanted.pixels,
-        "simulated_s": found.simulated_s,
-        "rms_error_m": found.rms_error_m,
-        "correlation": found.correlation,
+        "simulated_s": image.simulated_s,
+        "rms_error_m": image.rms_error_m,
+        "correlation": image.correlation,
         "files": [str(out / name) for name in files],
     }
-    if found.lines.partial:
-        document["partial"] = found.lines.partial
+    if image.lines.partial:
+        document["partial"] = image.lines.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted(said, found.lines.partial)
+    _exit_if_interrupted(is_reported, image.lines.partial)
 
 
 def _scan_live(
@@ -131,7 +131,7 @@ def _scan_live(
     # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
     failure: RigError | KeyboardInterrupt | None = None
-    said, files = False, list[str]()
+    is_reported, files = False, list[str]()
     with finishing() as finish, results_in(out) as folder:
         try:
             report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
@@ -140,7 +140,7 @@ def _scan_live(
             failure = error
         finish()
         if count := image.finished:
-            said = _say_if_interrupted(image.partial)
+            is_reported = _say_if_interrupted(image.partial)
             files = write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
     if failure is not None:
         raise RigError(f"{failure or 'interrupted'}; {out} has {count} lines") if count else failure
@@ -150,7 +150,7 @@ def _scan_live(
         document["partial"] = image.partial
     print_document(document, str(out), as_json=as_json)
     # an image that has not begun does not know how many lines it is to have
-    _exit_if_interrupted(said, image.partial if count else "no lines")
+    _exit_if_interrupted(is_reported, image.partial if count else "no lines")
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
 
@@ -162,10 +162,10 @@ def _say_if_interrupted(partial: str) -> bool:
     return bool(signal_received())
 
 
-def _exit_if_interrupted(said: bool, partial: str) -> None:
+def _exit_if_interrupted(is_reported: bool, partial: str) -> None:
     """Exit with the code of the signal that ended an image, or came while it was written."""
     if signal_received():
-        if not said:
+        if not is_reported:
             _say_if_interrupted(partial)
         raise typer.Exit(exit_code_of_signal())
 

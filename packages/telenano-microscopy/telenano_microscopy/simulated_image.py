@@ -65,7 +65,7 @@ def take_image(
     Raises:
         ConfigError: The image cannot be taken; the message says what would be right.
     """
-    found = SimulatedImage()
+    image = SimulatedImage()
     try:
         instrument = VirtualInstrument(config)
         request = requested({"program": "scan", **keys})
@@ -73,19 +73,19 @@ def take_image(
             if line is None:
                 continue
             lines = request.settings_of("scan").lines
-            _add(instrument, line, lines, found)
+            _add(instrument, line, lines, image)
             if line.backward and not progress(line.line + 1, lines):
                 break
     except RefusedError as error:
         raise ConfigError(str(error)) from error
     except KeyboardInterrupt:
         # What is finished is kept; before the first line there is nothing.
-        if found.lines.finished == 0:
+        if image.lines.finished == 0:
             raise
-    found.simulated_s = instrument.time_s
+    image.simulated_s = instrument.time_s
     if instrument.outcome is not None and instrument.outcome.state != "finished":
         raise ConfigError(f"the image ended before its last line: {instrument.outcome.text}")
-    return found
+    return image
 
 
 def _add(instrument: VirtualInstrument, line: FinishedLine, lines: int, found: SimulatedImage) -> None:

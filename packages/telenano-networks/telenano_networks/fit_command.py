@@ -126,8 +126,8 @@ def _of_histogram(
 
     if len(logs) != 1:
         raise ConfigError(f"{len(logs)} histograms cannot be one; give each by itself")
-    found = read_histogram(logs[0], None if unit is None else UNITS_S[unit])
-    quantiles = quantiles_text(zip(SHARES, found.quantiles_s(SHARES), strict=True))
+    histogram = read_histogram(logs[0], None if unit is None else UNITS_S[unit])
+    quantiles = quantiles_text(zip(SHARES, histogram.quantiles_s(SHARES), strict=True))
     way = {"jitter": {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles}}
     ways = {"forward": way, "backward": way}
     remarks = [
@@ -178,34 +178,34 @@ def _known(value: Any) -> Any:
 
 def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
     messages = sum(len(part.sent_s) for part in log.segments)
-    found = _grouped(log.cuts)
+    groups = _grouped(log.cuts)
     if log.round_trip:
-        found.append(
+        groups.append(
             "The log has round trips. All that varies, stalls and losses go forward, and half of the least delay back, "
             "so that the sum is that of the log; how they are shared in truth, no round trip says."
         )
-    found.append(
+    groups.append(
         f"The log has a message each {1e3 * log.period_s:.3g} ms. Between them the model is as at them; what "
         "lasts less is not in the log."
     )
     if any(row.what == "stalls per minute" and row.measured > 0.0 for row in table):
-        found.append(
+        groups.append(
             "The log does not say how much the line holds while it stands still; 20 000 messages or 4 MiB are assumed."
         )
     stalls = sum(row.measured > 0.0 for row in table if row.what == "stalls per minute")
     if not stalls:
-        found.append("The second half of the log has no stall that could be seen: how long one lasts is not tested.")
+        groups.append("The second half of the log has no stall that could be seen: how long one lasts is not tested.")
     if messages * 1e-3 < _FEWEST_BEYOND:
-        found.append(f"{messages} messages say little of the slowest in a thousand.")
+        groups.append(f"{messages} messages say little of the slowest in a thousand.")
     apart = [row.what for row in table if row.halves_differ]
     if apart:
-        found.append(f"The halves of the log differ by more than chance in {', '.join(apart)}: it is not stationary.")
+        groups.append(f"The halves of the log differ by more than chance in {', '.join(apart)}: it is not stationary.")
     unlike = [
         f"{row.what} ({row.measured:.3g} measured, {row.generated:.3g} generated)" for row in table if not row.agrees
     ]
     if unlike:
-        found.append(f"The model is not like the second half of the log in {', '.join(unlike)}.")
-    return found
+        groups.append(f"The model is not like the second half of the log in {', '.join(unlike)}.")
+    return groups
 
 
 def _grouped(cuts: Iterable[str]) -> list[str]:

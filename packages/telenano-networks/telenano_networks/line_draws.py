@@ -133,5 +133,5 @@ def _scores(settings: LinkSettings, name: str, time_s: float, arrived_ns: Times)
     # Nothing is left of a score after a long pause.
     for first, end in pairwise([0, *place[jumped].tolist(), len(fresh)]):
         scores += accumulate(fresh[first:end], lambda score, new: rho * score + gain * new)
-    found: Column = np.asarray(scores)[place]
-    return found
+    chosen: Column = np.asarray(scores)[place]
+    return chosen

@@ -65,10 +65,10 @@ _RARE = "q99.9 [ms]"
 
 def _hermite(scores: Column, degree: int) -> npt.NDArray[np.float64]:
     """Return Hermite's polynomials from 1 to a degree, orthonormal for normal scores, of shape (degree, scores)."""
-    found = [np.ones(len(scores)), scores]
+    polynomials = [np.ones(len(scores)), scores]
     for n in range(1, degree):
-        found.append((scores * found[n] - math.sqrt(n) * found[n - 1]) / math.sqrt(n + 1))
-    return np.array(found[1:])
+        polynomials.append((scores * polynomials[n] - math.sqrt(n) * polynomials[n - 1]) / math.sqrt(n + 1))
+    return np.array(polynomials[1:])
 
 
 _SCORES = np.linspace(-5.5, 5.5, 1101)
@@ -113,10 +113,10 @@ class LineModel:
             if self.second_share > 0.0:
                 jitter["second_correlation_time_s"] = self.second_time_s
                 jitter["second_correlation_share"] = self.second_share
-        found: dict[str, Any] = {"jitter": jitter, "order": "link" if self.ordered else "any"}
+        section: dict[str, Any] = {"jitter": jitter, "order": "link" if self.ordered else "any"}
         if self.stalls_per_s > 0.0:
-            found["queue"] = {"limit_messages": MOST_HELD, "limit_bytes": MOST_HELD_BYTES}
-            found["outage"] = {
+            section["queue"] = {"limit_messages": MOST_HELD, "limit_bytes": MOST_HELD_BYTES}
+            section["outage"] = {
                 "mean_up_s": _rounded(1.0 / self.stalls_per_s),
                 "mean_down_s": _rounded(self.stall_s),
                 "down_spread": _rounded(self.spread),
@@ -124,8 +124,8 @@ class LineModel:
             }
         if self.lost > 0.0:
             leave = min(1.0, 1.0 / self.run)
-            found["gilbert_elliott"] = {"p": _rounded(leave * self.lost / (1.0 - self.lost)), "r": _rounded(leave)}
-        return found
+            section["gilbert_elliott"] = {"p": _rounded(leave * self.lost / (1.0 - self.lost)), "r": _rounded(leave)}
+        return section
 
     def ways(self, *, round_trip: bool, with_memory: bool = True, seed: int = 0) -> dict[str, dict[str, Any]]:
         """Return the settings of both directions of the link, which are what is written and what is judged.
@@ -134,15 +134,15 @@ class LineModel:
         its least delay backward: then what goes there and back has the delays of the log, which two halves that are
         drawn independently have not. Without memory each message has the delays and the losses of the line by itself.
         """
-        found = {"forward": self.settings(), "backward": self.settings()}
+        sections = {"forward": self.settings(), "backward": self.settings()}
         if round_trip:
             least_s = _rounded(0.5 * max(self.quantiles[0][1], 0.0))
             rest = tuple((share, value - least_s) for share, value in self.quantiles)
-            found = {"forward": replace(self, quantiles=rest).settings(), "backward": {"delay_s": least_s}}
+            sections = {"forward": replace(self, quantiles=rest).settings(), "backward": {"delay_s": least_s}}
         if with_memory:
-            return found
-        alone = without_memory(found["forward"], seed)
-        return {name: alone if "jitter" in way else way for name, way in found.items()}
+            return sections
+        alone = without_memory(sections["forward"], seed)
+        return {name: alone if "jitter" in way else way for name, way in sections.items()}
 
 
 def sent(way: dict[str, Any], seed: int, minutes: int = 10) -> tuple[Column, Column]:
@@ -249,10 +249,10 @@ def memory_of(
         quantiles_s: Those of the delay [s].
         period_s: Time between two messages [s].
     """
-    known = ~np.isnan(wanted)
-    if not known[0]:
+    is_measured = ~np.isnan(wanted)
+    if not is_measured[0]:
         return 0.0, 0.0, 0.0
-    scores, steps = correlation_of_scores(np.asarray(wanted)[known], quantiles_s), lags[known]
+    scores, steps = correlation_of_scores(np.asarray(wanted)[is_measured], quantiles_s), lags[is_measured]
     weights = np.where(steps == 1, max(1.0, len(steps) - 1.0), 1.0)
     one = float(np.clip(scores[0], 1e-9, _MOST_CORRELATION))
     of_neighbours = _rounded(-period_s / math.log(one)) if wanted[0] >= _LEAST_CORRELATION else 0.0
@@ -330,7 +330,7 @@ def courses(log: LineLog) -> dict[str, float]:
     parts = [Segment(part.sent_s, np.minimum(part.delay_s, high)) for part in log.segments]
     mean, period_s = float(np.nanmean(np.minimum(delays, high))), log.period_s
     longest_s = max(float(part.sent_s[-1]) for part in log.segments)
-    found = {
+    courses_of = {
         f"correlation at {lag_s:g} s": _at_lag(parts, max(1, round(lag_s / period_s)), mean)
         if period_s <= lag_s and _FEWEST_LAGS * lag_s <= longest_s
         else math.nan
@@ -344,10 +344,10 @@ def courses(log: LineLog) -> dict[str, float]:
         )
         if len(lost) >= _FEWEST_IN_WINDOW
     ]
-    known = len(windows) >= _FEWEST_WINDOWS
-    found["10-s windows with a fifth lost"] = float(np.mean(np.array(windows) > 0.2)) if known else math.nan
-    found["deviation of the loss of 10-s windows"] = float(np.std(windows)) if known else math.nan
-    return found
+    is_enough = len(windows) >= _FEWEST_WINDOWS
+    courses_of["10-s windows with a fifth lost"] = float(np.mean(np.array(windows) > 0.2)) if is_enough else math.nan
+    courses_of["deviation of the loss of 10-s windows"] = float(np.std(windows)) if is_enough else math.nan
+    return courses_of
 
 
 def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog]) -> list["Agreement"]:
@@ -355,21 +355,21 @@ def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog])
 
     A bootstrap of blocks of 20 s would cut what lasts longer, so that the draws of the model give the interval.
     """
-    found = []
+    rows = []
     measured, other = courses(second), courses(first)
     made = [courses(one) for one in draws]
     windows = sum(float(part.sent_s[-1]) for part in second.segments) / _WINDOW_S
     nearly = {**_NEARLY, "10-s": max(_NEARLY["10-s"], _FEW_WINDOWS / windows)}
     for what, value in measured.items():
-        known = np.array([one[what] for one in made if not math.isnan(one[what])])
-        if math.isnan(value) or len(known) < 3:
-            found.append(Agreement(what, value, math.nan, math.nan, math.nan, other[what], False, True))
+        made_values = np.array([one[what] for one in made if not math.isnan(one[what])])
+        if math.isnan(value) or len(made_values) < 3:
+            rows.append(Agreement(what, value, math.nan, math.nan, math.nan, other[what], False, True))
             continue
-        wide = max(_DEVIATIONS * float(known.std(ddof=1)), nearly[what.split()[0]])
-        middle = float(known.mean())
+        wide = max(_DEVIATIONS * float(made_values.std(ddof=1)), nearly[what.split()[0]])
+        middle = float(made_values.mean())
         near = abs(value - middle) <= wide
-        found.append(Agreement(what, value, middle - wide, middle + wide, middle, other[what], False, near))
-    return found
+        rows.append(Agreement(what, value, middle - wide, middle + wide, middle, other[what], False, near))
+    return rows
 
 
 def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
@@ -413,7 +413,7 @@ def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agr
         [_statistics(tally, weights) for weights in tally.draws(seed, _RESAMPLES)]
         for tally in (tally_of(half, scale) for half in (second, first))
     )
-    found = []
+    rows = []
     for what, value in measured.items():
         # The median, because a single long stall in one of the draws is most of the mean of a late quantile.
         made = _middle([draw[what] for draw in draws])
@@ -432,8 +432,8 @@ def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agr
         near = near or (what.startswith("correlation") and abs(value - made) <= _NEARLY["correlation"])
         # an interval that holds nearly every correlation says nothing for the model
         vague = what.startswith("correlation") and high - low > _VAGUE and abs(value - made) > 0.5 * _VAGUE
-        found.append(Agreement(what, value, low, high, made, other[what], differ, unknown or (near and not vague)))
-    return found + _compared_courses(second, first, made_logs)
+        rows.append(Agreement(what, value, low, high, made, other[what], differ, unknown or (near and not vague)))
+    return rows + _compared_courses(second, first, made_logs)
 
 
 def parameters(model: LineModel) -> dict[str, float]:
@@ -464,13 +464,13 @@ def intervals(log: LineLog, seed: int = 0, resamples: int = 1000) -> dict[str, t
     drawn = [parameters(_model(tally, weights)) for weights in tally.draws(seed, resamples)]
     count, stalls = len(tally.seconds), len(tally.held)
     wide = math.sqrt(count / (count - 1)) * float(special.stdtrit(count - 1, 0.975)) if count > 1 else math.inf
-    found = {what: _interval([one[what] for one in drawn], float(special.ndtr(-wide))) for what in drawn[0]}
+    interval_of = {what: _interval([one[what] for one in drawn], float(special.ndtr(-wide))) for what in drawn[0]}
     if stalls > 1:
         spread = _model(tally, tally.once()).spread
         low, high = (spread * math.sqrt((stalls - 1) / special.chdtri(stalls - 1, share)) for share in (0.025, 0.975))
-        low_drawn, high_drawn = found[SPREAD]
-        found[SPREAD] = min(low, low_drawn), max(high, high_drawn)
-    return found
+        low_drawn, high_drawn = interval_of[SPREAD]
+        interval_of[SPREAD] = min(low, low_drawn), max(high, high_drawn)
+    return interval_of
 
 
 def autocorrelation(log: LineLog, longest_s: float = 10.0) -> tuple[Column, Column]:
@@ -497,7 +497,7 @@ def _at_lag(parts: Sequence[Segment], lag: int, mean_s: float) -> float:
 
 def ages_s(log: LineLog, count: int = 20_000) -> Column:
     """Return how old the newest message that a reader has is, at times that are drawn from all of a log [s]."""
-    found = []
+    ages = []
     for part in log.segments:
         here = ~np.isnan(part.delay_s)
         if here.sum() < 2:
@@ -506,28 +506,32 @@ def ages_s(log: LineLog, count: int = 20_000) -> Column:
         order = np.argsort(arrived_s, kind="stable")
         newest_s = np.maximum.accumulate(sent_s[order])
         at_s = np.linspace(arrived_s.min(), part.sent_s[-1], max(2, count // len(log.segments)))
-        found.append(at_s - newest_s[np.searchsorted(arrived_s[order], at_s, side="right") - 1])
-    return np.concatenate(found)
+        ages.append(at_s - newest_s[np.searchsorted(arrived_s[order], at_s, side="right") - 1])
+    return np.concatenate(ages)
 
 
 def lost_runs(log: LineLog) -> list[int]:
     """Return how many messages each run of losses has."""
-    found = []
+    runs = []
     for part in log.segments:
         edges = np.diff(np.isnan(part.delay_s).astype(np.int8), prepend=0, append=0)
-        found += (np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)).tolist()
-    return found
+        runs += (np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)).tolist()
+    return runs
 
 
 def _interval(values: Sequence[float], below: float = 0.025) -> tuple[float, float]:
     """Return the quantiles between which all but twice a share of the values are; nan if none is known."""
-    known = [value for value in values if not math.isnan(value)]
-    return (float(np.quantile(known, below)), float(np.quantile(known, 1.0 - below))) if known else (math.nan, math.nan)
+    numbers = [value for value in values if not math.isnan(value)]
+    return (
+        (float(np.quantile(numbers, below)), float(np.quantile(numbers, 1.0 - below)))
+        if numbers
+        else (math.nan, math.nan)
+    )
 
 
 def _middle(values: Sequence[float]) -> float:
-    known = [value for value in values if not math.isnan(value)]
-    return float(np.median(known)) if known else math.nan
+    numbers = [value for value in values if not math.isnan(value)]
+    return float(np.median(numbers)) if numbers else math.nan
 
 
 def _rounded(value: float) -> float:

@@ -70,15 +70,15 @@ class LineLog:
 
     def halves(self) -> tuple["LineLog", "LineLog"]:
         """Return the first half in time of each segment, and the second."""
-        found: tuple[list[Segment], list[Segment]] = [], []
+        both_halves: tuple[list[Segment], list[Segment]] = [], []
         for part in self.segments:
             middle = int(np.searchsorted(part.sent_s, 0.5 * part.sent_s[-1]))
-            for half, place in zip(found, (slice(None, middle), slice(middle, None)), strict=True):
+            for half, place in zip(both_halves, (slice(None, middle), slice(middle, None)), strict=True):
                 if len(part.sent_s[place]) > 1:
                     half.append(Segment(part.sent_s[place] - part.sent_s[place][0], part.delay_s[place]))
         return (
-            LineLog(tuple(found[0]), self.round_trip, self.resolution_s),
-            LineLog(tuple(found[1]), self.round_trip, self.resolution_s),
+            LineLog(tuple(both_halves[0]), self.round_trip, self.resolution_s),
+            LineLog(tuple(both_halves[1]), self.round_trip, self.resolution_s),
         )
 
 
@@ -135,9 +135,9 @@ def _read(
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     text = decoded(content, path.name)
     if ping_log.is_ping_log(text):
-        found = ping_log.round_trips(text, path.name, period_s)
-        cuts += found.remarks
-        return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in found.parts], True
+        log = ping_log.round_trips(text, path.name, period_s)
+        cuts += log.remarks
+        return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in log.parts], True
     if is_delivery_trace(text) and period_s is None:
         return [through_delivery_trace(text, path.name, cuts)], False
     table = parse_table(content, path.name)
@@ -213,13 +213,15 @@ def _delay_in(columns: Sequence[TableColumn]) -> TableColumn | None:
 
 
 def _scale_of(column: TableColumn, table: TextTable, unit: str | None) -> float:
-    given = column.unit or unit
-    if not given:
+    named_unit = column.unit or unit
+    if not named_unit:
         raise ConfigError(
             f"{table.name}: the column {column.title or 'of delays'} does not say its unit; call it"
             f" {column.title or 'delay'}_ms, or give --unit ms"
         )
-    one = table.in_si(column._replace(values=np.ones(1), bad=None), ("s",), given, "--unit" if not column.unit else "")
+    one = table.in_si(
+        column._replace(values=np.ones(1), bad=None), ("s",), named_unit, "--unit" if not column.unit else ""
+    )
     assert one is not None
     return float(one[0])
 

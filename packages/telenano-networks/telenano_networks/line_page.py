@@ -99,7 +99,7 @@ def curves_of(log: LineLog) -> Curves:
     delays = [part.delay_s[piece][~np.isnan(part.delay_s[piece])] for piece in pieces]
     lags_s, values = autocorrelation(log)
     some = np.unique(np.linspace(0, len(lags_s) - 1, _LAGS).astype(int))
-    known = np.concatenate([one.delay_s[~np.isnan(one.delay_s)] for one in log.segments])
+    delays_s = np.concatenate([one.delay_s[~np.isnan(one.delay_s)] for one in log.segments])
     shares = 1.0 - np.array(SLOWER)
     return Curves(
         (
@@ -107,7 +107,7 @@ def curves_of(log: LineLog) -> Curves:
             [_short(1e3 * float(np.median(one))) if len(one) else None for one in delays],
             [_short(1e3 * float(one.max())) if len(one) else None for one in delays],
         ),
-        [_short(1e3 * value) for value in np.quantile(known, shares).tolist()],
+        [_short(1e3 * value) for value in np.quantile(delays_s, shares).tolist()],
         [_short(1e3 * value) for value in np.quantile(ages_s(log), shares).tolist()],
         (
             [_short(value) for value in lags_s[some].tolist()],

@@ -120,13 +120,13 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
     held = late_s > 0.5 * scale.stall_s
     # Each run of messages that are late or come together, from its first late one on.
     edges = np.diff((held | (gaps_s < _TOGETHER * scale.period_s)).astype(np.int8), prepend=0, append=0)
-    found = []
+    stalls = []
     for first, end in zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True):
         begin = first + int(np.argmax(held[first:end]))
         most_s = float(late_s[begin:end].max())
         if most_s > scale.stall_s:
-            found.append(Stall(int(here[begin]), int(here[end - 1]) + 1, most_s))
-    return found
+            stalls.append(Stall(int(here[begin]), int(here[end - 1]) + 1, most_s))
+    return stalls
 
 
 def tally_of(log: LineLog, scale: Scale) -> Tally:
@@ -134,7 +134,7 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
     delays, blocks, is_usual, overtaken = [], [], [], []
     segment: list[Numbers] = []
     seconds: list[float] = []
-    found: list[tuple[int, float, int, int]] = []
+    stalls: list[tuple[int, float, int, int]] = []
     for part in log.segments:
         # never more than messages, whatever their times say
         pieces = max(1, min(round(float(part.sent_s[-1]) / _BLOCK_S), len(part.sent_s)))
@@ -148,7 +148,7 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
             # What was lost after its last message may have been sent before it ended.
             after = int(np.searchsorted(arrived, stall.end))
             until = int(arrived[after]) if after < len(arrived) else len(usual)
-            found.append((int(block[stall.first]), stall.late_s, stall.end - stall.first, until - stall.first))
+            stalls.append((int(block[stall.first]), stall.late_s, stall.end - stall.first, until - stall.first))
         goes_back = np.diff((part.sent_s + part.delay_s)[arrived]) < -_OVERTAKES_S
         overtaken.append(block[arrived[1:][goes_back]])
         delays.append(part.delay_s)
@@ -168,7 +168,7 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
         return _pair_sums(late_s[:-lag][both], late_s[lag:][both], block[:-lag][both], count)
 
     run_begins = lost & (begins | ~np.concatenate([[False], lost[:-1]]))
-    stalled_s, spanned = (np.array([one[n] for one in found]) for n in (1, 3))
+    stalled_s, spanned = (np.array([one[n] for one in stalls]) for n in (1, 3))
     return Tally(
         period_s=scale.period_s,
         usual=_sorted(delay_s[usual], block[usual]),
@@ -176,11 +176,11 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
         lags=lags,
         usual_pairs=np.array([pairs(usual, lag) for lag in lags.tolist()]),
         pairs=pairs(~lost, 1),
-        stall_block=np.array([one[0] for one in found], dtype=np.int64),
+        stall_block=np.array([one[0] for one in stalls], dtype=np.int64),
         late_s=stalled_s,
         # Of a message that comes late alone, because others overtook it, the line did not stand still this long.
         length_s=np.minimum(stalled_s, spanned * scale.period_s),
-        held=np.array([one[2] for one in found], dtype=np.int64),
+        held=np.array([one[2] for one in stalls], dtype=np.int64),
         seconds=np.array(seconds),
         messages=np.bincount(block, minlength=count),
         lost=np.bincount(block[lost], minlength=count),

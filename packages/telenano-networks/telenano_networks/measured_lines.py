@@ -117,10 +117,10 @@ LINES = {
 def logs_of(line: Line, folder: Path) -> list[Path]:
     """Return the logs of a line; a ping without a packet in it, because it did not start, is none."""
     campaign = folder / CAMPAIGNS[line.campaign].folder
-    found = sorted(path for pattern in line.patterns for path in campaign.glob(pattern))
-    if not found:
+    paths = sorted(path for pattern in line.patterns for path in campaign.glob(pattern))
+    if not paths:
         sys.exit(f"{campaign}: has none of {', '.join(line.patterns)}; {CAMPAIGNS[line.campaign].cite}")
-    return [path for path in found if path.suffix != ".out" or "ping statistics" in path.read_text()]
+    return [path for path in paths if path.suffix != ".out" or "ping statistics" in path.read_text()]
 
 
 def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[str, object]:
@@ -128,8 +128,8 @@ def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[
     cite = CAMPAIGNS[line.campaign].cite
     if cite.endswith("; "):
         cite += URLLC if line.options else CUMUCORE
-    given = " ".join(shlex.quote(pattern) for pattern in line.patterns)
-    taken = " ".join(["telenano link fit", given, *line.options, *extra])
+    patterns = " ".join(shlex.quote(pattern) for pattern in line.patterns)
+    taken = " ".join(["telenano link fit", patterns, *line.options, *extra])
     logs = [str(path) for path in logs_of(line, folder)]
     about = line.about.replace("measured", "measured; each message drawn by itself") if extra else line.about
     command = [

@@ -80,14 +80,14 @@ def traces_of(reports: Iterable[LinkNetwork]) -> dict[Direction, NetworkTrace]:
     each report knew of the clocks when it was made differs from one to the next. Where one direction lacks, they stay
     as they were reported.
     """
-    found: dict[Direction, list[LinkNetwork]] = {}
+    reports_of: dict[Direction, list[LinkNetwork]] = {}
     for report in reports:
         if report.clock.valid:
-            found.setdefault(report.direction, []).append(report)
-    columns = {direction: _columns(found[direction]) for direction in DIRECTIONS if direction in found}
+            reports_of.setdefault(report.direction, []).append(report)
+    columns = {direction: _columns(reports_of[direction]) for direction in DIRECTIONS if direction in reports_of}
     line = _clock_line(columns)
     return {
-        direction: _trace(direction, found[direction], _on_one_clock(direction, rows, line), line)
+        direction: _trace(direction, reports_of[direction], _on_one_clock(direction, rows, line), line)
         for direction, rows in columns.items()
     }
 
@@ -166,20 +166,21 @@ def _trace(
         lost = np.concatenate([lost, np.ones(len(absent), dtype=bool)])[order]
         zeros = np.zeros(len(absent), dtype=delay_ns.dtype)
         delay_ns, sent_ns = (np.concatenate([column, zeros])[order] for column in (delay_ns, sent_ns))
-    known = ~lost
-    if known.sum() < _FEWEST:
+    has_arrived = ~lost
+    if has_arrived.sum() < _FEWEST:
         raise TelenanoError(
-            f"{direction}: {known.sum()} datagrams arrived, too few for a trace: does the link receive as datagrams?"
-            " Over a line that is full, the reports to the master leave them out; `telenano link show` says both"
+            f"{direction}: {has_arrived.sum()} datagrams arrived, too few for a trace: does the link receive as"
+            " datagrams? Over a line that is full, the reports to the master leave them out;"
+            " `telenano link show` says both"
         )
-    inside = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
-    number, lost, delay_ns, sent_ns, known = (x[inside] for x in (number, lost, delay_ns, sent_ns, known))
+    inside = slice(int(np.argmax(has_arrived)), len(has_arrived) - int(np.argmax(has_arrived[::-1])))
+    number, lost, delay_ns, sent_ns, has_arrived = (x[inside] for x in (number, lost, delay_ns, sent_ns, has_arrived))
     # The neighbours of a lost message tell when it was sent, because the clock of the loop is even. Times count from
     # the first, because a double has no nanoseconds of an epoch.
-    since_ns = np.maximum.accumulate(sent_ns[known] - sent_ns[0])
+    since_ns = np.maximum.accumulate(sent_ns[has_arrived] - sent_ns[0])
     return NetworkTrace(
         direction,
-        np.interp(number, number[known], since_ns) * 1e-9,
+        np.interp(number, number[has_arrived], since_ns) * 1e-9,
         np.where(lost, 0.0, delay_ns * 1e-9),
         lost,
         reports[-1].late - reports[0].late,
@@ -189,7 +190,7 @@ def _trace(
 
 def _left_out(reports: Sequence[LinkNetwork]) -> list[tuple[int, int]]:
     """Return between which numbers reports left out what became of datagrams, as they do over a line that is full."""
-    found: list[tuple[int, int]] = []
+    spans: list[tuple[int, int]] = []
     newest, begin, counted = -1, None, reports[0].arrived
     for report in reports:
         came = report.number.to_numpy()[report.lost_flag.to_numpy() == 0]
@@ -198,10 +199,10 @@ def _left_out(reports: Sequence[LinkNetwork]) -> list[tuple[int, int]]:
         counted = report.arrived
         if came.size:
             if begin is not None:
-                found.append((begin, int(came.min())))
+                spans.append((begin, int(came.min())))
                 begin = None
             newest = max(newest, int(came.max()))
-    return found
+    return spans
 
 
 def write_traces(traces: Mapping[Direction, NetworkTrace], folder: Path) -> dict[str, Any]:

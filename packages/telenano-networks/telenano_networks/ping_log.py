@@ -173,14 +173,14 @@ def _rows_of(run: _Run, name: str) -> Rows:
     times = {number: run.answers[number][0] for number in numbers}
     if any(value is None for value in times.values()):
         times = {number: number * steady_s for number in numbers}
-    known = [(number, at_s) for number, at_s in times.items() if at_s is not None]
-    (begin, begin_s), (end, end_s) = known[0], known[-1]
+    seen = [(number, at_s) for number, at_s in times.items() if at_s is not None]
+    (begin, begin_s), (end, end_s) = seen[0], seen[-1]
     period_s = (end_s - begin_s) / (end - begin) if end > begin else steady_s or 1.0
     if not 0.0 <= period_s < 1e5:
         raise ConfigError(f"{name}: its times go back from {begin_s:.6g} to {end_s:.6g} s")
     zero_s = begin_s - (begin - first) * period_s
     rows: Rows = [((number - first) * period_s, math.nan) for number in range(first, begin)]
-    for (number, at_s), (after, after_s) in zip(known, [*known[1:], (last + 1, end_s + (last + 1 - end) * period_s)],
+    for (number, at_s), (after, after_s) in zip(seen, [*seen[1:], (last + 1, end_s + (last + 1 - end) * period_s)],
                                                 strict=True):  # fmt: skip
         rows.append((at_s - zero_s, run.answers[number][1]))
         step_s = (after_s - at_s) / (after - number)

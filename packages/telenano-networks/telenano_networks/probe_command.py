@@ -100,7 +100,7 @@ def _recorded(path: Path) -> Iterator[LinkNetwork]:
 
 def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNetwork]:
     """Return the reports of a running rig within a time [s]."""
-    found: dict[tuple[str, int], LinkNetwork] = {}
+    newest: dict[tuple[str, int], LinkNetwork] = {}
     # Without the role of a commander here, what was measured at the start of the rig has to do.
     with contextlib.suppress(TelenanoError):
         send_control(Command("set", LINK, parameters={TRAIN: True}), site_file, "master", lambda event: None)
@@ -112,6 +112,6 @@ def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNe
         for observed in observer.listen(duration_s):
             message = observed.received.message
             if isinstance(message, LinkNetwork):
-                found[message.src, message.seq] = message
+                newest[message.src, message.seq] = message
             show(time.monotonic() - begin)
-    return sorted(found.values(), key=lambda message: message.t_ns)
+    return sorted(newest.values(), key=lambda message: message.t_ns)

@@ -31,14 +31,14 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
     """
     row = TOPICS[topic]
     if not any(src == name or name_of(src) == name for name in row.publishers):
-        known = ", ".join(row.publishers)
-        raise ConfigError(f"{topic}: {src} does not publish it, {known} does: give --as")
-    given: Any = flag_overrides([f"fields={text}"])["fields"]
-    if not isinstance(given, dict):
+        publishers = ", ".join(row.publishers)
+        raise ConfigError(f"{topic}: {src} does not publish it, {publishers} does: give --as")
+    fields: Any = flag_overrides([f"fields={text}"])["fields"]
+    if not isinstance(fields, dict):
         raise ConfigError(f"{topic}: the fields must be a mapping, such as {{force_n: [0, 0, -0.5]}}")
     declared = msgspec.structs.fields(row.model)
-    unknown = sorted(set(given) - {field.name for field in declared})
-    missing = sorted({field.name for field in declared if field.required} - set(given) - _HEADER)
+    unknown = sorted(set(fields) - {field.name for field in declared})
+    missing = sorted({field.name for field in declared if field.required} - set(fields) - _HEADER)
     if unknown or missing:
         words = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
         raise ConfigError(f"{topic}: {'; '.join(words)}; `telenano topic info {topic}` lists the fields")
@@ -48,7 +48,7 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
         time.sleep(_CONNECT_S)
         try:
             while count is None or sent < count:
-                publisher.publish(topic, **given)
+                publisher.publish(topic, **fields)
                 sent += 1
                 if count is None or sent < count:
                     time.sleep(1.0 / rate_hz)

@@ -31,9 +31,11 @@ def report(
         for way, count in overflows_in(recording).items():
             ways[way]["dropped"]["the socket had no room"] = count
         if not any(row["messages"] for row in ways.values()):
-            known = sorted({fate[0] for rows in fates.values() for fate in rows})
+            directions = sorted({fate[0] for rows in fates.values() for fate in rows})
             wanted = (
-                f"link/fates has no message of {topic}; it has {', '.join(known)}" if known else "has no link/fates"
+                f"link/fates has no message of {topic}; it has {', '.join(directions)}"
+                if directions
+                else "has no link/fates"
             )
             raise TelenanoError(f"{recording}: {wanted}")
     if as_json:
@@ -62,18 +64,18 @@ def fates_in(recording: Path) -> dict[str, list[FateRow]]:
     from telenano.recording import Recording
     from telenano.wire import LinkFates
 
-    found: dict[str, list[FateRow]] = {way: [] for way in _WAYS}
+    fates_of: dict[str, list[FateRow]] = {way: [] for way in _WAYS}
     for message in Recording(recording).messages(("link/fates",)):
         report = message.decode()
         assert isinstance(report, LinkFates)
-        found[report.direction] += [
+        fates_of[report.direction] += [
             (row.topic, row.seq, row.arrived_ns, row.delay_ns, row.held_ns, row.dropped, row.reordered)
             for row in report.fates
             if not row.is_duplicate
         ]
-    for rows in found.values():
+    for rows in fates_of.values():
         rows.sort(key=lambda row: row[2])
-    return found
+    return fates_of
 
 
 def overflows_in(recording: Path) -> dict[str, int]:

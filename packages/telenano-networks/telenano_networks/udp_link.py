@@ -72,15 +72,15 @@ def quantiles_ms(counts: Mapping[int, int], step_ns: int) -> dict[str, float] | 
     total = sum(counts.values())
     if not total:
         return None
-    found: dict[str, float] = {}
+    quantiles: dict[str, float] = {}
     for name, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0)):
         wanted, seen = share * total, 0
         for step in sorted(counts):
             seen += counts[step]
             if seen >= wanted:
-                found[name] = round(step * step_ns * 1e-6, 3)
+                quantiles[name] = round(step * step_ns * 1e-6, 3)
                 break
-    return found
+    return quantiles
 
 
 class UdpLink(DelayNode):
@@ -117,7 +117,7 @@ class UdpLink(DelayNode):
         self._ports, self._bounds = ports, bounds
         self._numbers = dict.fromkeys(WAYS, 0)
         self.counts: dict[Direction, Counts] = {way: Counts() for way in WAYS}
-        self._told_ns = 0
+        self._overflow_reported_ns = 0
         now_ns = self.clock.monotonic_ns()
         self._end_ns = NEVER_NS if duration_s is None else now_ns + round(duration_s * 1e9)
         ports.take = self.arrive
@@ -192,9 +192,9 @@ class UdpLink(DelayNode):
 
     def _tell_overflow(self, direction: Direction) -> None:
         now_ns = self.clock.monotonic_ns()
-        if now_ns < self._told_ns:
+        if now_ns < self._overflow_reported_ns:
             return
-        self._told_ns = now_ns + 1_000_000_000
+        self._overflow_reported_ns = now_ns + 1_000_000_000
         bounds = self._bounds
         text = (
             f"{bounds.datagrams} datagrams or {bounds.size_bytes >> 20} MiB are on their way {direction}: those that"

@@ -248,14 +248,14 @@ def _opened(family: int) -> socket.socket:
 
 def _resolved(place: Place, what: str, family: int, flags: int) -> tuple[int, tuple[object, ...]]:
     try:
-        found = socket.getaddrinfo(place.host, place.port, family, socket.SOCK_DGRAM, 0, flags)
+        addresses = socket.getaddrinfo(place.host, place.port, family, socket.SOCK_DGRAM, 0, flags)
     except (OSError, UnicodeError) as error:
         raise ConfigError(f"{what} {place} has no address: {getattr(error, 'strerror', None) or error}") from error
-    return found[0][0], found[0][4]
+    return addresses[0][0], addresses[0][4]
 
 
 def _reason(error: OSError) -> str:
-    known = {
+    reasons = {
         errno.ECONNREFUSED: "no process listens",
         errno.EMSGSIZE: "too long",
         errno.EHOSTUNREACH: "host unreachable",
@@ -265,4 +265,4 @@ def _reason(error: OSError) -> str:
         errno.EMFILE: "no descriptors",
         errno.ENFILE: "no descriptors",
     }
-    return known.get(error.errno or 0, error.strerror or str(error))
+    return reasons.get(error.errno or 0, error.strerror or str(error))

@@ -18,8 +18,8 @@ from telenano_microscopy.image_files import Image, ImageFacts, LiveImage, images
 
 from telenano.afm import AfmConfig
 from telenano.analysis import scenario_in
-from telenano.files import whole_file
-from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_programme
+from telenano.files import atomic_file
+from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_force_profile
 from telenano.settings import validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 
@@ -93,8 +93,10 @@ def export_session(recording: Recording, target: Path, selection: Selection) -> 
             f"image_{number}_{name}": _plot_of(one) for name, one in images_of_lines(image, image.finished).items()
         }
     if not plots:
-        known = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
-        raise RecordingError(f"{recording.path}: a NeXus file needs {', '.join(_CHANNELS)}; its channels are {known}")
+        names_shown = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
+        raise RecordingError(
+            f"{recording.path}: a NeXus file needs {', '.join(_CHANNELS)}; its channels are {names_shown}"
+        )
     if "tip" in plots:
         base = plots["tip"].fields["base_position"].values
         ramp = (len(base), float(base.min()), float(base.max()))
@@ -104,7 +106,7 @@ def export_session(recording: Recording, target: Path, selection: Selection) -> 
         raster = (pixels, rows, images[0].width_m, images[0].depth_m)
     is_tapping = any(np.isfinite(image.amplitude_m).any() for image in images)
     facts = _facts_of(recording, "tapping mode" if is_tapping else "contact mode")
-    with whole_file(target, replace=False) as part:
+    with atomic_file(target, replace=False) as part:
         write(part, facts._replace(raster=raster, ramp=ramp), plots)
     return CopyResult(path=str(target), messages=count)
 
@@ -196,11 +198,11 @@ def _plot_of(image: Image) -> Plot:
 def _origin_ns(recording: Recording) -> int:
     """Return when the operator's force profile last began; the beginning of the recording where none ran."""
     if any(channel.channel_topic == "haptic/state" for channel in recording.channels):
-        found = columns(recording, "haptic/state", ("session_s", "t_ns"))
-        running = last_programme(found["session_s"], found["t_ns"])
+        hand = columns(recording, "haptic/state", ("session_s", "t_ns"))
+        running = last_force_profile(hand["session_s"], hand["t_ns"])
         if running.size > 1:
             first = running[0]
-            return int(found["t_ns"][first] - round(found["session_s"][first] * 1e9))
+            return int(hand["t_ns"][first] - round(hand["session_s"][first] * 1e9))
     return int(recording.span_ns[0])
 
 
@@ -209,9 +211,9 @@ def _courses(recording: Recording, wanted: Mapping[str, str], origin_ns: int) ->
     timeline = Timeline(recording)
 
     def read(channel: str, *names: str) -> dict[str, Any]:
-        found = columns(recording, channel, ("publish_ns", *names))
-        found["time"] = 1e-9 * (timeline.times_ns(wanted[channel], found["publish_ns"]) - origin_ns)
-        return found
+        table = columns(recording, channel, ("publish_ns", *names))
+        table["time"] = 1e-9 * (timeline.times_ns(wanted[channel], table["publish_ns"]) - origin_ns)
+        return table
 
     clock = "Time since the start of the operator's force profile"
     if "afm/state" in wanted:

@@ -61,10 +61,10 @@ class Ros2Bridge:
 
     def _publish(self, message: RecordedMessage) -> None:
         try:
-            found = list(self._encoder.messages(message.topic, message.topic, message.publish_ns, plain(message)))
+            messages = list(self._encoder.messages(message.topic, message.topic, message.publish_ns, plain(message)))
         except (RecordingError, KeyError, TypeError, ValueError):
             return
-        for made in found:
+        for made in messages:
             topic = self._prefix + made.topic
             if topic not in self._publishers:
                 definition = definitions()[made.kind]

@@ -36,10 +36,10 @@ def export_ros2(recording: Recording, target: Path, selection: Selection) -> Cop
 
     def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
         fields = plain(message)
-        for found in encoder.messages(message.topic, message.channel_topic, message.publish_ns, fields):
-            if found.topic not in channels:
-                schema = (found.kind, "ros2msg", encoder.definition(found.kind).encode())
-                channels[found.topic] = RawChannel(f"/{found.topic}", "cdr", _QOS, schema)
-            yield channels[found.topic], encoder.cdr(found)
+        for encoded in encoder.messages(message.topic, message.channel_topic, message.publish_ns, fields):
+            if encoded.topic not in channels:
+                schema = (encoded.kind, "ros2msg", encoder.definition(encoded.kind).encode())
+                channels[encoded.topic] = RawChannel(f"/{encoded.topic}", "cdr", _QOS, schema)
+            yield channels[encoded.topic], encoder.cdr(encoded)
 
     return write_mcap(recording, target, wanted, encode, _PROFILE)

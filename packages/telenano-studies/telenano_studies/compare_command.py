@@ -51,10 +51,10 @@ def compare(
         sessions = sessions_in(sessions)
         if len(sessions) < 2 and not paper and not published:
             raise ConfigError("compare: give two sessions or more, or one with --paper or --published")
-        found = compare_sessions(
+        comparison = compare_sessions(
             sessions, out, figure_options(formats, style), published or (), paper=paper, tables=table
         )
-    print_comparison(found, out, as_json=as_json)
+    print_comparison(comparison, out, as_json=as_json)
 
 
 class Comparison(NamedTuple):
@@ -86,17 +86,17 @@ def compare_sessions(
 
     kinds = table_formats(tables)
     points = [*([paper_points()] if paper else []), *map(read_published, published)]
-    found = read(sessions)
-    rows = rows_of(found)
-    statistics = statistics_of(rows, [session.scenario for session in found])
-    summaries = {session.name: session.summary for session in found}
-    origin = "\n".join(f"{name}: {described(summary['scenario'], summary)}" for name, _, summary, _ in found)
-    files = drawn(compare_figure(found, options, points), "compare", options, origin)
+    comparison = read(sessions)
+    rows = rows_of(comparison)
+    statistics = statistics_of(rows, [session.scenario for session in comparison])
+    summaries = {session.name: session.summary for session in comparison}
+    origin = "\n".join(f"{name}: {described(summary['scenario'], summary)}" for name, _, summary, _ in comparison)
+    files = drawn(compare_figure(comparison, options, points), "compare", options, origin)
     files |= table_files("compare", rows, kinds)
     files |= table_files("statistics", statistics, kinds) if statistics else {}
     files["compare.json"] = _json(summaries)
     if points:
-        files["published.json"] = _json([beside(found, part) for part in points])
+        files["published.json"] = _json([beside(comparison, part) for part in points])
     try:
         write_files(out, files)
     except OSError as error:

@@ -61,10 +61,10 @@ def recordings_of(path: Path) -> list[Path]:
     """Return the recording that a path is, or all parts of the one in a folder; ConfigError where there is none."""
     if not path.is_dir():
         return [path]
-    found = sorted(path.glob("session*.mcap"))
-    if not found:
+    paths = sorted(path.glob("session*.mcap"))
+    if not paths:
         raise ConfigError(f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`")
-    return found
+    return paths
 
 
 def sessions_in(paths: Sequence[Path]) -> list[Path]:
@@ -97,13 +97,13 @@ def _named(path: Path) -> Path:
 
 def compare(paths: Sequence[Path]) -> list[Compared]:
     """Read sessions; RecordingError names a file that has none, ConfigError a folder without a recording."""
-    found = []
+    rows = []
     for name, path in zip(names_of(paths), paths, strict=True):
         recording = open_recordings(recordings_of(path))
         session = read_session(recording)
         scenario = scenario_in(recording).model_dump(mode="json")
-        found.append(Compared(name, session, summarise(session, recording), scenario))
-    return found
+        rows.append(Compared(name, session, summarise(session, recording), scenario))
+    return rows
 
 
 def rows_of(sessions: Sequence[Compared]) -> list[dict[str, Any]]:

@@ -35,13 +35,13 @@ def diff(
 
         allowed = Tolerances.parse(tolerance or ())
         chosen = Selection.of(topics or (), exclude or ())
-        found = diff_recordings(left, right, allowed, ignore or (), chosen)
+        difference = diff_recordings(left, right, allowed, ignore or (), chosen)
     if as_json:
-        print_json(found.model_dump(mode="json"))
+        print_json(difference.model_dump(mode="json"))
     else:
-        rows = [row.model_dump() for row in found.channels if row.only_left or row.only_right or row.different]
-        typer.echo("the same" if found.same else f"{left} and {right} differ")
+        rows = [row.model_dump() for row in difference.channels if row.only_left or row.only_right or row.different]
+        typer.echo("the same" if difference.same else f"{left} and {right} differ")
         if rows:
             print_rows(rows)
-    if not found.same:
+    if not difference.same:
         raise typer.Exit(EXIT_FAILED)

@@ -106,11 +106,11 @@ def _range(option: str, text: str, unit: str) -> list[float]:
 
 def frequencies(text: str) -> tuple[float, ...]:
     """Read frequencies [Hz] whose periods are whole milliseconds, so that whole periods are whole ticks."""
-    found = numbers("--frequency", text, 0.05, 50.0, "Hz")
-    for frequency in found:
+    values = numbers("--frequency", text, 0.05, 50.0, "Hz")
+    for frequency in values:
         if abs(1e3 / frequency - round(1e3 / frequency)) > 1e-6:
             raise ConfigError(f"--frequency {frequency:g}: a period of {1e3 / frequency:g} ms; give one of whole ms")
-    return found
+    return values
 
 
 def laws(text: str) -> tuple[str, ...]:
@@ -120,14 +120,14 @@ def laws(text: str) -> tuple[str, ...]:
 
 def jitters(text: str) -> tuple[Jitter, ...]:
     """Read half-widths in ms, or with a % sign in shares of the one-way delay."""
-    found = []
+    jitters_read = []
     for part in text.split(","):
         relative = part.strip().endswith("%")
         value = number("--jitter", part.strip().removesuffix("%"), "ms or %")
         if not 0.0 <= value <= (100.0 if relative else 1e5):
             raise ConfigError(f"--jitter {part}: must be 0 ms or more, or 0 to 100 %")
-        found.append(Jitter(0.01 * value if relative else value, relative))
-    return tuple(dict.fromkeys(found))
+        jitters_read.append(Jitter(0.01 * value if relative else value, relative))
+    return tuple(dict.fromkeys(jitters_read))
 
 
 def losses(text: str) -> tuple[float, ...]:

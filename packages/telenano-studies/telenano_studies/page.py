@@ -81,9 +81,9 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page, with what made it, and links to the tables that lie beside it."""
-        found = versions()
+        versions_here = versions()
         words = ", ".join(
-            f"{name} {found[key]}"
+            f"{name} {versions_here[key]}"
             for name, key in (("telenano", "package telenano"), ("commit", "commit"), ("Python", "python"),
                               ("NumPy", "package numpy"), ("on", "platform"))
         )  # fmt: skip
@@ -124,8 +124,8 @@ def write_images(
         command: The command that makes them, which each file contains together with the version.
         options: The formats and the style of the figures.
     """
-    found = versions()
-    origin = f"{command}; telenano {found['package telenano']}, commit {found['commit']}"
+    versions_here = versions()
+    origin = f"{command}; telenano {versions_here['package telenano']}, commit {versions_here['commit']}"
     for stem, figure in figures.items():
         for name, content in drawn(figure, stem, options, origin).items():
             (out / name).write_bytes(content)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.recording import IndexedRecording, Timeline, column_pieces
 from telenano.wire import ConfigError, RecordingError
 
@@ -113,8 +113,8 @@ def _extreme_places(times: npt.NDArray[Any], values: Floats, bins: int) -> npt.N
     """
     since = times - times[0]
     starts = np.unique(np.searchsorted(since, since[-1] * (np.arange(bins) / bins)))
-    found = [_first_least(np.where(np.isnan(values), np.inf, sign * values), starts) for sign in (1.0, -1.0)]
-    return np.unique(np.concatenate([[0, len(values) - 1], *found]))
+    places = [_first_least(np.where(np.isnan(values), np.inf, sign * values), starts) for sign in (1.0, -1.0)]
+    return np.unique(np.concatenate([[0, len(values) - 1], *places]))
 
 
 def _first_least(values: Floats, starts: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
@@ -139,7 +139,7 @@ def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
     panels[-1].set_xlabel("time of sending since the first message, s")
     panels[0].set_title(title, fontsize=9)
     try:
-        with whole_file(path) as file:
+        with atomic_file(path) as file:
             figure.savefig(file, dpi=120, format=path.suffix[1:] or "png")
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be written: {error}") from error

@@ -39,16 +39,16 @@ def promises(
     """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
     with report_errors(as_json, INTERRUPTED):
         with sweep_in(out, workers, None, shown=not as_json) as sweep:
-            found = outcomes(option_values.laws(law), seeds, sweep, burst, uneven=uneven)
-        failed = broken(found)
-        rows_found = [as_dict(row) for row in found]
+            judged = outcomes(option_values.laws(law), seeds, sweep, burst, uneven=uneven)
+        failed = broken(judged)
+        rows_found = [as_dict(row) for row in judged]
         summary = {"study": "promises", "seeds": seeds, "burst": burst, "uneven": uneven, "held": not failed}
         summary |= {"rows": rows_found}
         rows = [
             (r.law, r.hand, r.round_trip_ms, f"{r.passive}/{r.runs}", 1e6 * r.lowest_energy_j, f"{r.stable}/{r.runs}",
              r.share, r.least_share, None if r.apart_m is None else 1e3 * r.apart_m,
              ", ".join(f"{number} {kind.replace('_', ' ')}" for kind, number in r.failed.items()))
-            for r in found
+            for r in judged
         ]  # fmt: skip
         lost = "0, 5 or 20 % loss" if burst is None else f"5, 20 or 50 % loss, {burst:g} messages in a row on average"
         link = f"Jitter of half the delay, {lost}"

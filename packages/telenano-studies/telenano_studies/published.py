@@ -122,10 +122,10 @@ def nearest(series: SessionSeries, point: Point) -> tuple[float, float]:
     Distances count in errors of the published point, or in spans of the curve where an error is not known.
     """
     x, y = curve_of(series, point.panel)
-    known = np.isfinite(x) & np.isfinite(y)
-    if not known.any():
+    is_finite = np.isfinite(x) & np.isfinite(y)
+    if not is_finite.any():
         return math.nan, math.nan
-    x, y = x[known], y[known]
+    x, y = x[is_finite], y[is_finite]
     scales = [
         error if error > 0.0 else float(np.ptp(values)) or 1.0
         for error, values in ((point.x_error, x), (point.y_error, y))

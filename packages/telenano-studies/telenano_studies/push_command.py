@@ -79,21 +79,21 @@ def push_figure(rows: "list[Row]") -> "Figure":
     lines = sorted({(row.law, row.loss) for row in rows})
     laws = sorted({law for law, _ in lines})
     for law, loss in lines:
-        found = [row for row in rows if (row.law, row.loss) == (law, loss)]
+        chosen = [row for row in rows if (row.law, row.loss) == (law, loss)]
         # so far aside that lines which are the same are seen beside each other
         aside_ms = _ASIDE_MS * (lines.index((law, loss)) - 0.5 * (len(lines) - 1))
-        trips = [row.round_trip_ms + aside_ms for row in found]
+        trips = [row.round_trip_ms + aside_ms for row in chosen]
         look = {"color": f"C{laws.index(law)}", "linestyle": "-" if loss == 0.0 else "--", "marker": "o", "ms": 4.0}
         label = law.replace("_", " ") + (f", {100 * loss:g} % lost" if loss else "")
-        shares = [row.placed / row.trials for row in found]
+        shares = [row.placed / row.trials for row in chosen]
         errors = [
-            [share - row.low for share, row in zip(shares, found, strict=True)],
-            [row.high - share for share, row in zip(shares, found, strict=True)],
+            [share - row.low for share, row in zip(shares, chosen, strict=True)],
+            [row.high - share for share, row in zip(shares, chosen, strict=True)],
         ]
         panels[0].errorbar(trips, shares, yerr=errors, capsize=3, label=label, **look)
-        panels[1].plot(trips, [float("nan") if row.time_s is None else row.time_s for row in found], **look)
-        panels[2].plot(trips, [row.losses for row in found], **look)
-        panels[3].plot(trips, [row.press_nn for row in found], **look)
+        panels[1].plot(trips, [float("nan") if row.time_s is None else row.time_s for row in chosen], **look)
+        panels[2].plot(trips, [row.losses for row in chosen], **look)
+        panels[3].plot(trips, [row.press_nn for row in chosen], **look)
     names = (
         "share placed",
         "time of those placed, s",

@@ -64,15 +64,15 @@ def diff_recordings(
 
 
 def _side(recording: Recording, selection: Selection) -> Side:
-    found: Side = {}
+    messages: Side = {}
     for message in recording.select(selection):
-        channel = found.setdefault(message.channel, {})
+        channel = messages.setdefault(message.channel, {})
         # a restarted publisher uses its numbers again
         repetition = 0
         while (message.seq, repetition) in channel:
             repetition += 1
         channel[message.seq, repetition] = message
-    return found
+    return messages
 
 
 def _compare(
@@ -87,13 +87,13 @@ def _compare(
     for key in left.keys() & right.keys():
         if left[key].payload == right[key].payload:
             continue
-        found = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
-        if found is not None:
+        difference = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
+        if difference is not None:
             different += 1
     for key in sorted(left.keys() & right.keys()) if different else ():
-        found = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
-        if found is not None:
-            first = f"seq {key[0]}: {found.text}"
+        difference = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
+        if difference is not None:
+            first = f"seq {key[0]}: {difference.text}"
             break
     return ChannelDifference(
         channel=channel.channel_topic,

@@ -82,19 +82,19 @@ def statistics_of(rows: Sequence[Mapping[str, Any]], scenarios: Sequence[Mapping
     if all(len(group) < 2 for group in groups):
         return []
     known = [conditions_of(scenarios[group[0]]) for group in groups]
-    keys = dict.fromkeys(key for found in known for key in found)
-    distinct = [key for key in keys if len({str(found.get(key)) for found in known}) > 1]
-    found = []
+    keys = dict.fromkeys(key for conditions_of_group in known for key in conditions_of_group)
+    distinct = [key for key in keys if len({str(conditions_of_group.get(key)) for conditions_of_group in known}) > 1]
+    conditions_of_group = []
     for group, conditions in zip(groups, known, strict=True):
         named = {key: conditions.get(key) for key in distinct}
         members = [rows[place] for place in group]
         stable = sum(row["verdict"] == "stable" for row in members)
-        found.append({**named, "figure": "share that is stable", **share(stable, len(members))._asdict()})
+        conditions_of_group.append({**named, "figure": "share that is stable", **share(stable, len(members))._asdict()})
         for figure in members[0]:
             values = [row[figure] for row in members if _is_number(row[figure])]
             if values:
-                found.append({**named, "figure": figure, **statistic(values)._asdict()})
-    return found
+                conditions_of_group.append({**named, "figure": figure, **statistic(values)._asdict()})
+    return conditions_of_group
 
 
 def _is_number(value: Any) -> bool:

@@ -125,7 +125,8 @@ def transparency(
         rows, spectra = measure_all(axes)
         options = figure_options(formats, style)
         records = [
-            {**asdict(row), "hand": axes.hand, **z_width_of(found)} for row, found in zip(rows, spectra, strict=True)
+            {**asdict(row), "hand": axes.hand, **z_width_of(spectrum)}
+            for row, spectrum in zip(rows, spectra, strict=True)
         ]
         summary = {"study": "transparency", "rows": records}
         with results_in(out) as folder:
@@ -135,14 +136,14 @@ def transparency(
             page.code(command_line())
             write_transparency(page, rows)
             write_spectra(page, spectra, images)
-            lines = [line for found in spectra for line in found.rows()]
+            lines = [line for spectrum in spectra for line in spectrum.rows()]
             write_study(folder, page, summary, tables, transparency=records, spectra=lines)
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]",
                 "passive to [N/m]", "Z-width [dB]")  # fmt: skip
         print_result(summary, head, [
             (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
-             r.perceived_delay_ms, r.contrast_db, found.passive_n_per_m, found.z_width_db)
-            for r, found in zip(rows, spectra, strict=True)
+             r.perceived_delay_ms, r.contrast_db, spectrum.passive_n_per_m, spectrum.z_width_db)
+            for r, spectrum in zip(rows, spectra, strict=True)
         ], out, as_json=as_json)  # fmt: skip
 
 

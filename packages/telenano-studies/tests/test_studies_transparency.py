@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_studies.loops.cells import Cell
-from telenano_studies.loops.transparency import FREQUENCY_HZ, Spectrum, hand_programme, measure, spectrum
+from telenano_studies.loops.transparency import FREQUENCY_HZ, Spectrum, hand_force_profile, measure, spectrum
 
 from telenano.hand.config import DeviceConfig
 from telenano.hand.motor import closed_loop_coefficients
@@ -51,7 +51,7 @@ def test_what_is_unstable_has_no_numbers() -> None:
 
 
 def test_programme_is_a_sine_on_a_ramp() -> None:
-    points, begin_s = hand_programme(1.0, 0.5)
+    points, begin_s = hand_force_profile(1.0, 0.5)
     times, forces = np.array(points).T
     assert (np.diff(times) > 0.0).all()
     assert begin_s == pytest.approx(1.0 + 3 / FREQUENCY_HZ, rel=1e-12, abs=0.0)

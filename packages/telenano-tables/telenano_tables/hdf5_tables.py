@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.recording import CopyResult, Recording, Selection, quantity
 from telenano_tables.table_batches import Columns, Kinds, OpenTable, Write, copied, kind_of, topic_of, write_tables
 
@@ -21,7 +21,7 @@ def export_hdf5(recording: Recording, target: Path, selection: Selection) -> Cop
         RecordingError: A value is beyond what a dataset holds.
         OSError: The file exists, or cannot be written.
     """
-    with whole_file(target, replace=False) as file:
+    with atomic_file(target, replace=False) as file:
         tables = write_tables(recording, selection, partial(_hdf5_tables, recording, file), target)
     return copied(target, recording, tables)
 
@@ -38,8 +38,8 @@ def _hdf5_tables(recording: Recording, target: Path) -> Iterator[OpenTable]:
         def open_table(name: str, kinds: Kinds) -> Write:
             group = file.create_group(name)
             group.attrs["topic"] = topic_of(name)
-            for column, found in kinds.items():
-                _create_dataset(group, column, found)
+            for column, types in kinds.items():
+                _create_dataset(group, column, types)
                 group[column].attrs.update(quantity(topic_of(name), column)._asdict())
 
             def write(columns: Columns) -> None:

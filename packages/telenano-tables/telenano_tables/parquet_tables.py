@@ -62,8 +62,8 @@ def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextMan
 
     def schema_of(topic: str, kinds: Kinds) -> Any:
         fields = [
-            arrow.field(column, type_of(column, kind_of(found)), metadata=quantity(topic, column)._asdict())
-            for column, found in kinds.items()
+            arrow.field(column, type_of(column, kind_of(types)), metadata=quantity(topic, column)._asdict())
+            for column, types in kinds.items()
         ]
         # pandas gives what is under this name as the `attrs` of its table
         attrs = {"topic": topic, "units": {column: quantity(topic, column).unit for column in kinds}}

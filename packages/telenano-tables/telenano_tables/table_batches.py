@@ -113,7 +113,7 @@ def _write_once(
                 tables[name] = open_table(name, kinds[name])
             absent: TypedColumn = [None] * len(messages), _NONE
             tables[name](
-                {column: uniform(columns.get(column, absent)[0], found) for column, found in kinds[name].items()}
+                {column: uniform(columns.get(column, absent)[0], types) for column, types in kinds[name].items()}
             )
     return total, damage, widened
 
@@ -130,10 +130,10 @@ def _add_kinds(known: Kinds, batch: Mapping[str, TypedColumn]) -> bool:
     """Add the types in a batch to those that are known; return whether one of them is new."""
     is_new = False
     for column in {**known, **batch}:
-        found = batch[column][1] if column in batch else _NONE
+        types = batch[column][1] if column in batch else _NONE
         before = known.setdefault(column, set())
-        if not found <= before:
-            before |= found
+        if not types <= before:
+            before |= types
             is_new = True
     return is_new
 

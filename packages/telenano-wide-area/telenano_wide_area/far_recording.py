@@ -60,12 +60,12 @@ def noted_files(folder: Path) -> tuple[str, ...]:
     """
     path = folder / FAR_LIST
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["files"]
+        files = json.loads(path.read_text(encoding="utf-8"))["files"]
     except FileNotFoundError:
         raise RecordingError(f"{path}: is missing: no session of two sites was recorded to {folder}") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RecordingError(f"{path}: is not a list of files: {error}") from error
-    return checked_names(found, str(path))
+    return checked_names(files, str(path))
 
 
 def checked_names(names: Any, origin: str) -> tuple[str, ...]:

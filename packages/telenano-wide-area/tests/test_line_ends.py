@@ -232,7 +232,7 @@ def test_only_its_sender_calls_a_line_full_and_names_what_it_carries_now(
         queue_ns = queue_ms * MS if 400 <= tick < 1600 else 0
         outgoing.line.record(Exchange(at_ns - 40 * MS - queue_ns, at_ns - 20 * MS, at_ns - 20 * MS, at_ns))
         outgoing.control.mode = mode if 400 <= tick < 1800 else "free"
-        if found := outgoing.told_of_queue(at_ns, "slave"):
+        if found := outgoing.report_queue(at_ns, "slave"):
             told.append(found)
     assert [level for level, _ in told] == levels
     if levels:

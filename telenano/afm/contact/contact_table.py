@@ -190,13 +190,13 @@ def _measured_errors(table: ContactTable, end: float, start: float, span: float,
         x = 0.5**_OCTAVES * np.array(_PROBES) if innermost else 0.5**octave * 0.5 * (1.0 + inside)
         u = span * x
         exact = _direct(table.contact.transition, end, start, u)
-        found = _look_up(table, (start + u * u) * unit_m) / np.array([unit_n, unit_n / unit_m])
+        looked_up = _look_up(table, (start + u * u) * unit_m) / np.array([unit_n, unit_n / unit_m])
         force, stiffness = exact[:, 0], exact[:, 2]
-        force_errors = np.abs(found[:, 0] - force) / np.maximum(np.abs(force), FORCE_FLOOR)
+        force_errors = np.abs(looked_up[:, 0] - force) / np.maximum(np.abs(force), FORCE_FLOOR)
         force_error = max(force_error, float(force_errors.max()))
         # the innermost cell holds its stiffness constant by definition; only its force is bounded
         if not innermost:
-            stiffness_errors = np.abs(found[:, 1] - stiffness) / np.maximum(np.abs(stiffness), 1.0)
+            stiffness_errors = np.abs(looked_up[:, 1] - stiffness) / np.maximum(np.abs(stiffness), 1.0)
             stiffness_error = max(stiffness_error, float(stiffness_errors.max()))
         if not _is_fine_enough(force_error, stiffness_error):
             break
@@ -209,7 +209,7 @@ def _is_fine_enough(force_error: float, stiffness_error: float) -> bool:
 
 @compiled
 def _look_up(table: ContactTable, indentations_m: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    found = np.empty((indentations_m.shape[0], 2))
+    entries = np.empty((indentations_m.shape[0], 2))
     for i in range(indentations_m.shape[0]):
-        found[i, 0], found[i, 1] = table_force(table, indentations_m[i])
-    return found
+        entries[i, 0], entries[i, 1] = table_force(table, indentations_m[i])
+    return entries

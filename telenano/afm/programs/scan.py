@@ -294,8 +294,8 @@ def _polar(state: ScanState) -> tuple[Array, Array]:
 
 def _filled(total: Array, counts: Array) -> Array:
     """Return the means; a pixel that the tip crossed between two steps lies between its neighbours."""
-    known = np.flatnonzero(counts)
-    return np.asarray(np.interp(np.arange(len(counts)), known, total[known] / counts[known]))
+    measured = np.flatnonzero(counts)
+    return np.asarray(np.interp(np.arange(len(counts)), measured, total[measured] / counts[measured]))
 
 
 def line_fault(plan: ScanPlan, reach_m: float, speed_m_per_s: float, force_limit_n: float) -> str:

@@ -30,7 +30,7 @@ METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9
 _LENGTH = (("m", 1.0),)
 _TEXTS = (".txt", ".csv", ".tsv", ".asc")
 # what the head of a matrix says: a side with its unit, and the unit of the values
-_SAID = {
+_HEAD_PATTERNS = {
     "width": r"(?i)\bwidth\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
     "height": r"(?i)\bheight\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
     "values": r"(?i)\b(?:value|z)[ -]*units?\s*[:=]\s*(\S+)",
@@ -73,11 +73,11 @@ def read_surface(
     if size_m is not None and path.suffix.lower() not in (".npy", *_TEXTS):
         raise ConfigError(f"{path}: says its own size; a size is given for .npy files and text tables only")
     try:
-        found = _chosen(read(path, size_m), channel)
-        scale = _metres(found.unit_z, f"the heights of channel {found.name}")
-        side = _metres(found.unit_xy, f"the sides of channel {found.name}")
-        heights = found.values.astype(np.float64) * scale
-        return checked(heights, found.width * side, found.depth * side, may_lack=may_lack)
+        surface = _chosen(read(path, size_m), channel)
+        scale = _metres(surface.unit_z, f"the heights of channel {surface.name}")
+        side = _metres(surface.unit_xy, f"the sides of channel {surface.name}")
+        heights = surface.values.astype(np.float64) * scale
+        return checked(heights, surface.width * side, surface.depth * side, may_lack=may_lack)
     except ConfigError:
         raise
     except OSError as error:
@@ -91,12 +91,12 @@ def read_surface(
 
 
 def _metres(unit: str, what: str) -> float:
-    found = unit_of(unit)
-    if found is None or found.powers != _LENGTH:
+    unit_read = unit_of(unit)
+    if unit_read is None or unit_read.powers != _LENGTH:
         raise ValueError(
             f"the unit of {what} is {repr(unit) if unit else 'none'}; it must be a length: {', '.join(METRES)}"
         )
-    return found.factor
+    return unit_read.factor
 
 
 def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
@@ -104,10 +104,10 @@ def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
     if not channels:
         raise ValueError("has no channel with a map")
     if wanted is not None:
-        found = [c for c in channels if wanted.lower() in c.name.lower()]
-        if not found:
+        matching = [c for c in channels if wanted.lower() in c.name.lower()]
+        if not matching:
             raise ValueError(f"has no channel {wanted!r}; it has: {names}")
-        return found[0]
+        return matching[0]
     heights = [c for c in channels if (unit := unit_of(c.unit_z)) and unit.powers == _LENGTH] or channels
     return next((c for c in heights if _HEIGHT_NAMES.search(c.name)), heights[0])
 
@@ -122,9 +122,9 @@ def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
         shape, _, kind = _NPY_HEADERS[version](file)
         if kind.kind not in "fiu":
             raise ValueError("holds no array of numbers")
-        stated, found = math.prod(shape) * kind.itemsize, os.fstat(file.fileno()).st_size - file.tell()
-        if min(shape, default=0) < 0 or stated != found:
-            raise ValueError(f"has {found} bytes of heights; the shape {shape} of {kind.itemsize} bytes is {stated}")
+        stated, actual = math.prod(shape) * kind.itemsize, os.fstat(file.fileno()).st_size - file.tell()
+        if min(shape, default=0) < 0 or stated != actual:
+            raise ValueError(f"has {actual} bytes of heights; the shape {shape} of {kind.itemsize} bytes is {stated}")
         if len(shape) == 2 and shape[0] != shape[1]:
             raise ValueError(f"has the shape {shape}; with one side given, it must be square")
         _check_pixels(shape)
@@ -144,9 +144,15 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         raise ValueError(f"is a table of two columns and {len(table.lines)} rows, and no matrix of heights")
     values = np.array([table.numbers(column) for column in table.columns]).T[::-1]
     _check_pixels(values.shape)
-    said = {key: found[0] for key, words in _SAID.items() if (found := re.findall(words, "\n".join(table.head)))}
+    stated = {
+        key: matches[0]
+        for key, words in _HEAD_PATTERNS.items()
+        if (matches := re.findall(words, "\n".join(table.head)))
+    }
     sides = [
-        (as_number(said[key][0]) or 0.0) * _metres(said[key][1], f"the {key} in its head") if key in said else None
+        (as_number(stated[key][0]) or 0.0) * _metres(stated[key][1], f"the {key} in its head")
+        if key in stated
+        else None
         for key in ("width", "height")
     ]
     width = sides[0] if size_m is None else size_m
@@ -156,9 +162,9 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         )
     # without a side of its own the pixels are square
     depth = sides[1] if size_m is None and sides[1] is not None else width * len(values) / len(values[0])
-    if "values" not in said and not np.nanmax(np.abs(values)) < _HIGHEST_M:
+    if "values" not in stated and not np.nanmax(np.abs(values)) < _HIGHEST_M:
         raise ValueError("its values are no heights in m: write their unit above them, as in `# Value units: nm`")
-    return [_Channel("heights", values, width, depth, "m", said.get("values", "m"))]
+    return [_Channel("heights", values, width, depth, "m", stated.get("values", "m"))]
 
 
 def _check_pixels(shape: tuple[int, ...]) -> None:
@@ -182,9 +188,9 @@ def _read_gsf(path: Path, size_m: float | None) -> list[_Channel]:
             header[key.strip()] = value.strip()
         columns, rows = (_whole(header, key) for key in ("XRes", "YRes"))
         start = end + 4 - end % 4
-        found, stated = os.fstat(file.fileno()).st_size - start, 4 * columns * rows
-        if found != stated:
-            raise ValueError(f"has {found} bytes of heights; {columns} x {rows} of 4 bytes are {stated}")
+        actual, stated = os.fstat(file.fileno()).st_size - start, 4 * columns * rows
+        if actual != stated:
+            raise ValueError(f"has {actual} bytes of heights; {columns} x {rows} of 4 bytes are {stated}")
         file.seek(start)
         values = np.frombuffer(file.read(stated), "<f4").reshape(rows, columns)[::-1]
     width, depth = (_real(header, key) for key in ("XReal", "YReal"))

@@ -50,12 +50,12 @@ def info(
 ) -> None:
     """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
-        found = _read(file, _by_index(file, full=full))
+        summary = _read(file, _by_index(file, full=full))
     if not as_json:
         # A table of all columns is wider and longer than a screen.
-        found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
-        found["metadata"] = found["metadata"].get("recording", {})
-    print_document(found, str(file), as_json=as_json)
+        summary["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in summary["channels"]]
+        summary["metadata"] = summary["metadata"].get("recording", {})
+    print_document(summary, str(file), as_json=as_json)
 
 
 def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
@@ -112,8 +112,8 @@ def cat(
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         if topics and not any(map(chosen, recording.channels)):
-            known = known_names(topics[0], {channel.channel_topic: None for channel in recording.channels})
-            raise RecordingError(f"{files[0]}: has no channel {topics[0]}, {known}")
+            names = known_names(topics[0], {channel.channel_topic: None for channel in recording.channels})
+            raise RecordingError(f"{files[0]}: has no channel {topics[0]}, {names}")
         for message in islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count):
             print_json(line(message))
 
@@ -264,7 +264,7 @@ def _row(path: Path) -> dict[str, Any]:
     from telenano.recording.reader import Recording
 
     try:
-        found = _by_index(path, full=False) or Recording(path).info()
+        info = _by_index(path, full=False) or Recording(path).info()
     except RecordingError as error:
         return {
             "path": str(path),
@@ -273,11 +273,11 @@ def _row(path: Path) -> dict[str, Any]:
             "size_bytes": path.stat().st_size,
             "note": str(error),
         }
-    note = "" if found.closed else "not closed properly"
-    note = f"{note}, {found.skipped_bytes} bytes damaged".strip(", ") if found.skipped_bytes else note
-    note = f"{note}, {found.lost} messages missing".strip(", ") if found.lost else note
-    facts = {"path": str(path), "duration_s": round(found.duration_s, 3), "messages": found.messages}
-    return {**facts, "size_bytes": found.size_bytes, "note": note}
+    note = "" if info.closed else "not closed properly"
+    note = f"{note}, {info.skipped_bytes} bytes damaged".strip(", ") if info.skipped_bytes else note
+    note = f"{note}, {info.lost} messages missing".strip(", ") if info.lost else note
+    facts = {"path": str(path), "duration_s": round(info.duration_s, 3), "messages": info.messages}
+    return {**facts, "size_bytes": info.size_bytes, "note": note}
 
 
 def _bounds(origin_ns: int, start_s: float, end_s: float | None) -> tuple[int, int | None]:

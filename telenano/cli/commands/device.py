@@ -49,12 +49,12 @@ def serial_ports() -> list[dict[str, Any]]:
     names = {str(link.resolve()): str(link) for link in _BY_ID.iterdir()} if _BY_ID.is_dir() else {}
     return [
         {
-            "port": names.get(found.device, found.device),
-            "device": found.device,
-            "what": found.description,
-            "in use by": holder_of(found.device),
+            "port": names.get(port.device, port.device),
+            "device": port.device,
+            "what": port.description,
+            "in use by": holder_of(port.device),
         }
-        for found in comports()
+        for port in comports()
     ]
 
 
@@ -73,7 +73,7 @@ def package_rows() -> list[dict[str, Any]]:
     from telenano.hand.config import DRIVERS as HANDLES
 
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()
-    found, problems = {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
+    drivers, problems = {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
     checked = {finding.name: finding for finding in checks_of_packages()}
     rows = []
     for name, row in installed("devices").items():
@@ -81,10 +81,10 @@ def package_rows() -> list[dict[str, Any]]:
         rows.append(
             {
                 "driver": name,
-                "device": found[name].what if name in found else "",
-                "node": found[name].node if name in found else "",
+                "device": drivers[name].what if name in drivers else "",
+                "node": drivers[name].node if name in drivers else "",
                 "package": f"{row.package} {row.version}",
-                "found": problems[name] if name not in found else finding.found if finding else _state(found[name]),
+                "found": problems[name] if name not in drivers else finding.found if finding else _state(drivers[name]),
                 "advice": finding.advice if finding else "",
             }
         )

@@ -130,10 +130,10 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     """Draw findings, each with its advice below."""
     table = Table("check", "level", "found")
     for finding in findings:
-        found = Text(finding.found)
+        text = Text(finding.found)
         if finding.advice:
-            found.append(f"\n→ {finding.advice}", "bold")
-        table.add_row(finding.name, Text(finding.level, _STYLES[finding.level]), found)
+            text.append(f"\n→ {finding.advice}", "bold")
+        table.add_row(finding.name, Text(finding.level, _STYLES[finding.level]), text)
     return table
 
 
@@ -174,13 +174,13 @@ def extensions() -> list[Finding]:
 
 def checks_of_packages() -> list[Finding]:
     """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for name, check in load("checks").found.items():
         try:
-            found += [Finding(*finding) for finding in check()]
+            findings += [Finding(*finding) for finding in check()]
         except Exception as error:  # noqa: BLE001 - the code of a package may raise anything
-            found.append(Finding(name, "warning", f"check of {installed('checks')[name].package} failed: {error!r}"))
-    return found
+            findings.append(Finding(name, "warning", f"check of {installed('checks')[name].package} failed: {error!r}"))
+    return findings
 
 
 def _installed(name: str) -> str | None:
@@ -205,18 +205,18 @@ def _addresses(book: "AddressBook") -> list[Finding]:
 
     keyring = Keyring()
     machine = this_machine(keyring)
-    found = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
+    findings = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
     if book.requires_keys:
         others = {book.machine_of(node) for node in book.nodes} - {machine}
-        found += checks.check_keys(machine, others, keyring)
+        findings += checks.check_keys(machine, others, keyring)
     elif book.spans_machines:
         advice = "remove `insecure: true` from it, and make keys with `telenano keys new`"
-        found.append(
+        findings.append(
             Finding(
                 "keys", "warning", "the site file waives them: anyone who can connect to a port can read it", advice
             )
         )
-    return found
+    return findings
 
 
 def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:

@@ -41,8 +41,8 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
         from telenano.laws.config import LAWS
         from telenano.laws.law_rules import known_law
 
-        found = known_law(law)
-        properties: dict[str, Any] = found.config.model_json_schema()["properties"]
+        row = known_law(law)
+        properties: dict[str, Any] = row.config.model_json_schema()["properties"]
         parameters = [
             {
                 "parameter": f"controller.{law}.{name}",
@@ -54,9 +54,9 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
             for name, schema in properties.items()
         ]
         says = {
-            "closes_a_loop_through_the_instrument": found.link_loop,
-            "states_passivity": found.passive,
-            "must_know": list(found.must_know),
+            "closes_a_loop_through_the_instrument": row.link_loop,
+            "states_passivity": row.passive,
+            "must_know": list(row.must_know),
         }
         facts = {"law": law, **_origin(law), "about": _about(LAWS[law]), **says}
     if as_json:
@@ -82,8 +82,8 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
         uneven = [limit_of(late, even=False) for late in range(LATE_PERIODS + 1)]
     if as_json:
         limits = {"stiffness_limit_n_per_m": limit, "late_stiffness_limits_n_per_m": behind}
-        found = {"law": law, "rules": broken, "keeps_all": not any(broken.values()), **limits}
-        print_json(found | {"uneven_stiffness_limits_n_per_m": uneven})
+        document = {"law": law, "rules": broken, "keeps_all": not any(broken.values()), **limits}
+        print_json(document | {"uneven_stiffness_limits_n_per_m": uneven})
     else:
         if limit is not None:
             late, lossy = (", ".join(f"{value:.4g}" for value in values) for values in (behind, uneven))

@@ -81,12 +81,12 @@ def profile(
         return
     with report_errors(as_json):
         if name is not None:
-            found = profile_named(name).model_dump(mode="json")
-            rows = profile_rows(found)
+            document = profile_named(name).model_dump(mode="json")
+            rows = profile_rows(document)
         else:
-            rows = [{"profile": known, "what": row.about} for known, row in PROFILES.items()]
-            found = {"profiles": rows}
-        print_answer(found, rows, as_json=as_json)
+            rows = [{"profile": name_of_row, "what": row.about} for name_of_row, row in PROFILES.items()]
+            document = {"profiles": rows}
+        print_answer(document, rows, as_json=as_json)
 
 
 def profile_rows(found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -118,13 +118,13 @@ def current_status(observer: Observer) -> dict[str, Any]:
 
 def current_network(observer: Observer) -> dict[str, dict[str, Any]]:
     """Return the counts of the newest link/network of each direction; empty where the link sends no datagrams."""
-    found: dict[str, dict[str, Any]] = {}
+    networks: dict[str, dict[str, Any]] = {}
     for received in messages_of(observer, "link/network", _NETWORK_S, None):
         fields = json_fields(received.message)
-        found[fields["direction"]] = {key: value for key, value in fields.items() if key not in _PER_DATAGRAM}
-        if len(found) == len(_DIRECTIONS):
+        networks[fields["direction"]] = {key: value for key, value in fields.items() if key not in _PER_DATAGRAM}
+        if len(networks) == len(_DIRECTIONS):
             break
-    return found
+    return networks
 
 
 def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:

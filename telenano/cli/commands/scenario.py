@@ -10,7 +10,7 @@ import yaml
 from telenano.cli.completion import scenario_names
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
-from telenano.files.whole_files import whole_file
+from telenano.files.atomic_files import atomic_file
 from telenano.settings.config import read_yaml
 from telenano.settings.included import find_scenario, scenarios
 from telenano.wire.errors import ConfigError
@@ -84,7 +84,7 @@ def new(
         validated(Scenario, document, str(path))
         head = f"# yaml-language-server: $schema={(SCHEMA_DIRECTORY / 'scenario.json').as_uri()}\n"
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
-        with whole_file(path, replace=False) as file:
+        with atomic_file(path, replace=False) as file:
             file.write_text(head + text, encoding="utf-8")
     text = f"{path}; next: telenano scenario check {path} && telenano up --scenario {path}"
     print_answer({"file": str(path)}, text, as_json=as_json)

@@ -13,7 +13,7 @@ from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
 from telenano.console.command_client import arm_devices, parse_parameters, send_control
-from telenano.console.coupling import couple_anew
+from telenano.console.coupling import recouple
 from telenano.console.lease import CONSOLE
 from telenano.console.lease_register import holding
 from telenano.runtime.loop.commands import Command, CommandName
@@ -48,7 +48,7 @@ def session(
         if command == "couple":
             if parameters or target != "*" or site == "slave":
                 raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
-            text = couple_anew(site_file or _usual_file(site), issued_ns=process_start_ns())
+            text = recouple(site_file or _usual_file(site), issued_ns=process_start_ns())
             print_answer({"command": "couple", "text": text}, text, as_json=as_json)
         else:
             send_command(command, parameters or (), target, site_file, site, as_json=as_json)

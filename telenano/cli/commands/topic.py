@@ -149,13 +149,13 @@ def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observe
     require_rig(book, site_file)
     with contextlib.closing(Observer(book, wanted) if wanted else Observer(book)) as observer:
         # Sockets that a killed rig left behind, or a machine that is switched off, are not noticed before.
-        said = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
-        said.daemon = True
-        said.start()
+        timer = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
+        timer.daemon = True
+        timer.start()
         try:
             yield observer
         finally:
-            said.cancel()
+            timer.cancel()
 
 
 def _say_silence(observer: Observer, topic: str) -> None:

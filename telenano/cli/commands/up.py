@@ -148,8 +148,8 @@ def _clock_text(plan: Plan) -> str:
     # The import needs POSIX, and the other commands work without it.
     from telenano.doctor import checks
 
-    found = checks.check_synchronised(checks.kernel_clock())
-    return "" if found.level == "ok" else f"the clock of this machine is {found.found}; {found.advice}"
+    finding = checks.check_synchronised(checks.kernel_clock())
+    return "" if finding.level == "ok" else f"the clock of this machine is {finding.found}; {finding.advice}"
 
 
 def _sweep(given: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:

@@ -49,10 +49,10 @@ def capabilities_of(driver: str) -> AfmCapabilities | None:
     Raises:
         ValueError: The driver of a package cannot be used.
     """
-    found = DRIVERS.find(driver)
-    if found is None or found.capabilities is None:
+    driver_row = DRIVERS.find(driver)
+    if driver_row is None or driver_row.capabilities is None:
         return TABLE.get(driver)
-    return AfmCapabilities(*found.capabilities)
+    return AfmCapabilities(*driver_row.capabilities)
 
 
 def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
@@ -63,12 +63,12 @@ def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
         law: The name of the law.
         instead: The laws that close no such loop, of which one may be taken.
     """
-    found = capabilities_of(driver)
-    if found is None or found.sample_hz >= LEAST_LOOP_HZ:
+    able = capabilities_of(driver)
+    if able is None or able.sample_hz >= LEAST_LOOP_HZ:
         return ""
     return (
-        f"controller.law: {law} closes a loop through the instrument, and {driver} gives {found.sample_hz:g} samples a"
-        f" second, {found.latency_s * 1e3:g} ms late, where a loop needs {LEAST_LOOP_HZ:g}: use a law whose hand meets"
+        f"controller.law: {law} closes a loop through the instrument, and {driver} gives {able.sample_hz:g} samples a"
+        f" second, {able.latency_s * 1e3:g} ms late, where a loop needs {LEAST_LOOP_HZ:g}: use a law whose hand meets"
         f" a model of the contact at once, which the instrument corrects, or moves no tip ({', '.join(instead)})"
     )
 
@@ -80,16 +80,16 @@ def refusal(driver: str, program: str) -> str:
         driver: The value of `afm_node.driver`.
         program: The name of a program of the instrument, empty for none.
     """
-    found = capabilities_of(driver)
-    if found is None:
+    capabilities = capabilities_of(driver)
+    if capabilities is None:
         return ""
-    if program in PROGRAMS and PROGRAMS[program].moves_across and not found.lateral:
+    if program in PROGRAMS and PROGRAMS[program].moves_across and not capabilities.lateral:
         return f"{program} moves the tip over the sample, and {driver} moves it along z only"
-    if program == "scan" and found.scans:
+    if program == "scan" and capabilities.scans:
         return ""
-    if program and not (found.curves if program == "curve" else found.images):
+    if program and not (capabilities.curves if program == "curve" else capabilities.images):
         return (
             f"{program} regulates the tip in the node at {LEAST_LOOP_HZ:g} Hz or more, and"
-            f" {driver} gives {found.sample_hz:g} samples a second: let the controller do that itself"
+            f" {driver} gives {capabilities.sample_hz:g} samples a second: let the controller do that itself"
         )
     return ""

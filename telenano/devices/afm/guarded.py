@@ -13,7 +13,7 @@ import msgspec
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
-from telenano.afm.layers import Said
+from telenano.afm.layers import TruthMessage
 from telenano.afm.made_samples import layers_on
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.section_config import FrictionConfig
@@ -53,7 +53,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
     lateral_n: tuple[float, float] = (0.0, 0.0)
     place: Place = Place(0.0, 0.0)
     pointer: Place = Place(0.0, 0.0)
-    told_ns: int = 0
+    program_reported_ns: int = 0
     stepped_ns: int = 0
     due_ns: int = 0
     felt: FeltState | None = None
@@ -72,7 +72,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 class Step:
     """One step of this length [s]: what the guard allows, what is wanted, what was measured, what a program was given.
 
-    said: keys of afm/state that the parts add.
+    added_fields: keys of afm/state that the parts add.
     """
 
     allowed: safety.SafetyOutputs
@@ -80,7 +80,7 @@ class Step:
     elapsed_s: float
     sample: AfmSample = field(init=False)
     inputs: Inputs = field(init=False)
-    said: dict[str, Any] = field(default_factory=dict)
+    added_fields: dict[str, Any] = field(default_factory=dict)
 
     @property
     def follows(self) -> bool:
@@ -102,7 +102,7 @@ class Step:
             "armed": safety.is_armed(self.allowed.mode, self.allowed.reason),
             "placed": memory.placed,
             "step_s": self.elapsed_s,
-            **self.said,
+            **self.added_fields,
         }
 
 
@@ -120,7 +120,7 @@ def line_fields(line: FinishedLine, lines: int, friction: FrictionConfig) -> dic
         "height_m": Array.from_numpy(line.height_m),
         "amplitude_m": None if line.amplitude_m is None else Array.from_numpy(line.amplitude_m),
         "phase_rad": None if line.phase_rad is None else Array.from_numpy(line.phase_rad),
-        **{key: Array.from_numpy(found) for key, found in further.items() if found is not None},
+        **{key: Array.from_numpy(array) for key, array in further.items() if array is not None},
     }
 
 
@@ -188,7 +188,7 @@ class SimulatedTime(AfmPart):
 class Truths(AfmPart):
     """Publishes for recordings what is so of what lies on the sample (`telenano.afm.layers`)."""
 
-    def __init__(self, says: Mapping[str, Callable[[Any], Said]], simulation: Simulation, node: Node) -> None:
+    def __init__(self, says: Mapping[str, Callable[[Any], TruthMessage]], simulation: Simulation, node: Node) -> None:
         self._says, self._simulation, self._node = says, simulation, node
 
     def report(self, step: Step, memory: AfmMemory) -> None:
@@ -197,9 +197,9 @@ class Truths(AfmPart):
             return
         memory.particles_look = look
         rests, truths = look // _RESTING_LOOKS != before // _RESTING_LOOKS, self._simulation.truths
-        for said in (says(truths[name]) for name, says in self._says.items()):
-            if said.changes or rests:
-                self._node.publish(said.topic, **said.fields)
+        for message in (says(truths[name]) for name, says in self._says.items()):
+            if message.changes or rests:
+                self._node.publish(message.topic, **message.fields)
 
 
 class OwnImages(AfmPart):
@@ -219,14 +219,16 @@ class RealDevice(AfmPart):
         self._driver, self._node = driver, node
 
     def measure(self, step: Step, memory: AfmMemory) -> None:
-        self._report = found = cast(AfmReport, self._driver.report)
-        if not found.force_valid:
+        self._report = report = cast(AfmReport, self._driver.report)
+        if not report.force_valid:
             # A force beyond the range of the input is no number for the guard.
             memory.force_n = math.nan
-        step.said.update(device=found.status, sample_age_s=found.age_s, output_v=found.output_v, input_v=found.input_v)
+        step.added_fields.update(
+            device=report.status, sample_age_s=report.age_s, output_v=report.output_v, input_v=report.input_v
+        )
 
     def report(self, step: Step, memory: AfmMemory) -> None:
-        self._node.take_up(self._report)
+        self._node.process_report(self._report)
 
 
 class Feel(AfmPart):
@@ -250,9 +252,9 @@ class Feel(AfmPart):
             text = f"{self._channel} = {value:.6g} has left the branch of feel.table: the tip retracts"
             self._event("fault", "warning", text)
         self._left = left
-        step.said.update(felt_channel=self._channel, felt_clamp=felt.clamp)
+        step.added_fields.update(felt_channel=self._channel, felt_clamp=felt.clamp)
         if math.isfinite(value):
-            step.said["felt_value"] = value
+            step.added_fields["felt_value"] = value
         step.sample = step.sample._replace(force_n=felt.force_n)
 
 

@@ -48,12 +48,12 @@ class HostAddress:
 
     def poll(self) -> Address | None:
         """Return the newest address, None while there is none yet; OSError where the name is not known."""
-        found = self._found
-        if isinstance(found, OSError):
+        address = self._found
+        if isinstance(address, OSError):
             if self._under_way:
                 return None
-            raise found
-        return found
+            raise address
+        return address
 
     def _answer(self) -> None:
         while True:

@@ -195,8 +195,8 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
     params = config.to_params()
     # over a recorded map, programs go within the largest square of it
     lateral = None if driver.stage is None else config.to_lateral_params()._replace(reach_m=min(config.places_m))
-    known = None if reach is None else reach.surface
-    sides = config.sample_sides_m() if known is None else (known.width_m, known.depth_m)
+    surface = None if reach is None else reach.surface
+    sides = config.sample_sides_m() if surface is None else (surface.width_m, surface.depth_m)
     c = config.cantilever
     instrument = Instrument(
         limits=params.safety,

@@ -103,24 +103,24 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self._conversation = Conversation(self.calibration.network.device_id)
         self._outstanding = False
         self._requests.clear()
-        self._beat = self._told_at = 0
+        self._beat = self._safe_wanted_at = 0
 
     def _want(self, base_m: float) -> None:
         self._target_v = self.calibration.voltage_v(base_m) if self._released else self.calibration.stage.retract_v
 
     def _want_safe(self) -> None:
         self._target_v = self._sent_v = self.calibration.stage.retract_v
-        self._told_at = self.exchanges
+        self._safe_wanted_at = self.exchanges
 
     def _is_safe(self) -> bool:
-        return self.exchanges >= self._told_at + 2 and is_retracted(self.calibration, self._map, self._output_v)
+        return self.exchanges >= self._safe_wanted_at + 2 and is_retracted(self.calibration, self._map, self._output_v)
 
     def _begin_talk(self, now_ns: int, line: Line) -> None:
         self._preparation = Handshake(self.calibration, self._map, self._conversation, self._now_ns)
         self._talk = self._preparation.steps()
         self._send(next(self._talk), now_ns)
 
-    def _go_on_talking(self, now_ns: int, line: Line, talk: Any) -> None:
+    def _continue_exchange(self, now_ns: int, line: Line, talk: Any) -> None:
         answer = self._conversation.answer(line.receive()) if self._outstanding else None
         if self._ready:
             self._cycle(now_ns, answer)
@@ -185,12 +185,12 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self.exchanges += 1
 
     def _voltages(self, words: tuple[int, ...]) -> tuple[float, float]:
-        readback, found = self._readback, self._input
+        readback, input_raw = self._readback, self._input
         if self._map.exchange == "read_write":
             first, count = self._map.read_span(self.calibration.stage.dac, self.calibration.deflection.channel)
-            at_input, at_readback = found.address - first, readback.address - first
+            at_input, at_readback = input_raw.address - first, readback.address - first
         else:
-            at_input, at_readback, count = 0, found.count, found.count + readback.count
+            at_input, at_readback, count = 0, input_raw.count, input_raw.count + readback.count
         order = self._map.word_order
         if self._heart is not None:
             trips, words = words[count:], words[:count]
@@ -200,7 +200,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
             raise DeviceError(f"answered {len(words)} registers, {count} were asked for")
         return (
             readback.decode(words[at_readback : at_readback + readback.count], order),
-            found.decode(words[at_input : at_input + found.count], order),
+            input_raw.decode(words[at_input : at_input + input_raw.count], order),
         )
 
     def _start_cycle(self, now_ns: int) -> None:

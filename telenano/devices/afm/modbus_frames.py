@@ -50,7 +50,7 @@ class FeedbackRequest(ModbusPDU):
 
     def decode(self, data: bytes) -> None:
         """Read the body of a request; ValueError if it is cut or of an unknown type."""
-        found, at = [], 0
+        frames, at = [], 0
         while at < len(data):
             kind, address, count = _FRAME.unpack_from(data, at)
             at += _FRAME.size
@@ -60,8 +60,8 @@ class FeedbackRequest(ModbusPDU):
                 at += 2 * count
             elif kind != _READ:
                 raise ValueError(f"frame type {kind} of function 76 is neither 0 (read) nor 1 (write)")
-            found.append(Operation(address, count, words))
-        self.operations = tuple(found)
+            frames.append(Operation(address, count, words))
+        self.operations = tuple(frames)
 
 
 class FeedbackAnswer(ModbusPDU):

@@ -56,9 +56,9 @@ class Handshake:
     def steps(self) -> Steps:
         """Identify the device, set it up, retract it; DeviceError says what is wrong with it."""
         for check in self._map.checks:
-            found = yield from self._read(check)
-            if not agrees(found, check.value):
-                raise DeviceError(_mismatch(check, found))
+            actual = yield from self._read(check)
+            if not agrees(actual, check.value):
+                raise DeviceError(_mismatch(check, actual))
         serial = 0.0
         if self._map.serial is not None:
             serial = yield from self._read(self._map.serial)
@@ -87,8 +87,8 @@ class Handshake:
         values = self._calibration.values
         differs = False
         for setting in watchdog.settings:
-            found = yield from self._read(setting)
-            differs |= not agrees(found, setting.wanted(values))
+            actual = yield from self._read(setting)
+            differs |= not agrees(actual, setting.wanted(values))
         enabled = yield from self._read(watchdog.enable)
         if not differs and agrees(enabled, 1.0):
             return
@@ -130,8 +130,8 @@ class Handshake:
         yield from self._write(heart.running, 0.0)
         until_ns = self._now_ns() + patience_ns
         while self._now_ns() < until_ns:
-            found = yield from self._read(heart.running)
-            if agrees(found, heart.version):
+            running = yield from self._read(heart.running)
+            if agrees(running, heart.version):
                 return True
         return False
 
@@ -155,13 +155,13 @@ class Handshake:
     def _set(self, setting: Setting) -> Generator[bytes, Answer, None]:
         """Write a setting where it differs, and read it back."""
         wanted = setting.wanted(self._calibration.values)
-        found = yield from self._read(setting)
-        if agrees(found, wanted):
+        actual = yield from self._read(setting)
+        if agrees(actual, wanted):
             return
         yield from self._write(setting, wanted)
-        found = yield from self._read(setting)
-        if not agrees(found, wanted):
-            raise DeviceError(f"{setting.name} was set to {wanted:g} and reads {found:g}")
+        actual = yield from self._read(setting)
+        if not agrees(actual, wanted):
+            raise DeviceError(f"{setting.name} was set to {wanted:g} and reads {actual:g}")
 
     def _read(self, register: Register) -> Generator[bytes, Answer, float]:
         answer = yield self._conversation.read(register.address, register.count)

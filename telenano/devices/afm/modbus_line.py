@@ -68,10 +68,10 @@ class TcpLine:
     def ready(self) -> bool:
         """Return whether it is connected by now; OSError also for a name that is not known."""
         if self._socket is None:
-            found = self._place.poll()
-            if found is None:
+            address = self._place.poll()
+            if address is None:
                 return False
-            self._connect(*found)
+            self._connect(*address)
         if not self._connected and select.select([], [self._socket], [], 0)[1]:
             failed = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if failed:
@@ -115,7 +115,7 @@ class TcpConnector:
         return TcpLine(place)
 
 
-def go_on_connecting(line: Line, now_ns: int, begun_ns: int, waiting_ns: int) -> tuple[bool, int]:
+def continue_connecting(line: Line, now_ns: int, begun_ns: int, waiting_ns: int) -> tuple[bool, int]:
     """Return whether a line is connected by now, and since when the device itself is waited for [ns].
 
     Args:

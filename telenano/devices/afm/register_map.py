@@ -115,8 +115,8 @@ class Heartbeat(Settings):
     @property
     def source_bytes(self) -> bytes:
         """Return the script, of an even number of bytes."""
-        found = (MAPS / self.script).read_bytes()
-        return found + b"\n" * (len(found) % 2)
+        source = (MAPS / self.script).read_bytes()
+        return source + b"\n" * (len(source) % 2)
 
 
 class RegisterMap(Settings):

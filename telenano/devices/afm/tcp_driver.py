@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from telenano.devices.afm import modbus_line
 from telenano.devices.afm.converter_calibration import Readings
-from telenano.devices.afm.modbus_line import Connect, Line, TcpConnector, go_on_connecting
+from telenano.devices.afm.modbus_line import Connect, Line, TcpConnector, continue_connecting
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano.extend.samples import AfmSample
 from telenano.wire.errors import cause
@@ -105,7 +105,7 @@ class TcpDriver(ABC, Generic[C]):
         """Send the first request on a connection that is there now."""
 
     @abstractmethod
-    def _go_on_talking(self, now_ns: int, line: Line, talk: Generator[Any, Any, None] | None) -> None:
+    def _continue_exchange(self, now_ns: int, line: Line, talk: Generator[Any, Any, None] | None) -> None:
         """Take the answer if it is there, and send the request that is due; what is raised loses the connection."""
 
     @abstractmethod
@@ -239,9 +239,9 @@ class TcpDriver(ABC, Generic[C]):
                 if self._opened and now_ns >= self._retry_ns:
                     self._begin(now_ns)
             elif self._ready or self._talk is not None:
-                self._go_on_talking(now_ns, self._line, self._talk)
+                self._continue_exchange(now_ns, self._line, self._talk)
             else:
-                connected, self._sent_ns = go_on_connecting(self._line, now_ns, self._begun_ns, self._sent_ns)
+                connected, self._sent_ns = continue_connecting(self._line, now_ns, self._begun_ns, self._sent_ns)
                 if connected:
                     self._begin_talk(now_ns, self._line)
         except Exception as error:  # noqa: BLE001

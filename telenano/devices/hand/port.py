@@ -81,15 +81,15 @@ class SerialPort:
     def read(self) -> bytes:
         """Return what has come since the last call, without waiting."""
         try:
-            found = os.read(self._descriptor, _READ_BYTES)
+            data = os.read(self._descriptor, _READ_BYTES)
         except OSError as error:
             if error.errno in _NOTHING:
                 return b""
             raise DeviceError(f"{self.path}: the device is gone: {error.strerror}") from error
         # a line whose other end was pulled out reads as ended
-        if not found and not Path(self.path).exists():
+        if not data and not Path(self.path).exists():
             raise DeviceError(f"{self.path}: the device is gone")
-        return found
+        return data
 
     def write(self, frame: bytes) -> bool:
         """Send a frame as a whole; False if the line takes no more now, and the frame is dropped."""

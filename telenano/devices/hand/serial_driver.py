@@ -278,11 +278,11 @@ class SerialHandle:
                 elif (late_ns := self._unanswered_ns(now_ns)) > LOST_NS:
                     self._lose(now_ns, f"{self.path}: the handle answers commands of {late_ns / _MS:.0f} ms ago")
             else:
-                self._go_on_with_handshake(now_ns)
+                self._continue_handshake(now_ns)
         except Exception as error:  # noqa: BLE001
             self._lose(now_ns, cause(error))
 
-    def _go_on_with_handshake(self, now_ns: int) -> None:
+    def _continue_handshake(self, now_ns: int) -> None:
         if now_ns - self._phase_began_ns > HANDSHAKE_NS:
             what = "nothing answers" if self.hello is None else "the handle does not take its limits"
             bad = sum(self.reader.errors.values())
@@ -450,9 +450,9 @@ def refusal(hello: wire.HandleHello, calibration: HandleCalibration | None, peri
         return f"the handle speaks protocol {hello.major}.{hello.minor}, {wire.MAJOR} is needed: flash its firmware"
     if calibration is None:
         return ""
-    found = f"{hello.device_id:016x}"
-    if found != calibration.device_id:
-        return f"the handle is {found}, and the calibration is that of {calibration.device_id}"
+    identity = f"{hello.device_id:016x}"
+    if identity != calibration.device_id:
+        return f"the handle is {identity}, and the calibration is that of {calibration.device_id}"
     if hello.max_rate_hz < round(1.0 / period_s):
         return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / period_s)} are needed"
     return ""

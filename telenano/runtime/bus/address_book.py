@@ -191,8 +191,8 @@ class AddressBook(Settings):
         hosts = {name: named[name] or host for name, host in self.machines.items()}
         for name in _PLACEHOLDER.findall(network):
             if name not in hosts:
-                known = ", ".join(hosts) or "none"
-                raise ValueError(f"nodes.{node}: {network}: {{{name}}} is not in `machines`, which has {known}")
+                shown = ", ".join(hosts) or "none"
+                raise ValueError(f"nodes.{node}: {network}: {{{name}}} is not in `machines`, which has {shown}")
         return _PLACEHOLDER.sub(lambda found: hosts[found.group(1)], network)
 
     def bind_endpoint(self, node: str) -> str | None:
@@ -286,16 +286,16 @@ class AddressBook(Settings):
     def _reachable_publishers(self, reader: str, topic: Topic) -> list[str]:
         here = site_of(reader)
         machine = self.machine_of(reader) if reader in self.nodes else here
-        found = [
+        reachable = [
             node
             for node in self.nodes
             if _publishes(topic, node) and site_of(node) == here and self.reaches(machine, node)
         ]
         far = any(_publishes(topic, node) and site_of(node) != here for node in self.nodes)
         link = f"{LINK}@{here}"
-        if far and link in self.nodes and _crosses(topic, to_site=here) and link not in found:
-            found.append(link)
-        return found
+        if far and link in self.nodes and _crosses(topic, to_site=here) and link not in reachable:
+            reachable.append(link)
+        return reachable
 
 
 def load_site(path: Path) -> AddressBook:

@@ -185,7 +185,7 @@ class Subscriber:
             # Commands, and reports of a changed delay, come before the messages that they apply to.
             left = without_superseded(waiting, self._conflated, self._header)
             waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
-        return [found for frames, at_ns in waiting if (found := self.decode_and_track(frames, at_ns)) is not None]
+        return [message for frames, at_ns in waiting if (message := self.decode_and_track(frames, at_ns)) is not None]
 
     def _header(self, frames: Sequence[bytes]) -> Header | None:
         if len(frames) != 2:
@@ -358,13 +358,13 @@ class ZmqBus:
         readable, self._readable = self._readable, ()
         if not readable:
             return [received for subscriber in self.subscribers for received in subscriber.receive()]
-        found: list[Received] = []
+        messages: list[Received] = []
         for subscriber in self.subscribers:
             if subscriber.descriptor in readable:
-                found += subscriber.receive(signalled=True)
+                messages += subscriber.receive(signalled=True)
             elif subscriber.shared:
-                found += subscriber.receive()
-        return found
+                messages += subscriber.receive()
+        return messages
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`; it may end for nothing.
@@ -404,10 +404,10 @@ class ZmqBus:
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of every input, or of as many as a message takes."""
-        found = (row for subscriber in self.subscribers for row in subscriber.input_health())
+        rows = (row for subscriber in self.subscribers for row in subscriber.input_health())
         if self.is_brief:
-            found = (row for row in found if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
-        return tuple(islice(found, MAX_ROWS))
+            rows = (row for row in rows if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
+        return tuple(islice(rows, MAX_ROWS))
 
     def rejections(self) -> tuple[dict[str, int], str]:
         """Return what was not taken so far by reason, and the text of a refusal since it was last asked.

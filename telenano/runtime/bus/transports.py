@@ -52,8 +52,8 @@ def named(name: str) -> LinkTransport:
         raise ConfigError(loaded.problems[entry])
     if package := KNOWN_PACKAGES.get(f"transport {entry}"):
         raise ConfigError(f"the transport {entry!r} is in the package {package}: {how_to_add_package(package)}")
-    known = (AUTO, STREAM, KNOWN_TRANSPORT, *plugins.installed("transports"))
-    raise ConfigError(f"no such transport {entry!r}, {known_names(entry, dict.fromkeys(known))}")
+    names = (AUTO, STREAM, KNOWN_TRANSPORT, *plugins.installed("transports"))
+    raise ConfigError(f"no such transport {entry!r}, {known_names(entry, dict.fromkeys(names))}")
 
 
 def check_link(transport: str, keys: Mapping[str, Any], origin: str, *, relayed: bool) -> None:
@@ -68,12 +68,12 @@ def check_link(transport: str, keys: Mapping[str, Any], origin: str, *, relayed:
         return
     asks = "relay" if relayed else f"link.{next(iter(keys), 'transport')}"
     try:
-        found = named(transport)
+        transport_named = named(transport)
     except ConfigError as error:
         raise ConfigError(f"{origin}: {asks}: {error}") from error
-    if relayed and not found.beside:
+    if relayed and not transport_named.beside:
         raise ConfigError(f"{origin}: relay: the transport {transport!r} reaches no relay")
-    validate(found.settings, {"transport": transport, **keys}, origin, "link")
+    validate(transport_named.settings, {"transport": transport, **keys}, origin, "link")
 
 
 def fetching() -> LinkTransport:
@@ -82,9 +82,9 @@ def fetching() -> LinkTransport:
     Without any it is one that has neither `sender` nor `fetch`.
     """
     for name in sorted(plugins.installed("transports"), key=lambda name: (name != KNOWN_TRANSPORT, name)):
-        found = plugins.load("transports", _checked, taken=(AUTO, STREAM), only=name).found.get(name)
-        if found is not None and found.fetch:
-            return found
+        row = plugins.load("transports", _checked, taken=(AUTO, STREAM), only=name).found.get(name)
+        if row is not None and row.fetch:
+            return row
     return LinkTransport(Settings, ends="")
 
 

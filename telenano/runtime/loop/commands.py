@@ -250,12 +250,12 @@ class CommandClient:
         the refusal arrives, which needs no common clock. The way back counts against the wish.
         """
         data, name = event.data, "" if self._command is None else self._command.name
-        known = self._quoted.get(event.src)
+        quoted = self._quoted.get(event.src)
         waited_s = (self._clock.monotonic_ns() - self._wished_ns) * 1e-9
         age_s = data.get("estop_age_s")
         if isinstance(age_s, int | float) and age_s <= waited_s:
             return f"{name} is void: an emergency stop came to {event.src} after it; give it again to release the stop"
-        if known is not None and known.data.get("latch", "") != data.get("latch", ""):
+        if quoted is not None and quoted.data.get("latch", "") != data.get("latch", ""):
             return f"{name} is void: {event.src} was started again meanwhile; give it again"
         return ""
 
@@ -425,7 +425,9 @@ class CommandHandler:
         return is_new
 
     def _note_stop(self, control: SessionControl, now_ns: int) -> None:
-        for identifier in [found for found, answer in self._answers.items() if answer.begins_motion]:
+        for identifier in [
+            identifier_found for identifier_found, answer in self._answers.items() if answer.begins_motion
+        ]:
             del self._answers[identifier]
         if fault := self.latch.record(control.id, encode(control), now_ns):
             self._event("fault", "warning", fault)

@@ -107,12 +107,12 @@ class DeferredTasks:
 
     def take_turn(self) -> Task | None:
         """Return the first task that is a turn of the node, whatever the time is; None if there is none."""
-        found = next((task for task in self._waiting if task.is_turn), None)
-        if found is None:
+        turn = next((task for task in self._waiting if task.is_turn), None)
+        if turn is None:
             return None
-        self._waiting.remove(found)
+        self._waiting.remove(turn)
         self._schedule(self._now_ns())
-        return found.run
+        return turn.run
 
     @property
     def has_turns(self) -> bool:

@@ -46,7 +46,7 @@ def _all(parts: Sequence[StepPart[S, M]], name: str) -> Callable[[S, M], None]:
 
 
 class DeviceNode(Node):
-    """A node with a device, which is simulated until `take_up` receives a report of a real one.
+    """A node with a device, which is simulated until `process_report` receives a report of a real one.
 
     It rejects messages of publishers whose `node/health` is marked `replay`, unless that was allowed. A player
     publishes that mark before its first message. An emergency stop is obeyed no matter who sends it.
@@ -88,7 +88,7 @@ class DeviceNode(Node):
         ages_s, self._ages_s = self._ages_s, []
         return {**self._device_health, **({"device_age_s": sum(ages_s) / len(ages_s)} if ages_s else {})}
 
-    def take_up(self, report: Any, *, is_late: bool = False) -> None:
+    def process_report(self, report: Any, *, is_late: bool = False) -> None:
         """Take up status, age_s and text of a real device; the text is an event, once.
 
         is_late: the sample is too old for what the device says to be no fault.

@@ -27,17 +27,17 @@ _LARGEST_FRAME = 1 << 20
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the state of a node; return 0 when it is healthy, 1 when it is not, 2 when it cannot be checked."""
-    given = _parser().parse_args(arguments)
-    if not given.node:
+    options = _parser().parse_args(arguments)
+    if not options.node:
         return _report(2, f"no node was named: give node@site, or set {NODE_VARIABLE}")
     try:
-        endpoint = endpoint_of(given.node, given.site_file)
+        endpoint = endpoint_of(options.node, options.site_file)
     except LookupError as error:
         return _report(2, str(error.args[0]))
-    health = receive_health(endpoint, given.node, given.within)
+    health = receive_health(endpoint, options.node, options.within)
     if health is None:
-        return _report(1, f"{given.node} sent no node/health at {endpoint} within {given.within:g} s")
-    text = f"{given.node} is {health['state']} at {health['rate_hz']:.0f} Hz, up for {health['uptime_s']:.0f} s"
+        return _report(1, f"{options.node} sent no node/health at {endpoint} within {options.within:g} s")
+    text = f"{options.node} is {health['state']} at {health['rate_hz']:.0f} Hz, up for {health['uptime_s']:.0f} s"
     return _report(int(health["state"] in UNHEALTHY_STATES), text)
 
 

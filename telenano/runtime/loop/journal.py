@@ -101,7 +101,7 @@ class InputJournal:
         if self._complete:
             batch = self._complete.popleft()
             arrays = (batch.kind, batch.time_ns, batch.input, batch.number, np.frombuffer(batch.state, dtype=np.uint8))
-            kind, time_ns, place, number, state = (Array.from_numpy(np.asarray(found)) for found in arrays)
+            kind, time_ns, place, number, state = (Array.from_numpy(np.asarray(column)) for column in arrays)
             self._node.publish(
                 "node/journal",
                 first_turn=batch.first_turn,

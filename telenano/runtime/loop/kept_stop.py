@@ -9,7 +9,7 @@ started it. It imports no model: an emergency stop has no time for them.
 import contextlib
 from pathlib import Path
 
-from telenano.files.whole_files import write_whole
+from telenano.files.atomic_files import write_whole
 
 # A session/control of an emergency stop is far smaller.
 _LARGEST = 4096

@@ -214,7 +214,7 @@ def use_huge_pages() -> int:
     libc = ctypes.CDLL(None, use_errno=True)
     libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
     libc.mincore.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
-    page, found = os.sysconf("SC_PAGE_SIZE"), 0
+    page, count = os.sysconf("SC_PAGE_SIZE"), 0
     present = (ctypes.c_ubyte * (_HUGE_PAGE // page))()
     for line in _MAPS.read_text().splitlines():
         place, access, _, _, inode, *name = line.split(maxsplit=5)
@@ -224,8 +224,8 @@ def use_huge_pages() -> int:
         for start in range(-(-first // _HUGE_PAGE) * _HUGE_PAGE, last - _HUGE_PAGE + 1, _HUGE_PAGE):
             # A huge page is used only where most of it is in use: elsewhere it would waste memory.
             if libc.mincore(start, _HUGE_PAGE, present) == 0 and bytes(present).count(1) > len(present) // 2:
-                found += libc.madvise(start, _HUGE_PAGE, _MADV_COLLAPSE) == 0
-    return found
+                count += libc.madvise(start, _HUGE_PAGE, _MADV_COLLAPSE) == 0
+    return count
 
 
 def raise_file_limit() -> None:
@@ -255,9 +255,9 @@ def _stay_on(cpu: int) -> None:
     try:
         os.sched_setaffinity(0, {cpu})
     except OSError as error:
-        known = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+        processors = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
         raise ConfigError(
-            f"realtime.cpus: {cpu} cannot be used ({error.strerror}), permitted processors are {known}"
+            f"realtime.cpus: {cpu} cannot be used ({error.strerror}), permitted processors are {processors}"
         ) from error
 
 

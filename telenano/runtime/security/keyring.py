@@ -18,7 +18,7 @@ import zmq
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
-from telenano.files.whole_files import changed, locked, write_whole
+from telenano.files.atomic_files import changed, locked, write_whole
 from telenano.runtime.bus.address_book import MACHINE_PATTERN
 from telenano.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
 from telenano.settings.config import Settings, parse_yaml, validate
@@ -231,8 +231,8 @@ class Keyring:
     def allow(self, name: str, public_key: str, roles: Sequence[Role], expires: date | None = None) -> AllowedKey:
         """Add a key to the list, or change roles and expiry of one that is there; it replaces one that has expired."""
         _check_name(name)
-        given = {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles)), "expires": expires}
-        entry = validate(AllowedKey, given, f"key of {name}")
+        fields = {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles)), "expires": expires}
+        entry = validate(AllowedKey, fields, f"key of {name}")
 
         def with_entry(known: AllowList) -> list[AllowedKey]:
             listed, holder = known.of_key(public_key), known.of_machine(name)
@@ -268,12 +268,12 @@ class Keyring:
     def stamp(self) -> tuple[int, int] | None:
         """Return a value that changes whenever the list does, None while there is no list."""
         try:
-            found = self.allowed_path.stat()
+            status = self.allowed_path.stat()
         except FileNotFoundError:
             return None
         except OSError as error:
             return error.errno or 0, 0
-        return found.st_mtime_ns, found.st_ino
+        return status.st_mtime_ns, status.st_ino
 
     def _change(self, step: Callable[[AllowList], Sequence[AllowedKey]]) -> None:
         """Change the list, whose newest entries the step gets: another command may have added one meanwhile."""
@@ -321,19 +321,19 @@ def this_machine(keyring: Keyring) -> str:
 def keys_in(data: bytes) -> tuple[bytes, bytes]:
     """Return the public and the secret key of a certificate, empty where it has none."""
     lines = (line.strip().partition(b"=") for line in data.splitlines())
-    found = {name.strip(): value.strip(b" \t'\"") for name, sign, value in lines if sign}
-    return found.get(b"public-key", b""), found.get(b"secret-key", b"")
+    values = {name.strip(): value.strip(b" \t'\"") for name, sign, value in lines if sign}
+    return values.get(b"public-key", b""), values.get(b"secret-key", b"")
 
 
 def expiry_in(data: bytes, path: Path) -> date | None:
     """Return the last day of a certificate, None where it has none; ConfigError where it is no date."""
-    found = re.search(rb'^\s*expires\s*=\s*"([^"]*)"', data, re.M)
-    if found is None:
+    match = re.search(rb'^\s*expires\s*=\s*"([^"]*)"', data, re.M)
+    if match is None:
         return None
     try:
-        return date.fromisoformat(found[1].decode())
+        return date.fromisoformat(match[1].decode())
     except ValueError as error:
-        raise ConfigError(f"{path}: expires is {found[1]!r}, must be a date such as 2027-06-30") from error
+        raise ConfigError(f"{path}: expires is {match[1]!r}, must be a date such as 2027-06-30") from error
 
 
 def key_text(raw: bytes) -> str:

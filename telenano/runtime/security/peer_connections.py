@@ -240,11 +240,11 @@ class PeerConnections:
 
     def _record_failure(self, peer: PeerConnection, event: int) -> None:
         peer.failures += 1
-        known, peer.last_error = peer.last_error, FAILURES[event]
+        last_error, peer.last_error = peer.last_error, FAILURES[event]
         self._rejections.record("handshake", f"{peer.node} at {peer.endpoint}: {peer.last_error}")
         self._schedule_reconnect(peer)
         if event == KEY_REFUSED:
-            if known != peer.last_error:
+            if last_error != peer.last_error:
                 self._report("error", self._rejected_text(peer), peer, "refused")
         elif peer.failures == _REPORTED_FAILURES:
             text = (

@@ -32,12 +32,12 @@ def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
     """
     try:
         with open_regular(path) as file:
-            content, found = file.read(_LARGEST_BYTES + 1), os.fstat(file.fileno())
+            content, status = file.read(_LARGEST_BYTES + 1), os.fstat(file.fileno())
     except (IsADirectoryError, NotRegularError) as error:
         raise ConfigError(f"{path}: is a folder, pipe, socket or device, must be a regular file") from error
     if len(content) > _LARGEST_BYTES:
         raise ConfigError(f"{path}: has more than {_LARGEST_BYTES} bytes, which no key and no list of keys has")
-    return content, found
+    return content, status
 
 
 def read_secret(path: Path) -> bytes:
@@ -51,8 +51,8 @@ def read_trusted(path: Path) -> bytes:
 
 
 def _read(path: Path, forbidden: int, what: str) -> bytes:
-    data, found = read_regular(path)
-    _check(path, found, forbidden, what, "600")
+    data, status = read_regular(path)
+    _check(path, status, forbidden, what, "600")
     check_folder_of_files(path.parent)
     return data
 
@@ -80,15 +80,15 @@ def check_private_folder(folder: Path, remedy: str) -> None:
     try:
         link = folder.lstat()
         # The link of another user is refused by itself: its target may come once it has been judged.
-        found = folder.stat() if link.st_uid in (user, _ROOT) else link
+        status = folder.stat() if link.st_uid in (user, _ROOT) else link
     except OSError:
         # A path that cannot be reached cannot be used either, and its user reports that.
         return
-    owner = found.st_uid
+    owner = status.st_uid
     if owner != user:
         raise ConfigError(f"{folder}: belongs to user {owner}, and this is user {user}: {remedy}")
-    if found.st_mode & _ANY_ACCESS:
-        mode = found.st_mode & 0o777
+    if status.st_mode & _ANY_ACCESS:
+        mode = status.st_mode & 0o777
         raise ConfigError(f"{folder}: other users can reach what is in it (mode {mode:o}): chmod 700 {folder}")
 
 

@@ -40,17 +40,17 @@ class Monitor:
 
     def events(self) -> list[MonitorEvent]:
         """Return what has happened, a bounded number; `has_pending` if there may be more."""
-        found: list[MonitorEvent] = []
+        taken: list[MonitorEvent] = []
         for _ in range(_BATCH):
             try:
                 event = self._receive(self.socket, zmq.NOBLOCK)
             except zmq.Again:
                 self.has_pending = False
-                return found
+                return taken
             endpoint = event["endpoint"].decode(errors="replace")
-            found.append(MonitorEvent(int(event["event"]), int(event["value"]), endpoint))
+            taken.append(MonitorEvent(int(event["event"]), int(event["value"]), endpoint))
         self.has_pending = True
-        return found
+        return taken
 
 
 class RejectionCounter:

@@ -128,13 +128,13 @@ def run_beside(name: str, serve: Callable[[Path, str, StructuredLog], None], arg
         serve: Called with the site file, the site and the log.
         arguments: The command line; None for that of this process.
     """
-    given = parse_arguments(name, SITES, arguments)
-    log = StructuredLog(f"{name}@{given.site}")
-    if given.with_parent:
+    arguments_read = parse_arguments(name, SITES, arguments)
+    log = StructuredLog(f"{name}@{arguments_read.site}")
+    if arguments_read.with_parent:
         die_with_parent(signal.SIGTERM)
     beside_the_loop()
     try:
-        serve(given.site_file, given.site, log)
+        serve(arguments_read.site_file, arguments_read.site, log)
     except TelenanoError as error:
         log.error(str(error))
         return EXIT_BAD_START
@@ -150,14 +150,14 @@ def beside_the_loop() -> None:
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
     """Run a node until it is stopped; return the exit code, 2 when it could not start."""
-    given = parse_arguments(kind.name, kind.sites, arguments)
+    arguments_read = parse_arguments(kind.name, kind.sites, arguments)
     # What was imported stays, so that no later collection has to look through it.
     gc.freeze()
     gc.enable()
     configure_logging()
-    log = StructuredLog(f"{kind.name}@{given.site}")
+    log = StructuredLog(f"{kind.name}@{arguments_read.site}")
     try:
-        _run(kind, given, log)
+        _run(kind, arguments_read, log)
     except TelenanoError as error:
         log.error(str(error))
         return EXIT_BAD_START
@@ -194,8 +194,8 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     signals = StopSignals()
     raise_file_limit()
     with open_participant(key, book, signals.descriptor) as participant:
-        found = {**vars(participant), "period_s": loaded.scenario.period_s}
-        wiring = Wiring(**found, site_file=site_file, scenario_file=scenario_file)
+        values = {**vars(participant), "period_s": loaded.scenario.period_s}
+        wiring = Wiring(**values, site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
         # This takes tens of ms for a large process, in which the others on its processor have their periods to keep.
         with ordinary_scheduling():

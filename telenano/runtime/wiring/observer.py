@@ -45,8 +45,8 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
     topic, _, site = name.partition("@")
     meant = probably_meant(topic, TOPICS)
     if row_of(topic) is None and not (unknown and not meant and keep_unknown(topic)):
-        known = f"known are {', '.join(TOPICS)}, with @site for what left the link"
-        reason = problem_with(topic) or f"{known}{meant}"
+        names = f"known are {', '.join(TOPICS)}, with @site for what left the link"
+        reason = problem_with(topic) or f"{names}{meant}"
         raise ConfigError(f"unknown topic {name!r}: {reason}")
     if site and TOPICS[topic].bridged is None:
         raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")
@@ -105,7 +105,7 @@ class Observer:
         return not any(subscriber.trackers for subscriber in self.subscribers.values())
 
 
-def nobody_runs(book: AddressBook) -> bool:
+def runs_no_node(book: AddressBook) -> bool:
     """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is.
 
     Those of consoles, players and pages say nothing of a rig: one that was killed leaves its socket behind.
@@ -119,7 +119,7 @@ def nobody_runs(book: AddressBook) -> bool:
 
 def require_rig(book: AddressBook, site_file: Path) -> None:
     """Raise RigError at once where no rig can be running, instead of waiting for messages that cannot come."""
-    if nobody_runs(book):
+    if runs_no_node(book):
         raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
 
 

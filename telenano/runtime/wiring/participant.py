@@ -101,11 +101,11 @@ class Participant:
         topics_of = self.book.observed(self.network.machine, sites)
         plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
         plan = {node: topics for node, topics in plan.items() if topics}
-        found = dict(zip(plan, self.subscribers(plan, apart=True, shared=shared), strict=True))
-        for node, topic in itertools.product(found, topics_by_name()):
+        subscriber_of = dict(zip(plan, self.subscribers(plan, apart=True, shared=shared), strict=True))
+        for node, topic in itertools.product(subscriber_of, topics_by_name()):
             if wanted(topic, node):
-                found[node].socket.subscribe(topic.encode())
-        return found
+                subscriber_of[node].socket.subscribe(topic.encode())
+        return subscriber_of
 
     def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
         """Open the bus of an ordinary node: its own endpoint and connections for its inputs.

@@ -11,7 +11,7 @@ from telenano.analysis.holds import (
     Instrument,
     Late,
     Limits,
-    Programme,
+    SessionContext,
     _landed,
     _Session,
     _without_hand,
@@ -57,7 +57,7 @@ def test_a_hold_that_was_planned_is_whole_where_the_hand_trembles_in_most_of_it(
     """For a third of the time it stands still: a hold by itself, which shows less than half of what was planned."""
     hand_n = HAND_N + np.where((TIME_S > 2.5) & (TIME_S < 4.5), 0.05 * np.sin(56.0 * TIME_S), 0.0)
     for planned, ends in (([(1.5, 4.5, 1.0)], (1.5, 4.5)), ([], (1.5, 2.5))):
-        hold = judge_holds(TIME_S, hand_n, TIME_S, hand_n, instrument(), Programme(planned=planned))[0]
+        hold = judge_holds(TIME_S, hand_n, TIME_S, hand_n, instrument(), SessionContext(planned=planned))[0]
         assert (hold.start_s, hold.end_s) == pytest.approx(ends, abs=0.02)
 
 
@@ -118,10 +118,10 @@ def test_a_guard_that_acted_comes_first_with_its_time_and_limit() -> None:
     # while the force grows; the hold before it is called diverged without the guard having acted in it
     following = TIME_S < 3.1
     tip = instrument(following, following & (HAND_N > 0.0))
-    programme = Programme(guards=[Guard(3.12, "force_limit")], limits=LIMITS)
+    context = SessionContext(guards=[Guard(3.12, "force_limit")], limits=LIMITS)
     growing = np.where(following, HAND_N + swing(1.5, 3.1, 2.0, 0.01), 0.0)
-    holds = judge_holds(TIME_S, HAND_N, TIME_S, growing, tip, programme)
-    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, growing, tip, context)
+    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, context))
     assert kind == "diverged"
     limit = "(force_limit: more than 200 nN on the tip)"
     assert reason.startswith(f"the instrument's guard acted at 3.100 s {limit}; until then a motion")
@@ -130,10 +130,10 @@ def test_a_guard_that_acted_comes_first_with_its_time_and_limit() -> None:
 def test_a_guard_that_acted_between_two_holds_is_not_passed_over() -> None:
     following = (TIME_S < 4.7) | (TIME_S > 4.8)
     tip = instrument(following)
-    programme = Programme(guards=[Guard(4.7, "hold_expired")], limits=LIMITS)
-    holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, programme)
+    context = SessionContext(guards=[Guard(4.7, "hold_expired")], limits=LIMITS)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, context)
     assert [hold.verdict for hold in holds] == ["stable"] * 2
-    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
+    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, context))
     assert kind == "guarded"
     assert reason.startswith("the instrument withdrew at 4.700 s because no command came (hold_expired: none for 300")
 
@@ -141,9 +141,9 @@ def test_a_guard_that_acted_between_two_holds_is_not_passed_over() -> None:
 def test_a_guard_that_acted_before_the_programme_is_named() -> None:
     never = np.zeros(len(TIME_S), dtype=bool)
     tip = instrument(never, never)
-    programme = Programme(guards=[Guard(-0.21, "force_limit")], limits=LIMITS)
-    holds = judge_holds(TIME_S, HAND_N, TIME_S, np.zeros_like(TIME_S), tip, programme)
-    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
+    context = SessionContext(guards=[Guard(-0.21, "force_limit")], limits=LIMITS)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, np.zeros_like(TIME_S), tip, context)
+    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, context))
     assert kind == "guarded"
     assert reason.startswith("the instrument's guard acted at -0.210 s, before the hand's force profile (force_limit")
 
@@ -151,7 +151,7 @@ def test_a_guard_that_acted_before_the_programme_is_named() -> None:
 def test_a_stop_that_a_person_asked_for_is_no_guard() -> None:
     following = TIME_S < 8.9
     tip = instrument(following)
-    asked = Programme(guards=[Guard(8.9, "retract_requested")])
+    asked = SessionContext(guards=[Guard(8.9, "retract_requested")])
     assert guard_of(TIME_S, tip, asked) == ""
     assert guard_of(TIME_S, tip) == ""
     assert guard_of(np.array([]), Instrument(np.array([], dtype=bool), np.array([], dtype=bool))) == ""
@@ -176,13 +176,13 @@ def test_a_tip_that_left_for_good_has_lost_its_contact_and_one_that_comes_back_m
 @pytest.mark.parametrize("force_gain", [2, 3, 5, 8, 9, 10, 11, 12, 15, 20, 50, 100])
 def test_a_law_is_measured_by_its_own_rest(force_gain: int) -> None:
     tip_n = HAND_N / (1.0 + 1.0 / force_gain)
-    own = Programme(rest_force=lambda force_n: force_n / (1.0 + 1.0 / force_gain))
-    for known in (own, Programme()):
+    own = SessionContext(rest_force=lambda force_n: force_n / (1.0 + 1.0 / force_gain))
+    for known in (own, SessionContext()):
         holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(), known)
         assert [hold.verdict for hold in holds] == ["stable", "stable"]
         assert not any(hold.has("off_force") for hold in holds)
         assert [hold.hold_ratio for hold in holds] == pytest.approx([1.0 + 1.0 / force_gain] * 2, rel=1e-6)
-    other = Programme(rest_force=lambda force_n: 0.5 * tip_n[8000] / 2.0 * force_n)
+    other = SessionContext(rest_force=lambda force_n: 0.5 * tip_n[8000] / 2.0 * force_n)
     hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(), other)[1]
     assert (hold.verdict, hold.has("off_force")) == ("stable", True)
 
@@ -210,12 +210,12 @@ def test_a_tip_that_meets_the_surface_late_in_a_hold_is_judged_from_then_on(arri
     assert hold.judged_from_s == pytest.approx(arrived_s, abs=0.002)
 
 
-def starved(at_s: float, length_s: float) -> Programme:
+def starved(at_s: float, length_s: float) -> SessionContext:
     """An outage of the link, which the tip notices a deadline of 50 ms later and the hand as well; 20 ms each way."""
     kinds = ("tip_held", "hand_let_go")
     why = {"tip_held": "command_deadline", "hand_let_go": "no command within the deadline"}
     ends = (at_s + 0.07, at_s + 0.02 + length_s)
-    return Programme(
+    return SessionContext(
         interruptions=[Interruption(kind, *ends, why[kind]) for kind in kinds],  # type: ignore[arg-type]
         transit_s=0.04,
     )
@@ -260,7 +260,7 @@ def test_of_two_reports_of_the_guard_the_nearer_one_is_the_reason() -> None:
         ([Guard(3.05, "lateral_limit"), Guard(3.3, "force_limit")], "lateral_limit"),
     ):
         tip = instrument(following, following & (HAND_N > 0.0))
-        hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, Programme(guards=guards, limits=LIMITS))[0]
+        hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, SessionContext(guards=guards, limits=LIMITS))[0]
         assert hold.verdict == "guarded" and f"({reason}" in hold.reason
 
 
@@ -272,7 +272,9 @@ def test_a_motion_without_a_line_that_has_grown_to_the_force_limit_has_diverged(
     noise_n = size_n * np.sin(np.cumsum(np.random.default_rng(5).uniform(0.0, 0.6, 9000)))
     tip_n = np.where(following, HAND_N + np.where(TIME_S > 1.5, noise_n, 0.0), 0.0)
     tip = instrument(following, following & (HAND_N > 0.0))
-    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, Programme(guards=[Guard(3.1, reason)], limits=LIMITS))[0]
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, SessionContext(guards=[Guard(3.1, reason)], limits=LIMITS))[
+        0
+    ]
     assert hold.verdict == verdict, hold.reason
     assert ("until then the motion grew from 0.3 N to 1.2 N" in hold.reason) is (verdict == "diverged"), hold.reason
 
@@ -286,7 +288,7 @@ def test_a_tip_has_landed_where_its_last_contact_is_long_however_short_those_bef
 def test_what_follows_the_trembling_of_the_hand_is_taken_off_with_its_delay() -> None:
     tremor = 0.1 * np.sin(56.0 * TIME_S)
     tip_n = HAND_N + np.interp(TIME_S - 0.02, TIME_S, 0.8 * tremor)
-    known = Programme(transit_s=0.04)
+    known = SessionContext(transit_s=0.04)
     session = _Session(TIME_S, HAND_N + tremor, TIME_S, tip_n, instrument(), known, 2.0, 0.0, [])
     assert float(np.ptp(_without_hand(session, 2.0, 4.0))) < 0.01 * float(np.ptp(tip_n[2000:4000]))
 
@@ -294,14 +296,14 @@ def test_what_follows_the_trembling_of_the_hand_is_taken_off_with_its_delay() ->
 def test_what_was_late_at_the_end_of_a_hold_is_none_of_it() -> None:
     end_s = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N)[0].end_s
     for at_s, is_late in ((end_s, False), (end_s - 0.01, True)):
-        hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, programme=Programme(late=[Late(at_s, 0.03)]))[0]
+        hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, context=SessionContext(late=[Late(at_s, 0.03)]))[0]
         assert hold.has("machine_late") is is_late
 
 
 def test_a_machine_that_is_late_is_named_and_blamed() -> None:
     # 0.8 N from peak to peak, well above what is small beside 1 N
     kicks = HAND_N + swing(2.0, 2.3, 0.0, 0.4) + swing(3.3, 3.6, 0.0, 0.4) + swing(4.0, 4.4, 0.0, 0.4)
-    late = Programme(late=[Late(2.0, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
+    late = SessionContext(late=[Late(2.0, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
     hold = judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument(), late)[0]
     # what the machine brings about dies out each time
     assert (hold.verdict, hold.has("machine_late")) == ("stable", True)
@@ -365,19 +367,19 @@ def test_a_hold_that_lasts_into_a_scan_ends_where_the_scan_begins() -> None:
     moved = (scanning[0] <= TIME_S) & (away[1] > TIME_S)
     tip_n = np.where(moved, 20.0 * np.sin(40.0 * TIME_S), HAND_N)
     tip = instrument(following)
-    programme = Programme(guards=[Guard(away[0], "retract_requested")], programs=[scanning])
-    holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, programme)
+    context = SessionContext(guards=[Guard(away[0], "retract_requested")], programs=[scanning])
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, context)
     assert [hold.verdict for hold in holds] == ["stable"] * 2
     assert holds[0].end_s == scanning[0]
-    assert verdict_of(holds, guard_of(TIME_S, tip, programme))[0] == "stable"
+    assert verdict_of(holds, guard_of(TIME_S, tip, context))[0] == "stable"
     # what the guard itself does in the same place stays what it was
-    acted = programme._replace(guards=[Guard(away[0], "force_limit")], programs=[])
+    acted = context._replace(guards=[Guard(away[0], "force_limit")], programs=[])
     assert "guard acted" in judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, acted)[0].reason
 
 
 def test_a_hold_in_which_somebody_stops_the_tip_is_judged_until_then() -> None:
     following = TIME_S < 7.0
-    asked = Programme(guards=[Guard(7.0, "estop")])
+    asked = SessionContext(guards=[Guard(7.0, "estop")])
     swinging = np.where(following, HAND_N + swing(5.0, 7.0, 0.0, 0.5), 0.0)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, swinging, instrument(following), asked)
     assert [hold.verdict for hold in holds] == ["stable", "limit_cycle"]
@@ -399,7 +401,7 @@ def test_a_swing_of_a_persons_hand_has_a_verdict_although_nothing_stands_still(
     growth_per_s: float, verdict: str
 ) -> None:
     hand_n, tip_n = by_hand(growth_per_s)
-    holds = judge_holds(TIME_S, hand_n, TIME_S, tip_n, programme=Programme(by_hand=True))
+    holds = judge_holds(TIME_S, hand_n, TIME_S, tip_n, context=SessionContext(by_hand=True))
     (found,) = [hold for hold in holds if hold.frequency_hz is not None]
     assert found.verdict == verdict
     assert found.frequency_hz == pytest.approx(0.8, rel=0.05)
@@ -413,9 +415,9 @@ def test_a_swing_of_a_persons_hand_has_a_verdict_although_nothing_stands_still(
 
 
 def test_no_swing_is_found_in_a_hold_or_in_a_scan() -> None:
-    known = Programme(by_hand=True, programs=[(5.2, 9.0)])
+    known = SessionContext(by_hand=True, programs=[(5.2, 9.0)])
     tip_n = HAND_N + swing(1.5, 4.5, 0.0, 0.5) + swing(5.3, 9.0, 0.0, 3.0)
-    holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, programme=known)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, context=known)
     assert [(hold.verdict, hold.frequency_hz) for hold in holds] == [("limit_cycle", None)]
 
 
@@ -454,7 +456,7 @@ def test_a_tip_that_follows_a_hand_which_trembles_more_and_more_does_not_grow(ga
     rng = np.random.default_rng(3)
     tremor = 0.02 * np.exp(1.0 * (TIME_S - 4.5)) * np.sin(56.0 * TIME_S + np.cumsum(rng.normal(0.0, 0.05, len(TIME_S))))
     hand_n = HAND_N + np.where((TIME_S > 1.5) & (TIME_S < 4.5), tremor, 0.0)
-    planned = Programme(planned=[(1.5, 4.5, 1.0)], transit_s=0.04)
+    planned = SessionContext(planned=[(1.5, 4.5, 1.0)], transit_s=0.04)
     late_n = np.interp(TIME_S - 0.013, TIME_S, gain * (hand_n - HAND_N))
     holds = judge_holds(TIME_S, hand_n, TIME_S, HAND_N + late_n, instrument(), planned)
     assert all(hold.verdict in ("stable", "cannot_say") for hold in holds), holds

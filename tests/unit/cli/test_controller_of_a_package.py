@@ -41,7 +41,7 @@ def build(settings, limits, **told):
     return LineAfm(found, limits, cut, "controller of lines", **told)
 
 LINE_AFM = DeviceDriver(
-    "afm_node", "line_afm", ControllerSettings, build, told=("period_s", "attended"), calibration=Calibration,
+    "afm_node", "line_afm", ControllerSettings, build, keywords=("period_s", "attended"), calibration=Calibration,
     capabilities=AfmCapabilities(100.0, 100.0, 5e-3, False, False, True, ("deflection",), "the guard"),
 )
 """

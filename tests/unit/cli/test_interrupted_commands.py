@@ -78,14 +78,14 @@ ELSEWHERE = {
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study network": "reads a folder, and writes a few files at once at the end by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
-    "sample import": "reads a file of another maker, and writes one file at the end by `whole_file`",
-    "particles": "reads an image, and writes one file at the end by `whole_file`",
+    "sample import": "reads a file of another maker, and writes one file at the end by `atomic_file`",
+    "particles": "reads an image, and writes one file at the end by `atomic_file`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "budget": "reads a recording, and writes two files at once at the end by `results_in`",
     "device accept": "takes a motion of a minute, and writes all at once at the end by `results_in`",
-    "device trial": "asks a person at a real device, and writes one file at the end by `whole_file`",
-    "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
-    "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
+    "device trial": "asks a person at a real device, and writes one file at the end by `atomic_file`",
+    "device calibrate handle": "asks a person at a real device, and writes one file at the end by `atomic_file`",
+    "device calibrate stage": "asks a person at a real device, and writes one file at the end by `atomic_file`",
 }
 _COMMANDS_WITH_RESULTS = """
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load, load_row, package_commands

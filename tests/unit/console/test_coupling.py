@@ -148,14 +148,14 @@ def test_states_of_the_instrument_tell_where_the_base_is_and_that_it_is_stopped(
 def test_command_and_page_end_at_the_same_function(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     given: list[Path] = []
 
-    def couple_anew(site_file: Path, *rest: Any, **options: Any) -> str:
+    def recouple(site_file: Path, *rest: Any, **options: Any) -> str:
         given.append(site_file)
         if len(given) > 2:
             raise RigError("not coupled, and nothing has moved: the hand presses with 1.00 N")
         return "hand and tip are coupled again"
 
     for module in (session_command, commander_module):
-        monkeypatch.setattr(module, "couple_anew", couple_anew)
+        monkeypatch.setattr(module, "recouple", recouple)
     file = tmp_path / "site.yaml"
     run = partial(CliRunner().invoke, app)
     done = run(["session", "couple", "--site-file", str(file)])

@@ -28,7 +28,7 @@ from telenano.console.lease import (
     withdrawn,
 )
 from telenano.console.lease_register import LeaseRegister, acting, holding
-from telenano.files.whole_files import changed
+from telenano.files.atomic_files import changed
 from telenano.wire.errors import RefusedError, RigError
 
 OBSERVER = Party("o", "Olga", "observer")

@@ -48,10 +48,10 @@ def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
     return {pin: frozenset(hashes) for pin, hashes in found.items()}
 
 
-def makefile_images() -> dict[str, tuple[str, list[str]]]:
-    """Give the lock and the packages of each image as `make image-locks` has them."""
+def makefile_images() -> dict[str, tuple[list[str], list[str]]]:
+    """Give the locks and the packages of each image as `make image-locks` has them."""
     rows = [[*word.split(":"), ""][:3] for word in makefile_words("IMAGES")]
-    return {image: (lock, [*filter(None, packages.split(","))]) for image, lock, packages in rows}
+    return {image: (locks.split(","), [*filter(None, packages.split(","))]) for image, locks, packages in rows}
 
 
 def compose(path: Path) -> dict[str, Any]:
@@ -88,10 +88,10 @@ def test_every_image_has_a_lock_and_its_extras_exist() -> None:
     images = makefile_images()
     locks = {*EXTRAS, *TOOLS, "build", "release"}
     assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == locks
-    assert {lock for lock, _ in images.values()} == set(EXTRAS)
+    assert {lock for locks, _ in images.values() for lock in locks} == set(EXTRAS)
     assert {name for variable in EXTRAS.values() for name in makefile_words(variable)} <= set(extras)
     built = [service["build"]["args"] for service in effective(WHOLE).values()]
-    found = {given["SERVICE"]: (given["LOCK"], given.get("PACKAGES", "").split()) for given in built}
+    found = {given["SERVICE"]: (given["LOCK"].split(), given.get("PACKAGES", "").split()) for given in built}
     assert found == images
 
 
@@ -119,8 +119,8 @@ def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
     assert {pin: hashes for pin, hashes in shared.items() if whole.get(pin) != hashes} == {}
 
 
-@pytest.mark.parametrize("lock", sorted(EXTRAS))
-def test_locks_have_what_their_extras_and_packages_ask_for(lock: str) -> None:
+@pytest.mark.parametrize("image", sorted(makefile_images()))
+def test_the_locks_of_an_image_have_what_their_extras_and_its_packages_ask_for(image: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
 
@@ -134,15 +134,15 @@ def test_locks_have_what_their_extras_and_packages_ask_for(lock: str) -> None:
                 found.add(re.split(r"[\[<>=~! ]", requirement)[0].lower().replace("_", "-"))
         return found
 
-    chosen = makefile_words(EXTRAS[lock])
-    packages = {name for own, names in makefile_images().values() if own == lock for name in names}
+    locks, packages = makefile_images()[image]
+    chosen = [name for lock in locks for name in makefile_words(EXTRAS[lock])]
     wanted = names(project["dependencies"] + [requirement for extra in chosen for requirement in extras[extra]])
     for package in packages:
         own = tomllib.loads((ROOT / "packages" / package / "pyproject.toml").read_text())["project"]
         wanted |= names(own["dependencies"]) - {"telenano"}
-    locked = {name for name, _ in pins(DEPLOY / "locks" / f"{lock}.lock")}
+    locked = {name for lock in locks for name, _ in pins(DEPLOY / "locks" / f"{lock}.lock")}
     # what a package needs of the project is in the image beside it, and in no lock
-    wanted -= packages
+    wanted -= set(packages)
     assert wanted <= locked
     # the project goes in as wheels, and the lock of an image has packages of an index alone
     assert not {name for name in locked if name.startswith("telenano")}

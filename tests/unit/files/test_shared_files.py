@@ -14,7 +14,7 @@ import pytest
 from services.viz_node.lease_desk import LeaseDesk
 from telenano.console.lease import Lease, Party, current, take
 from telenano.console.lease_register import Hold, LeaseRegister
-from telenano.files.whole_files import BusyError, changed, locked
+from telenano.files.atomic_files import BusyError, changed, locked
 from telenano.runtime.loop import kept_stop
 from telenano.runtime.security.keyring import Keyring
 from telenano.serving.people import People

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from telenano.laws.hand_periods import ANEW, HandClock, no_sample, periods_to
+from telenano.laws.hand_periods import RESTARTED, HandClock, no_sample, periods_to
 
 PERIOD_NS = 1_000_000
 LONGEST = 50
@@ -15,7 +15,7 @@ class Counter:
 
     def __init__(self, first_ns: int) -> None:
         self.clock, periods = periods_to(no_sample(), first_ns, PERIOD_NS, LONGEST)
-        assert periods == ANEW
+        assert periods == RESTARTED
 
     def counted(self, sampled_ns: int) -> int:
         self.clock, periods = periods_to(self.clock, sampled_ns, PERIOD_NS, LONGEST)
@@ -44,16 +44,18 @@ def test_a_first_sample_that_was_late_is_not_what_the_others_are_counted_by() ->
     assert sum(counts) in (998, 999)
 
 
-@pytest.mark.parametrize(("later_ns", "periods"), [(50 * PERIOD_NS, 50), (51 * PERIOD_NS, ANEW), (0, ANEW), (-1, ANEW)])
+@pytest.mark.parametrize(
+    ("later_ns", "periods"), [(50 * PERIOD_NS, 50), (51 * PERIOD_NS, RESTARTED), (0, RESTARTED), (-1, RESTARTED)]
+)
 def test_it_begins_anew_after_the_longest_pause_and_with_stamps_that_go_back(later_ns: int, periods: int) -> None:
     hand = Counter(10**18)
     assert hand.counted(10**18 + later_ns) == periods
-    if periods == ANEW:
+    if periods == RESTARTED:
         assert hand.clock == HandClock(10**18 + later_ns, 10**18 + later_ns)
 
 
 def test_what_stands_for_a_new_beginning_is_no_count() -> None:
-    assert ANEW < 0
+    assert RESTARTED < 0
 
 
 @pytest.mark.parametrize("first_ns", [0, 2 * PERIOD_NS, 10**18])

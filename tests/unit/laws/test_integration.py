@@ -10,7 +10,7 @@ from telenano.laws.integration import (
     ACCOUNT,
     ANSWER,
     ANSWER_EARLY,
-    GO_ON,
+    CONTINUE,
     NOTHING,
     Heard,
     MasterTiming,
@@ -115,7 +115,7 @@ def test_a_half_that_waits_anew_keeps_what_is_due(due: MasterTiming) -> None:
     assert silenced._replace(heard=timing.heard) == timing
     # without a signal that counts it does not go on by itself
     settled_timing, _ = measured(timing, 0, 7)
-    assert measured(settled_timing, 0, 7)[1].what == GO_ON
+    assert measured(settled_timing, 0, 7)[1].what == CONTINUE
     assert measured(slave_silenced(settled_timing), 0, 7)[1].what == NOTHING
 
 
@@ -143,7 +143,7 @@ def test_the_slave_answers_when_the_instrument_has_carried_out_its_newest_comman
 
 def test_an_instrument_that_steps_by_itself_takes_the_slave_along_while_the_signal_counts() -> None:
     timing, _ = measured(signalled(slave_begin(), 0, 7), 0, 7)
-    assert measured(timing, 50, 7)[1].what == GO_ON
+    assert measured(timing, 50, 7)[1].what == CONTINUE
     assert measured(timing, 50.1, 7)[1].what == NOTHING
     assert measured(timing, 1.5, 7, follows=False)[1].what == NOTHING
     assert measured(timing, 1.5, 7, held=True)[1].what == NOTHING
@@ -224,7 +224,7 @@ def test_a_slave_that_understands_no_signal_makes_the_longest_step() -> None:
 def test_a_signal_counts_that_came_when_the_clock_began() -> None:
     timing, _ = slave_signalled(slave_begin(), SLAVE, 0, 0, True)
     settled = slave_measured(slave_commanded(slave_stepped(timing, SLAVE, 0, 1), 7, True), SLAVE, 0, 7, False, True)[0]
-    assert slave_measured(settled, SLAVE, 2 * MS, 7, False, True)[1].what == GO_ON
+    assert slave_measured(settled, SLAVE, 2 * MS, 7, False, True)[1].what == CONTINUE
     # and one that is not understood counts for an endless silence then as well
     assert slave_stepped(slave_signalled(slave_begin(), SLAVE, 0, 0, False)[0], SLAVE, 0, 1).pacing.step == (
         MOST_PERIODS_A_STEP
@@ -236,7 +236,7 @@ def test_the_last_signal_counts_for_a_nanosecond_where_that_is_the_setting() -> 
     found = [
         slave_measured(timing, TimingParams(MS, 50, 1), BEGIN_NS + since, 7, False, True)[1].what for since in (1, 2)
     ]
-    assert found == [GO_ON, NOTHING]
+    assert found == [CONTINUE, NOTHING]
 
 
 def test_a_signal_before_the_instrument_has_answered_is_answered_and_accounted_for_once() -> None:
@@ -282,7 +282,7 @@ def test_a_half_whose_instrument_is_late_goes_on_in_a_silence_without_a_step_of_
         assert measured(timing, ms, 7, follows=follows)[1] == Settled(ANSWER, 1, True, goes_on)
     # one that has answered in time makes its own steps
     own = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 3 * MS, 0), 8, False)
-    assert [measured(own, ms, 8)[1].goes_on for ms in (3.4, 3.49, 3.5, 4.5)] == [False, False, True, True]
+    assert [measured(own, ms, 8)[1].continues for ms in (3.4, 3.49, 3.5, 4.5)] == [False, False, True, True]
 
 
 def test_nothing_is_owed_after_a_stall() -> None:

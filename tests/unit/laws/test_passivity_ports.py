@@ -19,9 +19,9 @@ from telenano.laws.passivity import (
     master_send,
     master_start,
     opened,
-    opened_anew,
     paid_motion,
-    received_anew,
+    recount_received,
+    reopen,
     retune,
     shared_out,
     slave_receive,
@@ -92,15 +92,15 @@ def test_an_account_keeps_each_direction_by_itself() -> None:
     assert charged(account, -0.5, 0.25) == (1.0, 2.0, 2.5, 4.25, 5.0)
     assert credited(account, 2.5, 10.0) == (1.0, 2.5, 3.5, 4.0, 5.0)
     assert credited(account, 3.0, 3.25) == (1.0, 3.0, 3.25, 4.75, 5.0)
-    assert received_anew(account, 0.5, True) == (1.0, 0.5, 3.0, 4.0, 5.0)
-    assert received_anew(account, 0.5, False) == account
+    assert recount_received(account, 0.5, True) == (1.0, 0.5, 3.0, 4.0, 5.0)
+    assert recount_received(account, 0.5, False) == account
     assert opened(1e-3) == (0.0, 0.0, 1e-3, 0.0, 1e-3)
 
 
 def test_a_port_that_is_opened_anew_is_granted_what_is_missing_and_loses_what_is_too_much() -> None:
-    poor = opened_anew(Account(1.0, 2.0, 0.25e-3, 4.0, 5.0), 1e-3, 0.5)
+    poor = reopen(Account(1.0, 2.0, 0.25e-3, 4.0, 5.0), 1e-3, 0.5)
     assert (poor.remaining_j, poor.lost_j, poor.granted_j) == (1e-3, 4.0, exactly(5.00075))
-    rich = opened_anew(Account(1.0, 2.0, 3e-3, 4.0, 5.0), 1e-3, 1.0)
+    rich = reopen(Account(1.0, 2.0, 3e-3, 4.0, 5.0), 1e-3, 1.0)
     assert (rich.remaining_j, rich.lost_j, rich.granted_j) == (1e-3, exactly(4.002), 5.0)
     assert (poor.in_j, poor.received_j) == (0.5, 2.0)
     assert (rich.in_j, rich.received_j) == (1.0, 2.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from telenano.recording.arrays import last_programme, last_session
+from telenano.recording.arrays import last_force_profile, last_session
 
 SECOND_NS = 1_000_000_000
 # a hundred samples of a programme, a hundredth of a second apart
@@ -26,7 +26,7 @@ def stamps(session_s: np.ndarray, start_ns: int) -> np.ndarray:
 )
 def test_the_last_programme_is_the_session(session_s: list[float], expected: list[int]) -> None:
     number = np.arange(len(session_s))
-    assert last_programme(np.array(session_s), number).tolist() == expected
+    assert last_force_profile(np.array(session_s), number).tolist() == expected
     assert last_session(np.array(session_s), number, number).tolist() == expected
 
 
@@ -35,7 +35,7 @@ def test_a_message_behind_later_ones_begins_no_session(behind: range) -> None:
     """A copy that stands behind later messages is left out."""
     order = np.array([*range(60), *behind, *range(60, 100)])
     t_ns = stamps(COURSE_S[order], SECOND_NS)
-    found = last_programme(COURSE_S[order], t_ns)
+    found = last_force_profile(COURSE_S[order], t_ns)
     assert order[found].tolist() == list(range(100))
     assert last_session(COURSE_S[order], order, t_ns).tolist() == found.tolist()
 
@@ -43,7 +43,7 @@ def test_a_message_behind_later_ones_begins_no_session(behind: range) -> None:
 def test_a_replay_that_was_set_back_begins_anew() -> None:
     course_s = np.arange(300) / 100.0
     order = np.array([*range(250), *range(50, 300)])
-    found = last_programme(course_s[order], stamps(course_s[order], SECOND_NS))
+    found = last_force_profile(course_s[order], stamps(course_s[order], SECOND_NS))
     assert found.tolist() == list(range(250, 500))
 
 

@@ -70,7 +70,7 @@ def test_the_age_of_a_device_is_the_mean_of_an_interval_and_absent_without_sampl
     declared = {"device_latency_s": 3e-3, "calibration": "stage 7"}
     assert node.device_health() == declared
     for status, age_s in (("ok", 0.25), ("lost", 9.0), ("stale", 0.75)):
-        node.take_up(SimpleNamespace(status=status, age_s=age_s, text=""))
+        node.process_report(SimpleNamespace(status=status, age_s=age_s, text=""))
     assert node.device_health() == declared | {"device_age_s": 0.5}
     assert node.device_health() == declared
 
@@ -80,7 +80,7 @@ def test_what_a_device_says_is_an_event_once(bench: Any) -> None:
     assert not node.is_lost
     bench.take("session/event")
     for status, text in (("ok", "ready"), ("ok", "ready"), ("lost", "unplugged"), ("lost", "unplugged")):
-        node.take_up(SimpleNamespace(status=status, age_s=0.0, text=text))
+        node.process_report(SimpleNamespace(status=status, age_s=0.0, text=text))
     assert node.is_lost
     told = [(event.kind, event.level, event.text) for event in bench.take("session/event")]
     assert told == [("node", "info", "ready"), ("fault", "warning", "unplugged")]

@@ -16,7 +16,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import TOPICS, DurationS, Message, Topic, about, decode, encode
-from telenano.wire.topics import MOST_UNKNOWN, keep_unknown, row_of, take_up
+from telenano.wire.topics import MOST_UNKNOWN, keep_unknown, register_topic, row_of
 
 MESSAGES = '''
 from typing import Annotated
@@ -202,12 +202,12 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("change", "said"), FAULTS, ids=[said[:40] for _, said in FAULTS])
 def test_a_row_that_breaks_a_rule_is_refused_in_a_sentence(table: None, change: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        take_up(dataclasses.replace(GOOD, **change))
+        register_topic(dataclasses.replace(GOOD, **change))
     assert "wind/gust" not in TOPICS
 
 
 def test_a_row_that_keeps_the_rules_has_its_messages_encoded_and_decoded(table: None) -> None:
-    assert take_up(GOOD) is take_up(GOOD) is row_of("wind/gust")
+    assert register_topic(GOOD) is register_topic(GOOD) is row_of("wind/gust")
     message = Gust(seq=1, t_ns=2, src="experiment@master", v=1, duration_s=0.5)
     assert decode("wind/gust", encode(message)) == message
 

@@ -25,7 +25,7 @@ from telenano.serving.serve import addresses_of
 from telenano.settings.plugins import Loaded
 from telenano.wire import DurationS, Message, RefusedError, Topic, about
 from telenano.wire.topics import OWN_TOPICS as TOPICS
-from telenano.wire.topics import take_up
+from telenano.wire.topics import register_topic
 
 ACCESS = replace(PAGES, participant_token="guest-token-000001")
 
@@ -58,7 +58,7 @@ class Blind:
     def snapshot(self, snapshot: Any, *, hand: bool) -> dict[str, Any]:
         return {"k": "snapshot", "role": "participant"}
 
-    def said(self, *, is_ok: bool) -> str:
+    def acknowledgement(self, *, is_ok: bool) -> str:
         return "yes" if is_ok else "no"
 
 
@@ -94,7 +94,7 @@ def panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
         monkeypatch.setattr(module, "installed_panels", lambda: panels)
     monkeypatch.setattr("telenano.serving.serve.installed_panels", lambda: panels)
     before = dict(TOPICS)
-    take_up(Topic("wind/speed", WindSpeed, ("view",), "lossless", None, None, None))
+    register_topic(Topic("wind/speed", WindSpeed, ("view",), "lossless", None, None, None))
     yield found
     TOPICS.clear()
     TOPICS.update(before)

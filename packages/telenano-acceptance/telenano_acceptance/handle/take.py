@@ -24,7 +24,7 @@ STEPS = (
 # The motion of the step *follow*: its amplitude, at most this share of the workspace, and its period.
 _AMPLITUDE_M, _SHARE, _PERIOD_S = 2e-3, 0.2, 3.0
 _BEFORE_S, _SPARE_S = 0.3, 0.1
-_MOST_SAID = 16
+_MOST_MESSAGES = 16
 ROW = row_of(
     ("asked_m", "f8"),
     ("place_m", "f8"),
@@ -91,7 +91,7 @@ def record_take(driver: Any, facts: Facts, clock: Clock, guide: Guide = SILENT) 
     except (EndedError, TelenanoError) as error:
         facts = facts._replace(stopped=f"{error} (in the step {recorder.step.name})")
     driver.make_safe()
-    return recorder.take(ROW, facts._replace(said=tuple(motion.said)))
+    return recorder.take(ROW, facts._replace(said=tuple(motion.driver_messages)))
 
 
 class _Motion:
@@ -101,7 +101,7 @@ class _Motion:
         self._driver, self._facts, self._recorder, self._clock = driver, facts, recorder, clock
         self._can_drive = MODE_POSITION in facts.device.modes
         self._session_s = -1.0
-        self.said: dict[str, None] = {}
+        self.driver_messages: dict[str, None] = {}
 
     def idle(self) -> None:
         """Let a millisecond pass with the drive off."""
@@ -135,8 +135,8 @@ class _Motion:
         if self._session_s >= 0.0:
             self._session_s += PERIOD_S
         reading, report = driver.read(self._session_s, PERIOD_S), driver.report
-        if report.status == "lost" and len(self.said) < _MOST_SAID:
-            self.said[report.text] = None
+        if report.status == "lost" and len(self.driver_messages) < _MOST_MESSAGES:
+            self.driver_messages[report.text] = None
         tripped = driver.state is not None and driver.state.watchdog_tripped
         recorder.add(
             report.age_s, reading.position_m if reference_m is None else reference_m, reading.position_m,

@@ -71,8 +71,8 @@ def _gaps(take: Take[Facts]) -> tuple[Result, str]:
     rows = _present(take)
     longest_s = float(rows["age_s"].max(initial=0.0))
     good = longest_s <= GAP_S and not rows["lost"].any()
-    said = "" if good or not take.facts.said else f": {take.facts.said[0]}"
-    return passes(good), f"{1e3 * longest_s:.0f} ms{said}"
+    message = "" if good or not take.facts.said else f": {take.facts.said[0]}"
+    return passes(good), f"{1e3 * longest_s:.0f} ms{message}"
 
 
 def _fresh(take: Take[Facts]) -> tuple[Result, str]:
@@ -141,8 +141,8 @@ def _sign(step: str, axis: int) -> Check:
         if size < 0.1 * take.facts.device.workspace_max_m:
             return "retake", f"the handle moved by {1e3 * size:.1f} mm only"
         share = float(furthest[axis]) / size
-        found = ", ".join(f"{name} {1e3 * way:+.0f}" for name, way in zip(AXES, furthest, strict=True))
-        return passes(share >= AXIS_SHARE), f"{found} mm"
+        furthest_text = ", ".join(f"{name} {1e3 * way:+.0f}" for name, way in zip(AXES, furthest, strict=True))
+        return passes(share >= AXIS_SHARE), f"{furthest_text} mm"
 
     return check
 
@@ -152,7 +152,7 @@ def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
     # In the second half the stiffness is raised, and a swing of the coupling may run against the force as well.
     if (rows["gate"][: len(rows) // 2] == GATE_RUNAWAY).any():
         return "fail", GATES[GATE_RUNAWAY]
-    found: list[str] = []
+    wrong: list[str] = []
     good = True
     for axis, name in enumerate(AXES):
         pushed = rows["asked_n"][:, axis] > 0.0
@@ -163,8 +163,8 @@ def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
         last = np.flatnonzero(pushed)[-max(1, int(pushed.sum()) // 3) :]
         moved_m = float(rows["place_m"][last, axis].mean() - rows["place_m"][first, axis])
         good &= moved_m > MOVED_M
-        found.append(f"{name} {1e3 * moved_m:+.2f}")
-    return passes(good), f"{', '.join(found)} mm along a force of +"
+        wrong.append(f"{name} {1e3 * moved_m:+.2f}")
+    return passes(good), f"{', '.join(wrong)} mm along a force of +"
 
 
 def _why(rows: Rows) -> str:
@@ -191,8 +191,11 @@ def _stiffness(take: Take[Facts]) -> tuple[Result, str]:
     if (rows["gate"] == GATE_ACTIVE).mean() < 0.5 and not swung:
         return "retake", f"the device was not driven: {_why(rows)}"
     for level in LEVELS:
-        found = rows[rows["level"] == level]
-        if _buzz_m(found[len(found) * 6 // 10 :]["place_m"][:, 2]) > BUZZ_M or (found["gate"] != GATE_ACTIVE).any():
+        rows_of_level = rows[rows["level"] == level]
+        if (
+            _buzz_m(rows_of_level[len(rows_of_level) * 6 // 10 :]["place_m"][:, 2]) > BUZZ_M
+            or (rows_of_level["gate"] != GATE_ACTIVE).any()
+        ):
             break
         best = level
     stiffness = take.facts.settings.stiffness_n_per_m[2]
@@ -323,8 +326,8 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
 )
 
 
-def _facts_of(device: Any, settings: Any, **said: Any) -> Facts:
-    return Facts(Capabilities(**device), CouplingSettings(**settings), **said)
+def _facts_of(device: Any, settings: Any, **values: Any) -> Facts:
+    return Facts(Capabilities(**device), CouplingSettings(**settings), **values)
 
 
 HAPTIC_DEVICE = Kind(ROW, _facts_of, _CHECKS)

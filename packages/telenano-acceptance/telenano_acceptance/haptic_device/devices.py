@@ -52,8 +52,8 @@ def make_take(
     driver = DRIVERS.find(config.driver)
     if driver is None or not takes_force(driver):
         others = (name for name, one in DRIVERS.all().found.items() if takes_force(one))
-        known = ", ".join((SIMULATED_IMPEDANCE, *others))
-        raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
+        names = ", ".join((SIMULATED_IMPEDANCE, *others))
+        raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {names}")
     link = ProcessLink(driver.name, driver.section(config).model_dump(mode="json"))
     # As run_ahead does for the other devices: a full collection would hold up the motion for a tenth of a second.
     gc.collect()
@@ -68,7 +68,7 @@ def make_take(
 
 def _faults_of(given: Mapping[str, Any]) -> DeviceFaults:
     """Return the faults of these names; ConfigError says what is wrong with one."""
-    good, found = DeviceFaults(), dict[str, Any]()
+    good, fields = DeviceFaults(), dict[str, Any]()
     for name, value in given.items():
         if name not in DeviceFaults._fields:
             raise ConfigError(f"--fault {name}: no such fault; there are {', '.join(DeviceFaults._fields)}")
@@ -78,5 +78,5 @@ def _faults_of(given: Mapping[str, Any]) -> DeviceFaults:
         if len(parts) != (len(default) if is_list else 1) or not all(isinstance(part, int | float) for part in parts):
             what = f"a list of {len(default)} numbers" if is_list else "a number, true or false"
             raise ConfigError(f"--fault {name}: must be {what}, not {value!r}")
-        found[name] = tuple(parts) if is_list else value
-    return good._replace(**found)
+        fields[name] = tuple(parts) if is_list else value
+    return good._replace(**fields)

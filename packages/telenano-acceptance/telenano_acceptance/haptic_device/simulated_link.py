@@ -25,7 +25,7 @@ class DeviceFaults(NamedTuple):
     long each reading is repeated. late_s: how old readings are. slow: periods of the servo in one. every, stumble: one
     step in this number of takes this number of periods. nan_at_s, jump_at_s, frozen_at_s: when; gap_s: silence.
     reported_force: by which the reported force is multiplied. quaternion: what a wrist says. stuck_buttons,
-    dead_buttons: bits that are always and never set. unplug_is_told: whether a cable that is out ends the samples.
+    dead_buttons: bits that are always and never set. unplug_is_reported: whether a cable that is out ends the samples.
     extra_delay_s: of the drive, beyond what is declared. deadman_is_ignored: by the servo.
     """
 
@@ -50,7 +50,7 @@ class DeviceFaults(NamedTuple):
     quaternion: Quaternion = UPRIGHT
     stuck_buttons: int = 0
     dead_buttons: int = 0
-    unplug_is_told: bool = True
+    unplug_is_reported: bool = True
     extra_delay_s: float = 0.0
     deadman_is_ignored: bool = False
 
@@ -153,9 +153,9 @@ class SimulatedLink:
         command = self._command
         if command is not None and faults.deadman_is_ignored:
             command = command._replace(settings=command.settings._replace(needs_deadman=False))
-        force, said = self._servo.step(command, self._read, self.now_ns(), max(dt_s, 1e-9))
+        force, sample = self._servo.step(command, self._read, self.now_ns(), max(dt_s, 1e-9))
         reported = _times(force, faults.reported_force)
-        self._newest = said._replace(force_n=reported)
+        self._newest = sample._replace(force_n=reported)
         at_s = self.time_s + self._capabilities.drive_delay_s + faults.extra_delay_s
         self._late.append((at_s, force if motion.plugged else ZERO))
 
@@ -163,7 +163,7 @@ class SimulatedLink:
         """Return what the device says now, with everything that is wrong with it."""
         faults, now_ns, last = self._faults, self.now_ns(), self._read
         if not motion.plugged:
-            if not faults.unplug_is_told:
+            if not faults.unplug_is_reported:
                 return last._replace(taken_ns=now_ns, deadman_ns=now_ns)
             return last._replace(error="the device has gone: its cable is out, or it has no power")
         if self.time_s >= faults.frozen_at_s:
@@ -177,10 +177,10 @@ class SimulatedLink:
         deadman = not self._capabilities.deadman or bool(
             buttons >> self._capabilities.buttons.index(self._capabilities.deadman) & 1
         )
-        found = DeviceSample((place[0], place[1], place[2]), now_ns, faults.quaternion, buttons, deadman, now_ns)
+        sample = DeviceSample((place[0], place[1], place[2]), now_ns, faults.quaternion, buttons, deadman, now_ns)
         if not faults.late_s:
-            return found
-        self._old.append(found)
+            return sample
+        self._old.append(sample)
         while len(self._old) > 1 and self._old[1].taken_ns <= now_ns - faults.late_s * 1e9:
             self._old.popleft()
         return self._old[0]

@@ -43,7 +43,7 @@ STEPS = (
 )
 MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off", "with load")
 # What a device says is wrong with it is kept, each sentence once, up to this many.
-_MOST_SAID = 16
+_MOST_MESSAGES = 16
 
 ROW = row_of(
     ("level", "f8"),
@@ -124,7 +124,7 @@ def record_take(
     except (EndedError, TelenanoError) as error:
         facts = facts._replace(stopped=f"{error} (in the step {recorder.step.name})")
     asker.rest()
-    return recorder.take(ROW, facts._replace(said=tuple(asker.said)))
+    return recorder.take(ROW, facts._replace(said=tuple(asker.driver_messages)))
 
 
 def _record_step(recorder: Recorder, asker: "_Asker", step: Step, silence_s: float) -> None:
@@ -132,12 +132,12 @@ def _record_step(recorder: Recorder, asker: "_Asker", step: Step, silence_s: flo
     for index in range(count):
         recorder.wait()
         level, asked = asker.ask(step.name, index / count)
-        found = asker.newest()
-        age_s = asker.age_s(found)
-        lost = bool(found.error) or age_s > silence_s
+        sample = asker.newest()
+        age_s = asker.age_s(sample)
+        lost = bool(sample.error) or age_s > silence_s
         recorder.add(
-            age_s, level, found.position_m, found.force_n, asked, found.gate, found.counter, found.late,
-            found.buttons, found.orientation, lost,
+            age_s, level, sample.position_m, sample.force_n, asked, sample.gate, sample.counter, sample.late,
+            sample.buttons, sample.orientation, lost,
         )  # fmt: skip
 
 
@@ -156,13 +156,13 @@ class _Asker:
         self._counter = self._arm_count = 0
         # This is where the hand was when the device was engaged last.
         self._home: Vector | None = None
-        self.said: dict[str, None] = {}
+        self.driver_messages: dict[str, None] = {}
 
     def newest(self) -> ServoSample:
         """Let a period pass, and return what the servo reported last."""
         self._found = self._link.newest(0.0, PERIOD_S) or self._found
-        if self._found.error and len(self.said) < _MOST_SAID:
-            self.said[self._found.error] = None
+        if self._found.error and len(self.driver_messages) < _MOST_MESSAGES:
+            self.driver_messages[self._found.error] = None
         return self._found
 
     def age_s(self, found: ServoSample) -> float:

@@ -92,7 +92,7 @@ def _range(take: Take[Facts]) -> tuple[Result, str]:
     if min(len(each) for each in stood) < 200:
         return "retake", take.facts.stopped or "the base was not moved"
     ends = [float(np.median(each)) for each in stood]
-    errors = [abs(found - wanted) for found, wanted in zip(ends, (far, near), strict=True)]
+    errors = [abs(measured - wanted) for measured, wanted in zip(ends, (far, near), strict=True)]
     good = max(errors) <= RANGE_M + RANGE_SHARE * (near - far)
     furthest = float(take.rows["base_m"].max())
     return passes(good), (
@@ -161,9 +161,9 @@ def _latency(take: Take[Facts]) -> tuple[Result, str]:
     edges, declared = _Edges(take), take.facts.latency_s
     if len(edges.late_s) < 10:
         return "retake", take.facts.stopped or "the force did not follow the base"
-    found = float(np.mean(edges.late_s))
-    good = found <= declared + max(LATENCY_S, LATENCY_SHARE * declared)
-    return passes(good), f"{1e3 * found:.1f} ms in the mean, {1e3 * max(edges.late_s):.1f} ms at most"
+    mean_s = float(np.mean(edges.late_s))
+    good = mean_s <= declared + max(LATENCY_S, LATENCY_SHARE * declared)
+    return passes(good), f"{1e3 * mean_s:.1f} ms in the mean, {1e3 * max(edges.late_s):.1f} ms at most"
 
 
 def _limit(take: Take[Facts]) -> tuple[Result, str]:

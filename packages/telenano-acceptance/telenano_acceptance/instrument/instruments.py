@@ -47,11 +47,11 @@ def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:
 
 def _declared_hz(config: AfmConfig) -> float:
     """Return how often a new sample comes, as the driver of a section declares it [Hz]; ConfigError if it does not."""
-    found = capabilities_of(config.driver)
-    if found is None:
-        known = f"is not one of {', '.join(TABLE)}, and declares no capabilities"
-        raise ConfigError(f"afm_node.driver = {config.driver} {known}: its package judges it")
-    return found.sample_hz
+    capabilities = capabilities_of(config.driver)
+    if capabilities is None:
+        reason = f"is not one of {', '.join(TABLE)}, and declares no capabilities"
+        raise ConfigError(f"afm_node.driver = {config.driver} {reason}: its package judges it")
+    return capabilities.sample_hz
 
 
 def facts_of(config: AfmConfig, driver: AfmDriver) -> Facts:

@@ -98,14 +98,14 @@ def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) 
 
     if port is None or calibration is None:
         raise ConfigError("serial: give the port of the handle by --port, and its calibration file by --calibration")
-    found = read_handle_calibration(calibration)
+    handle_calibration = read_handle_calibration(calibration)
 
     def record(guide: Guide) -> Take[Any]:
         run_ahead()
-        driver = SerialHandle(port, _BAUD, found, LimitsConfig())
+        driver = SerialHandle(port, _BAUD, handle_calibration, LimitsConfig())
         try:
             driver.open()
-            return record_take(driver, facts_of(driver, found), MACHINE, guide)
+            return record_take(driver, facts_of(driver, handle_calibration), MACHINE, guide)
         finally:
             driver.close()
 

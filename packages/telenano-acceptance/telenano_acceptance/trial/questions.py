@@ -45,12 +45,12 @@ class Questions:
             return []
         share = self._late / self._waits
         is_good = share <= _MOST_SHARE and self._worst_s <= _WORST_S
-        found = f"{100.0 * share:.1f} % of the milliseconds late, by {1e3 * self._worst_s:.0f} ms at most"
+        text = f"{100.0 * share:.1f} % of the milliseconds late, by {1e3 * self._worst_s:.0f} ms at most"
         advice = "" if is_good else ": what is found besides may be its fault; end what else runs on it"
         wanted = (
             f"at most {100.0 * _MOST_SHARE:.0f} % by {1e3 * _LATE_S:.0f} ms or more, none by {1e3 * _WORST_S:.0f} ms"
         )
-        return [Verdict("this computer", "pass" if is_good else "retake", found + advice, wanted)]
+        return [Verdict("this computer", "pass" if is_good else "retake", text + advice, wanted)]
 
     @contextmanager
     def hear(self) -> Iterator[None]:

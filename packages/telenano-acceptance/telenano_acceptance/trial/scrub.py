@@ -23,17 +23,17 @@ _GENERAL: tuple[tuple[str, str], ...] = (
 
 def _known() -> dict[str, str]:
     """Return the texts that name this person, machine or folder, and what represents each."""
-    found = {str(Path.cwd()): "(folder)", str(Path.home()): "(home)"}
+    places = {str(Path.cwd()): "(folder)", str(Path.home()): "(home)"}
     for name in (os.environ.get("HOME", ""), os.environ.get("PWD", "")):
-        found.setdefault(name, "(folder)")
+        places.setdefault(name, "(folder)")
     try:
         users = {getpass.getuser(), *(os.environ.get(name, "") for name in ("USER", "LOGNAME", "USERNAME"))}
     except (OSError, KeyError, ImportError):
         users = set()
     hosts = {socket.gethostname(), socket.gethostname().partition(".")[0], os.environ.get("HOSTNAME", "")}
-    folders = {part for path in tuple(found) for part in Path(path).parts[1:] if len(part) > _LEAST_LETTERS}
-    found |= dict.fromkeys(folders, "(folder)") | dict.fromkeys(hosts, "(host)") | dict.fromkeys(users, "(user)")
-    return found
+    folders = {part for path in tuple(places) for part in Path(path).parts[1:] if len(part) > _LEAST_LETTERS}
+    places |= dict.fromkeys(folders, "(folder)") | dict.fromkeys(hosts, "(host)") | dict.fromkeys(users, "(user)")
+    return places
 
 
 class Scrubber:
@@ -46,13 +46,15 @@ class Scrubber:
 
     def __init__(self, given: Iterable[str] = (), kept: Iterable[str] = ()) -> None:
         keep = {word.lower() for word in kept}
-        known = _known() | dict.fromkeys(given, "(given)")
-        known = {
-            text: stand for text, stand in known.items() if len(text) >= _LEAST_LETTERS and text.lower() not in keep
+        replacements = _known() | dict.fromkeys(given, "(given)")
+        replacements = {
+            text: stand
+            for text, stand in replacements.items()
+            if len(text) >= _LEAST_LETTERS and text.lower() not in keep
         }
         # the longest first, so that no part of a path is left
-        ordered = sorted(known, key=len, reverse=True)
-        self._stands = {text.lower(): stand for text, stand in known.items()}
+        ordered = sorted(replacements, key=len, reverse=True)
+        self._stands = {text.lower(): stand for text, stand in replacements.items()}
         self._pattern = re.compile("|".join(rf"(?<!\w){re.escape(text)}(?!\w)" for text in ordered) or "(?!)", re.I)
 
     def text(self, value: str) -> str:

@@ -10,14 +10,14 @@ _WORDS = {"pass": "passed", "fail": "**failed**", "retake": "to be made again", 
 
 def sheet_of(trial: Trial) -> str:
     """Return the page of a trial."""
-    found, driver = trial.acceptance, _cell(trial.acceptance.driver)
+    acceptance, driver = trial.acceptance, _cell(trial.acceptance.driver)
     text = [
-        f"# Trial of {_cell(found.device) or driver}: {_word(found.result)}",
+        f"# Trial of {_cell(acceptance.device) or driver}: {_word(acceptance.result)}",
         "",
-        f"Driver `{driver}`, {found.seconds:.0f} s of motion. The tolerances are provisional.",
+        f"Driver `{driver}`, {acceptance.seconds:.0f} s of motion. The tolerances are provisional.",
     ]
-    for load in dict.fromkeys((*LOADS, *(line.load for line in found.lines))):
-        if lines := [line for line in found.lines if line.load == load]:
+    for load in dict.fromkeys((*LOADS, *(line.load for line in acceptance.lines))):
+        if lines := [line for line in acceptance.lines if line.load == load]:
             text += [
                 "",
                 f"## {_cell(load.capitalize())}",

@@ -54,9 +54,9 @@ def trial(
         if read is not None:
             if driver is not None:
                 raise ConfigError(f"--read {read}: makes the page of a file, and tries no device: leave {driver} out")
-            found = read_trial(read)
-            typer.echo(sheet_of(found), nl=False)
-            if others := judged_again(found):
+            trial_read = read_trial(read)
+            typer.echo(sheet_of(trial_read), nl=False)
+            if others := judged_again(trial_read):
                 typer.echo("judged again by the version here: " + "; ".join(others), err=True)
             return
         if driver is None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from telenano.files import open_regular, whole_file
+from telenano.files import atomic_file, open_regular
 from telenano.settings import all_installed
 from telenano.wire import ConfigError
 from telenano_acceptance.handle.checks import HANDLE
@@ -85,9 +85,9 @@ def lines_of(kind: Kind[Any], take: Take[Any]) -> list[Line]:
     """Return the lines of a recording, judged now, those that were only read first and those with load last."""
     from telenano_acceptance.take import LOADS
 
-    found = [(kind.load_of(take, verdict.check), verdict) for verdict in kind.judge(take)]
-    found.sort(key=lambda pair: LOADS.index(pair[0]))
-    return [line_of(load, verdict) for load, verdict in found]
+    judged = [(kind.load_of(take, verdict.check), verdict) for verdict in kind.judge(take)]
+    judged.sort(key=lambda pair: LOADS.index(pair[0]))
+    return [line_of(load, verdict) for load, verdict in judged]
 
 
 def line_of(load: str, verdict: Verdict) -> Line:
@@ -112,7 +112,7 @@ def write_trial(path: Path, trial: Trial) -> None:
         OSError: It cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+    with atomic_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in (
             (ACCEPTANCE, trial.acceptance),
             (VERSIONS, trial.versions),
@@ -189,9 +189,9 @@ def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
 def places_of(error: BaseException) -> list[str]:
     """Return where an error came from, as module and line without any path, the last place last."""
-    found, trace = [], error.__traceback__
+    places, trace = [], error.__traceback__
     while trace is not None:
         module = trace.tb_frame.f_globals.get("__name__", "?")
-        found.append(f"{module}:{trace.tb_lineno}")
+        places.append(f"{module}:{trace.tb_lineno}")
         trace = trace.tb_next
-    return found[-12:]
+    return places[-12:]

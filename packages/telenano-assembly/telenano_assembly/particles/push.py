@@ -167,21 +167,21 @@ def _gap_m(fixed: Array, moving: Array, i: int, j: int) -> float:
 @compiled
 def _cluster(fixed: Array, moving: Array, pushes: Array) -> Array:
     """Return the numbers of the particles that are pushed, in their order, and of those that these may push."""
-    n, found, looked, way_m = moving.shape[0], pushes.shape[0], 0, 0.0
-    members, known = np.empty(n), np.zeros(n)
-    for c in range(found):
+    n, count, looked, way_m = moving.shape[0], pushes.shape[0], 0, 0.0
+    members, is_looked_at = np.empty(n), np.zeros(n)
+    for c in range(count):
         members[c] = pushes[c, PARTICLE]
-        known[int(pushes[c, PARTICLE])] = 1.0
+        is_looked_at[int(pushes[c, PARTICLE])] = 1.0
         way_m = max(way_m, pushes[c, OVERLAP])
-    while looked < found:
+    while looked < count:
         i = int(members[looked])
         looked += 1
         for j in range(n):
-            if known[j] == 0.0 and _gap_m(fixed, moving, i, j) <= _REACH_OF_STEP * way_m:
-                members[found] = j
-                known[j] = 1.0
-                found += 1
-    return members[:found]
+            if is_looked_at[j] == 0.0 and _gap_m(fixed, moving, i, j) <= _REACH_OF_STEP * way_m:
+                members[count] = j
+                is_looked_at[j] = 1.0
+                count += 1
+    return members[:count]
 
 
 @compiled
@@ -189,16 +189,16 @@ def _gives_way(
     spring: Spring, fixed: Array, moving: Array, members: Array, pushes: Array, kinetic: bool
 ) -> tuple[Array, Array]:
     """Return the displacements of the members of a cluster [m], shape (n, 2), and the forces of the tip [N]."""
-    found, count = members.shape[0], pushes.shape[0]
-    force, reaction, displacement = np.empty(found), np.zeros(count), np.zeros((found, 2))
-    pairs = np.empty((found * (found - 1) // 2, 5))
+    count_found, count = members.shape[0], pushes.shape[0]
+    force, reaction, displacement = np.empty(count_found), np.zeros(count), np.zeros((count_found, 2))
+    pairs = np.empty((count_found * (count_found - 1) // 2, 5))
     p, way_m = 0, 0.0
     for c in range(count):
         way_m = max(way_m, pushes[c, OVERLAP])
-    for a in range(found):
+    for a in range(count_found):
         i = int(members[a])
         force[a] = fixed[i, KINETIC] if kinetic else _hold_n(spring, fixed, moving, i, 0.0)
-        for b in range(a + 1, found):
+        for b in range(a + 1, count_found):
             j = int(members[b])
             gap = _gap_m(fixed, moving, i, j)
             if gap <= _REACH_OF_STEP * way_m:

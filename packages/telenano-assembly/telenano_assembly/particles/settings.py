@@ -103,20 +103,20 @@ class ParticlesConfig(Settings):
         random = np.random.Generator(np.random.PCG64(self.seed))
         room_m = _ROOM_RADII * radius_m
         free_x, free_y = width_m - 2.0 * room_m, depth_m - 2.0 * room_m
-        found: list[tuple[float, float]] = []
+        places: list[tuple[float, float]] = []
         for _ in range(_ATTEMPTS * (min(free_x, free_y) > 0.0)):
-            if len(found) == self.count:
+            if len(places) == self.count:
                 break
             u, v = random.random(2).tolist()
             x, y = (u - 0.5) * free_x, (v - 0.5) * free_y
-            if all(math.hypot(x - p, y - q) >= room_m for p, q in found):
-                found.append((x, y))
-        if len(found) < self.count:
+            if all(math.hypot(x - p, y - q) >= room_m for p, q in places):
+                places.append((x, y))
+        if len(places) < self.count:
             raise ValueError(
                 f"particles.count: {self.count} particles of radius {radius_m:g} m find no room on {width_m:g} x"
                 f" {depth_m:g} m with {room_m:g} m between them: take fewer, or a larger sample.size_m"
             )
-        return np.array(found, np.float64).reshape(-1, 2)
+        return np.array(places, np.float64).reshape(-1, 2)
 
     def rows(self, tip_radius_m: float, width_m: float, depth_m: float) -> tuple[Array, Array]:
         """Return what does not change of each particle, and what does (`push.push_step`), shapes (n, 4) and (n, 3)."""

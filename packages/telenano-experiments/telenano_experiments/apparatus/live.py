@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
-from telenano.console import couple_anew, holding, send_control
+from telenano.console import holding, recouple, send_control
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings, changed, network_name
@@ -195,20 +195,20 @@ class Live(Apparatus):
             return Take(None, f"the recording cannot be read: {error}", name, verified)
         band = section_of(course.document, "controller", ControllerConfig).deadband
         evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
-        found = [what for what in marked.values() if isinstance(what, str)]
-        found += ["the experiment stood still for a second and lost the hand"] if self._was_lost else []
-        found += disturbances(evidence, self.plan.experiment.disturbed.stall_s)
+        reasons = [what for what in marked.values() if isinstance(what, str)]
+        reasons += ["the experiment stood still for a second and lost the hand"] if self._was_lost else []
+        reasons += disturbances(evidence, self.plan.experiment.disturbed.stall_s)
         for code, sent_ns in marked.items():
             if not isinstance(sent_ns, str):
                 verified[f"mark_{code}_s"] = round(1e-9 * (sent_ns - recorded.start_ns), 6)
         if recorded.duration_s < 0.9 * course.duration_s:
-            found.append(f"it lasted {recorded.duration_s:.2f} s instead of {course.duration_s:.2f} s")
+            reasons.append(f"it lasted {recorded.duration_s:.2f} s instead of {course.duration_s:.2f} s")
         timed = [{**answer, "time_s": 1e-9 * (answer["given_ns"] - recorded.start_ns)} for answer in answers]
         answered = ({key: answer[key] for key in ("name", "value", "time_s")} for answer in timed)
         data = recorded.data(course.duration_s, answered)
         if not data.afm["time_s"].size:
-            return Take(None, "; ".join([*found, "its recording has no state of the tip"]), name, verified)
-        return Take(data, "; ".join(found), name, verified)
+            return Take(None, "; ".join([*reasons, "its recording has no state of the tip"]), name, verified)
+        return Take(data, "; ".join(reasons), name, verified)
 
     def prepare(self, trial: Trial) -> None:
         parameters = parameters_of(self.plan.tasks[trial.task], trial.task_parameters)
@@ -303,7 +303,7 @@ class Live(Apparatus):
         if self._states()["afm/state"].in_contact:
             self._command("stop", TIP)
             self._await_tip(lambda state: not state.in_contact, "that the tip is withdrawn")
-        self._show(couple_anew(self._site_file))
+        self._show(recouple(self._site_file))
 
     def _prepare_sample(self, document: Mapping[str, Any]) -> None:
         """Put the tip to its place over the sample where a hand moves it across, and particles to where they began."""
@@ -347,12 +347,12 @@ class Live(Apparatus):
 
     def _states(self) -> dict[str, Any]:
         """Return the newest state of both devices."""
-        found: dict[str, Any] = {}
+        states: dict[str, Any] = {}
         with closing(Observer(load_site(self._site_file), ("haptic/state", "afm/state"))) as observer:
             for observed in observer.listen(_PATIENCE_S):
-                found[observed.received.topic] = observed.received.message
-                if len(found) == 2:
-                    return found
+                states[observed.received.topic] = observed.received.message
+                if len(states) == 2:
+                    return states
         raise RigError("the devices of the rig are silent; see the logs in its folder")
 
     def _rest(self, wanted: Wanted) -> None:
@@ -446,12 +446,12 @@ class Live(Apparatus):
         }
 
     def _delay_ns(self, way: str) -> int | None:
-        found = [
+        delays = [
             message
             for (topic, _), (_, message) in self._newest.items()
             if topic == "link/delay" and isinstance(message, LinkDelay) and message.direction == way
         ]
-        return found[-1].delay_ns if found else None
+        return delays[-1].delay_ns if delays else None
 
     def _law_is(self, law: str) -> bool:
         reports = [self._report("law/status", half) for half in _HALVES]

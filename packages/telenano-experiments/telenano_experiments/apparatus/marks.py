@@ -70,14 +70,14 @@ def _reason(error: Exception) -> str:
 def _opened(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
     """Return what writes a byte to a port without waiting for who reads it, and what lets the port go."""
     descriptor = os.open(port, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK | os.O_NOCTTY)
-    found, close = os.fstat(descriptor), partial(os.close, descriptor)
+    status, close = os.fstat(descriptor), partial(os.close, descriptor)
     if os.isatty(descriptor):
         close()
         return _serial(port, baud)
-    if stat.S_ISREG(found.st_mode) and found.st_size:
+    if stat.S_ISREG(status.st_mode) and status.st_size:
         close()
         raise ValueError("it is a file with a content, to which bytes would be appended: name a port or an empty file")
-    if stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) == _PARALLEL:
+    if stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) == _PARALLEL:
         try:
             fcntl.ioctl(descriptor, _EXCLUSIVE)
             fcntl.ioctl(descriptor, _CLAIM)

@@ -43,7 +43,7 @@ class RigProcess:
         self, folder: Path, document: Mapping[str, Any], further: Sequence[str], show: Callable[[str], None]
     ) -> None:
         self.folder = folder
-        self._show, self._told = show, 0
+        self._show, self._lines_shown = show, 0
         folder.mkdir(parents=True)
         scenario = folder / "trial.yaml"
         scenario.write_text(yaml.safe_dump({**document, "duration_s": _LONGEST_S}, sort_keys=False), encoding="utf-8")
@@ -77,16 +77,16 @@ class RigProcess:
     @property
     def recordings(self) -> list[Path]:
         """The files of the recording that are there, the newest last."""
-        found = (self.folder / "session").glob("session*.mcap")
-        return sorted(found, key=lambda path: int(path.stem.partition("_")[2] or 0))
+        paths = (self.folder / "session").glob("session*.mcap")
+        return sorted(paths, key=lambda path: int(path.stem.partition("_")[2] or 0))
 
     def check(self) -> None:
         """Show what the rig says of its page; RigError where it has ended by itself."""
         lines = self._lines()
-        for line in lines[self._told :]:
+        for line in lines[self._lines_shown :]:
             if "http" in line or line.startswith("telenano:"):
                 self._show(line)
-        self._told = len(lines)
+        self._lines_shown = len(lines)
         if self._process.poll() is not None:
             raise RigError("the rig has ended:\n" + "\n".join(lines[-_LAST_LINES:]))
 
@@ -120,15 +120,15 @@ class RigProcess:
 
 def wait_for_others(folder: Path, show: Callable[[str], None]) -> None:
     """Wait until rigs of a run of this experiment that was killed have ended; they end by themselves."""
-    deadline_s, told = time.monotonic() + _END_S, False
+    deadline_s, is_reported = time.monotonic() + _END_S, False
     while time.monotonic() < deadline_s:
         mine = [
             rig for rig in running_rigs() if str(rig.about.get("out", "")).startswith(f"{folder.resolve()}{os.sep}")
         ]
         if not mine:
             return
-        if not told:
+        if not is_reported:
             show(f"waiting for rig {mine[0].name} of a run before this one, which is ending")
-            told = True
+            is_reported = True
         time.sleep(_LOOK_S)
     raise RigError(f"rig {mine[0].name} of a run before this one does not end: stop it (`telenano status --all`)")

@@ -48,9 +48,9 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
         seed: The seed of the link where the scenario gives none.
     """
     law = flatten(section_of(document, "controller", ControllerConfig).model_dump(mode="json"))
-    given = document.get("delay_node", {})
+    section = document.get("delay_node", {})
     link = flattened(
-        section_of({**document, "delay_node": {"seed": seed, **given}}, "delay_node", LinkSettings), only_set=True
+        section_of({**document, "delay_node": {"seed": seed, **section}}, "delay_node", LinkSettings), only_set=True
     )
     hand = document.get("haptic_node", {})
     operator = hand.get("operator", {})
@@ -84,10 +84,10 @@ def of_way(link: Mapping[str, Scalar], way: str) -> dict[str, Scalar]:
 
 def constant_delays_ns(link: Mapping[str, Scalar]) -> dict[str, int]:
     """Return the delays that the link will report, by direction, where nothing but a fixed delay makes them [ns]."""
-    found = {}
+    delays_ns = {}
     for way in ("forward", "backward"):
         keys = {key for key, value in of_way(link, way).items() if value not in ("none", 0, 0.0, False)}
         if all(key in ("delay_s", "reliable") or key.startswith(("loss.", "corruption.")) for key in keys):
             delay_ns = round(1e9 * float(link.get(f"{way}.delay_s", 0.0)))
-            found[way] = delay_ns - delay_ns % DELAY_STEP_NS
-    return found
+            delays_ns[way] = delay_ns - delay_ns % DELAY_STEP_NS
+    return delays_ns

@@ -15,5 +15,5 @@ def find_experiment(name: str) -> Path:
     path = Path(name)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
-    known = sorted(file.stem for file in FOLDER.glob("*.yaml"))
-    raise ConfigError(f"unknown experiment {name!r}: {known_names(name, known)}; or give a .yaml file")
+    names = sorted(file.stem for file in FOLDER.glob("*.yaml"))
+    raise ConfigError(f"unknown experiment {name!r}: {known_names(name, names)}; or give a .yaml file")

@@ -85,20 +85,20 @@ def fit(
     Raises:
         ValueError: The function never has that proportion.
     """
-    given = list(answers)
+    answer_list = list(answers)
     middle = 0.5 * (1.0 + model.guess) if proportion is None else proportion
     if proportion is not None:
         model.distance_of(proportion, 0.0)
-    if len({level for level, _ in given}) < 2 or len({correct for _, correct in given}) < 2:
+    if len({level for level, _ in answer_list}) < 2 or len({correct for _, correct in answer_list}) < 2:
         # one level, or one answer to all: every threshold to one side is as likely as any other
-        return Estimate(None, None, None, confidence, None, None, middle, len(given))
-    places = model.on_axis([level for level, _ in given])
+        return Estimate(None, None, None, confidence, None, None, middle, len(answer_list))
+    places = model.on_axis([level for level, _ in answer_list])
     low, high = float(places.min()), float(places.max())
     span = high - low
     ends = log(np.array([_NARROWEST * span, _WIDEST * span]))
     widths = exp(np.linspace(ends[0], ends[1], _GRID[1]))
     lapses = np.linspace(0.0, model.most_lapses, _GRID[2] if model.most_lapses > 0.0 else 1)
-    return posterior(given, model, (low - span, high + span), widths, lapses, proportion, confidence)
+    return posterior(answer_list, model, (low - span, high + span), widths, lapses, proportion, confidence)
 
 
 def posterior(
@@ -124,21 +124,21 @@ def posterior(
     Returns:
         The estimate; an end is None where the range of thresholds, and not the answers, bounds the posterior.
     """
-    given = list(answers)
+    answer_list = list(answers)
     middle = 0.5 * (1.0 + model.guess) if proportion is None else proportion
-    if not given:
+    if not answer_list:
         return Estimate(None, None, None, confidence, None, None, middle, 0)
-    grid = _Grid(model, _counted(given), proportion, lapses)
+    grid = _Grid(model, _counted(answer_list), proportion, lapses)
     places = np.linspace(*thresholds, _GRID[0])
     for _ in range(2):
         logarithms = grid.likelihood(places, widths)
         density = exp(logarithms - logarithms.max())
-        found, share = places, total(total(density))
+        density_places, share = places, total(total(density))
         places = _closer(places, log(np.maximum(share, _LEAST)))
     # the distribution function by trapezoids, at the points of the grid
     steps = np.concatenate(([0.0], np.cumsum(0.5 * (share[1:] + share[:-1]))))
     tail = 0.5 - 0.5 * confidence
-    parts = [float(np.interp(part * steps[-1], steps, found)) for part in (0.5, tail, 1.0 - tail)]
+    parts = [float(np.interp(part * steps[-1], steps, density_places)) for part in (0.5, tail, 1.0 - tail)]
     level, low, high = (float(level) for level in model.from_axis(parts))
     whole = total(share)
     width = float(total(total(total(density) * widths)) / whole)
@@ -146,9 +146,13 @@ def posterior(
     is_bounded = [part < _CUT_OFF * float(share.max()) for part in (share[0], share[-1])]
     least, greatest = low if is_bounded[0] else None, high if is_bounded[1] else None
     centre = parts[0] - (0.0 if proportion is None else width * model.distance_of(proportion, lapse))
-    notes = [_short(len(given)), _little(level, least, greatest), _learning(given, model, (centre, width, lapse))]
+    notes = [
+        _short(len(answer_list)),
+        _little(level, least, greatest),
+        _learning(answer_list, model, (centre, width, lapse)),
+    ]
     note = "; ".join(filter(None, notes))
-    return Estimate(level, least, greatest, confidence, width, lapse, middle, len(given), note=note)
+    return Estimate(level, least, greatest, confidence, width, lapse, middle, len(answer_list), note=note)
 
 
 def _short(trials: int) -> str:

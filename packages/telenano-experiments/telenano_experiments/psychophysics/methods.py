@@ -239,12 +239,12 @@ class Staircase(_Base):
         """Return the share of correct answers that it converges to, and the mean level of its reversals."""
         used = self.reversals[self.settings.discarded :]
         used = used[len(used) % 2 :]
-        found = {"target": 0.5 ** (1.0 / self.settings.downs), "reversals": float(len(self.reversals))}
+        facts = {"target": 0.5 ** (1.0 / self.settings.downs), "reversals": float(len(self.reversals))}
         if used:
             function = self.settings.function
             places = function.on_axis(used)
-            found["mean_of_reversals"] = float(function.from_axis([total(places) / len(used)])[0])
-        return found
+            facts["mean_of_reversals"] = float(function.from_axis([total(places) / len(used)])[0])
+        return facts
 
     def _moved(self, direction: int) -> float:
         settings = self.settings
@@ -334,8 +334,12 @@ def checked(settings: Mapping[str, Any], origin: str = "adaptive") -> Any:
 
 def most_trials(settings: Mapping[str, Any]) -> int:
     """Return how many trials a method takes at most; ConfigError for settings that are wrong."""
-    found = checked(settings)
-    return len(found.levels) * found.repetitions if isinstance(found, ConstantSettings) else found.trials
+    checked_settings = checked(settings)
+    return (
+        len(checked_settings.levels) * checked_settings.repetitions
+        if isinstance(checked_settings, ConstantSettings)
+        else checked_settings.trials
+    )
 
 
 def make(settings: Mapping[str, Any], seed: int, origin: str = "adaptive") -> Method:
@@ -349,10 +353,12 @@ def make(settings: Mapping[str, Any], seed: int, origin: str = "adaptive") -> Me
     Raises:
         ConfigError: A key of the settings is wrong.
     """
-    found = checked(settings, origin)
-    if isinstance(found, ConstantSettings):
-        return ConstantStimuli(found, seed)
-    return Staircase(found) if isinstance(found, StaircaseSettings) else QuestPlus(found)
+    checked_settings = checked(settings, origin)
+    if isinstance(checked_settings, ConstantSettings):
+        return ConstantStimuli(checked_settings, seed)
+    return (
+        Staircase(checked_settings) if isinstance(checked_settings, StaircaseSettings) else QuestPlus(checked_settings)
+    )
 
 
 def replay(settings: Mapping[str, Any], seed: int, answers: Iterable[Answer]) -> Method:

@@ -49,7 +49,7 @@ class _Task(Plain):
         touched = np.flatnonzero(np.abs(tip.force_n) >= p.contact_n)
         contact_s = float(tip.time_s[touched[0]]) if touched.size else None
         answered_s = next((float(a["time_s"]) for a in data.answers if a["name"] == CONTACT), None)
-        found: Judged = {
+        measures: Judged = {
             "contact_time_s": contact_s,
             "detection_time_s": None,
             "detection_force_n": None,
@@ -58,10 +58,10 @@ class _Task(Plain):
             "success": False,
         }
         if answered_s is not None and contact_s is not None and answered_s >= contact_s:
-            found["detection_time_s"] = answered_s - contact_s
-            found["detection_force_n"] = float(np.interp(answered_s, tip.time_s, tip.force_n))
-            found["success"] = answered_s - contact_s <= p.window_s
-        return found
+            measures["detection_time_s"] = answered_s - contact_s
+            measures["detection_force_n"] = float(np.interp(answered_s, tip.time_s, tip.force_n))
+            measures["success"] = answered_s - contact_s <= p.window_s
+        return measures
 
 
 DETECT_CONTACT = _Task()

@@ -78,22 +78,22 @@ class _Task(Plain):
         tip = tip_of(data)
         judged = tip.time_s >= p.lead_in_s
         force_n, base_m = tip.force_n[judged], tip.base_m[judged]
-        found: Judged = dict.fromkeys(("force_error_n", "in_band", "lost_contact", "height_range_m", "way_m"))
-        found.update(common_of(data))
-        found["success"] = False
+        measures: Judged = dict.fromkeys(("force_error_n", "in_band", "lost_contact", "height_range_m", "way_m"))
+        measures.update(common_of(data))
+        measures["success"] = False
         if force_n.size == 0:
-            return found
+            return measures
         error = force_n - p.force_n
         lost = float(np.count_nonzero(force_n < p.contact_n)) / force_n.size
-        found["force_error_n"] = rms(error)
-        found["in_band"] = float(np.count_nonzero(np.abs(error) <= self.band(p))) / error.size
-        found["lost_contact"] = lost
-        found["height_range_m"] = float(base_m.max() - base_m.min())
-        found["success"] = lost <= 0.05
+        measures["force_error_n"] = rms(error)
+        measures["in_band"] = float(np.count_nonzero(np.abs(error) <= self.band(p))) / error.size
+        measures["lost_contact"] = lost
+        measures["height_range_m"] = float(base_m.max() - base_m.min())
+        measures["success"] = lost <= 0.05
         if "base_position_m.0" in data.afm:
             x_m = data.afm["base_position_m.0"][judged]
-            found["way_m"] = math.fsum(np.abs(np.diff(x_m)).tolist())
-        return found
+            measures["way_m"] = math.fsum(np.abs(np.diff(x_m)).tolist())
+        return measures
 
 
 FOLLOW_PROFILE = _Task()

@@ -82,27 +82,27 @@ class _Task(Plain):
         }
 
     def judge(self, data: TrialData, p: PushParticle, seed: int) -> Judged:
-        found: Judged = dict.fromkeys(("placing_error_m", "completion_time_s", "tip_path_m", "peak_lateral_force_n"))
-        found.update(common_of(data))
-        found["success"] = None
+        measures: Judged = dict.fromkeys(("placing_error_m", "completion_time_s", "tip_path_m", "peak_lateral_force_n"))
+        measures.update(common_of(data))
+        measures["success"] = None
         afm, places = data.afm, getattr(data, "particles", None)
         if "base_position_m.0" in afm:
             steps = np.diff(afm["base_position_m.0"]) ** 2 + np.diff(afm["base_position_m.1"]) ** 2
-            found["tip_path_m"] = math.fsum(np.sqrt(steps).tolist())
+            measures["tip_path_m"] = math.fsum(np.sqrt(steps).tolist())
         if "tip_force_n.0" in afm:
             across = np.sqrt(afm["tip_force_n.0"] ** 2 + afm["tip_force_n.1"] ** 2)
-            found["peak_lateral_force_n"] = float(across.max(initial=0.0))
+            measures["peak_lateral_force_n"] = float(across.max(initial=0.0))
         if places is None or not places["time_s"].size:
-            return found
+            return measures
         goal_x_m, goal_y_m = goal_of(p, seed)
         away_m = np.sqrt((places["x_m"] - goal_x_m) ** 2 + (places["y_m"] - goal_y_m) ** 2)
-        found["placing_error_m"] = float(away_m[-1])
-        found["success"] = bool(away_m[-1] <= p.tolerance_m)
-        if found["success"]:
+        measures["placing_error_m"] = float(away_m[-1])
+        measures["success"] = bool(away_m[-1] <= p.tolerance_m)
+        if measures["success"]:
             last_away = np.flatnonzero(away_m > p.tolerance_m)
             arrived = int(last_away[-1]) + 1 if last_away.size else 0
-            found["completion_time_s"] = float(places["time_s"][arrived])
-        return found
+            measures["completion_time_s"] = float(places["time_s"][arrived])
+        return measures
 
 
 PUSH_PARTICLE = _Task()

@@ -66,7 +66,7 @@ class _Task(Plain):
         contact_s = float(tip.time_s[touched[0]]) if touched.size else None
         settled_s = held_from(tip.time_s, np.abs(tip.force_n - p.force_n) <= p.band * p.force_n, p.hold_s)
         peak_n = common["peak_force_n"]
-        found: Judged = {
+        measures: Judged = {
             "completion_time_s": settled_s,
             "contact_time_s": contact_s,
             "settling_time_s": None if settled_s is None or contact_s is None else settled_s - contact_s,
@@ -78,9 +78,9 @@ class _Task(Plain):
         }
         if settled_s is not None:
             held_n = tip.force_n[(tip.time_s >= settled_s) & (tip.time_s <= settled_s + p.hold_s)]
-            found["mean_force_n"] = math.fsum(held_n.tolist()) / held_n.size
-            found["force_error_n"] = rms(held_n - p.force_n)
-        return found
+            measures["mean_force_n"] = math.fsum(held_n.tolist()) / held_n.size
+            measures["force_error_n"] = rms(held_n - p.force_n)
+        return measures
 
 
 TOUCH_AND_HOLD = _Task()

@@ -71,10 +71,10 @@ def lag_s(target: Series, followed: Series, period_s: float) -> float | None:
         period_s: The distance of the samples [s].
     """
     most = min(round(_LONGEST_LAG_S / period_s), len(target) // 2)
-    found = [_correlation(target[: len(target) - k], followed[k:]) for k in range(most + 1)]
-    if not found or any(value is None for value in found):
+    correlations = [_correlation(target[: len(target) - k], followed[k:]) for k in range(most + 1)]
+    if not correlations or any(value is None for value in correlations):
         return None
-    values = [float(value) for value in found if value is not None]
+    values = [float(value) for value in correlations if value is not None]
     best = max(range(len(values)), key=values.__getitem__)
     if not 0 < best < len(values) - 1:
         return best * period_s
@@ -117,22 +117,22 @@ class _Task(Plain):
 
     def judge(self, data: TrialData, p: Track, seed: int) -> Judged:
         tip, course = tip_of(data), sum_of_sines(p, seed)
-        found: Judged = dict.fromkeys(
+        measures: Judged = dict.fromkeys(
             ("rms_force_error_n", "rms_position_error_m", "relative_error", "lag_s", "on_target")
         )
-        found.update(common_of(data))
+        measures.update(common_of(data))
         grid = np.arange(p.lead_in_s, min(p.duration_s, float(tip.time_s.max(initial=0.0))), _GRID_S)
         if grid.size < round(2.0 / _GRID_S):
-            return found
+            return measures
         value = np.interp(grid, tip.time_s, tip.force_n if p.quantity == "force" else tip.base_m)
         target = course.at(grid)
         error, about = value - target, target - p.centre
         size = rms(error)
-        found["rms_force_error_n" if p.quantity == "force" else "rms_position_error_m"] = size
-        found["relative_error"] = size / rms(about)
-        found["on_target"] = float(np.count_nonzero(np.abs(error) <= self.band(p))) / grid.size
-        found["lag_s"] = lag_s(target, value, _GRID_S)
-        return found
+        measures["rms_force_error_n" if p.quantity == "force" else "rms_position_error_m"] = size
+        measures["relative_error"] = size / rms(about)
+        measures["on_target"] = float(np.count_nonzero(np.abs(error) <= self.band(p))) / grid.size
+        measures["lag_s"] = lag_s(target, value, _GRID_S)
+        return measures
 
 
 TRACK = _Task()

@@ -162,7 +162,7 @@ class Candidate:
 
     def over_seeds_as_dict(self) -> dict[str, dict[str, Any]]:
         """Return `over_seeds` for JSON and tables."""
-        return {name: found._asdict() for name, found in self.over_seeds().items()}
+        return {name: over_seeds._asdict() for name, over_seeds in self.over_seeds().items()}
 
     def as_dict(self) -> dict[str, Any]:
         price = self.price()
@@ -213,10 +213,10 @@ def advise(question: Question, sweep: Sweep) -> list[Candidate]:
     """Try every candidate, the one to take first; those that are not suited last, the least unsuited first."""
     prepared = [(law, clamp, cells_of(question, law, clamp)) for law, clamp in CANDIDATES]
     results = iter(sweep.run([cell for *_, cells in prepared for cell in cells]))
-    found = [
+    candidates = [
         Candidate(law, clamp, cells[0].settings, tuple(next(results) for _ in cells)) for law, clamp, cells in prepared
     ]
-    return sorted(found, key=lambda candidate: (candidate.price(), len(candidate.failed)))
+    return sorted(candidates, key=lambda candidate: (candidate.price(), len(candidate.failed)))
 
 
 def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:

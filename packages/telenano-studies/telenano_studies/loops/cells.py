@@ -41,9 +41,9 @@ from telenano.lockstep import (
     Series,
     Trajectory,
     build_rig,
+    context_of,
     instrument_of,
     known_of,
-    programme_of,
     schedule_of,
     simulate,
     time_to_place_s,
@@ -196,8 +196,8 @@ class Cell(Conditions):
         settings: dict[str, Any] = nested(dict(self.settings), "--set")
         if self.gain is not None:
             if "force_gain" not in LAWS[self.law].config.model_fields:
-                known = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
-                raise ConfigError(f"--gain: {self.law} has no force gain; {known} has")
+                names = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
+                raise ConfigError(f"--gain: {self.law} has no force gain; {names} has")
             settings = merge(settings, {self.law: {"force_gain": self.gain}})
         return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
 
@@ -437,10 +437,12 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     force = scales.force_scale * course.tip_force_n
     tip = instrument_of(course, scales.position_scale, knows_contact=cell.environment == "tip_sample")
     deadlines_s = (SafetyConfig().command_deadline_s, LimitsConfig().command_deadline_s)
-    known = programme_of(course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s))
+    session_context = context_of(
+        course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s)
+    )
     late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
-    holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))
+    holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, session_context, (span,))
     judgement = _UNTOUCHED
     if holds:
         (found,) = holds
@@ -533,8 +535,8 @@ def _instrument(
 def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
     """Return the settings of the sample of another package, with a stiffness [N/m] where they have one."""
     config = SAMPLES.found[environment].config
-    given = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
-    return validate(config, given, "--stiffness", environment)
+    settings = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
+    return validate(config, settings, "--stiffness", environment)
 
 
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: float = 0.0) -> Rig:

@@ -136,13 +136,13 @@ def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]
     """Return the stalls of both ways together, (begin, length) [s], as the link's model of outages draws them."""
     settings = Outage.model_validate({**outage, "mean_up_s": 0.5 * outage["mean_up_s"]})
     model = Outages(settings, 0, stream(seed, "both ways", "outage"))
-    found, end_ns = [], 0
+    stalls, end_ns = [], 0
     while end_ns < 1e9 * length_s:
         # The model draws until it knows an outage that is not over, which is the next one after this end.
         model.end_ns(end_ns)
         begin_ns, end_ns = model.state.random[-1]
-        found.append([1e-9 * begin_ns, 1e-9 * (end_ns - begin_ns)])
-    return found
+        stalls.append([1e-9 * begin_ns, 1e-9 * (end_ns - begin_ns)])
+    return stalls
 
 
 def between(time_s: float, period_s: float, seed: int, length_s: float) -> dict[str, np.ndarray[Any, Any]]:
@@ -198,11 +198,11 @@ def _count(text: str) -> int:
 
 def _run(chosen: argparse.Namespace) -> None:
     chosen.out.mkdir(parents=True, exist_ok=True)
-    found: dict[tuple[str, str, str], list[CellResult]] = {}
+    results_of: dict[tuple[str, str, str], list[CellResult]] = {}
     for seed in range(chosen.seeds):
         for key, result in _results(chosen.network, chosen.law.split(","), seed, chosen.period, chosen.hold):
-            found.setdefault(key, []).append(result)
-        rows = [_row(*key, results) for key, results in found.items()]
+            results_of.setdefault(key, []).append(result)
+        rows = [_row(*key, results) for key, results in results_of.items()]
         (chosen.out / "variants.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     for row in rows:
         sys.stdout.write(json.dumps(row) + "\n")

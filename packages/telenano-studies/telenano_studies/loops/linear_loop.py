@@ -109,9 +109,9 @@ class LinearLoop:
             ValueError: K_f is 0, so that there is no two-port in hybrid form.
         """
         omega = np.asarray(omega_rad_per_s, dtype=np.float64)
-        found = hybrid_of(self.law, self.parameters, self.round_trip_s, omega)
-        assert found is not None
-        return found
+        hybrid = hybrid_of(self.law, self.parameters, self.round_trip_s, omega)
+        assert hybrid is not None
+        return hybrid
 
     def at(self, s: Any) -> Any:
         """Return L at complex frequencies s [1/s]."""
@@ -185,11 +185,11 @@ class LinearLoop:
                 s -= value / slope
             there = np.abs(1.0 + self.at(s)) < 1e-8
         s = s[there & (s.real >= least_per_s) & (s.real <= _MOST_PER_S) & (s.imag >= -1e-9) & (s.imag <= top)]
-        found: list[complex] = []
+        roots_of_loop: list[complex] = []
         for one in sorted(s.tolist(), key=lambda each: -each.real):
-            if all(abs(one - other) > 1e-4 for other in found):
-                found.append(complex(one.real, abs(one.imag)))
-        return np.array(found, dtype=np.complex128)
+            if all(abs(one - other) > 1e-4 for other in roots_of_loop):
+                roots_of_loop.append(complex(one.real, abs(one.imag)))
+        return np.array(roots_of_loop, dtype=np.complex128)
 
     @property
     def _values(self) -> dict[str, Any]:
@@ -301,7 +301,7 @@ def theory(
     if environment != "spring":
         raise ConfigError(f"the environment {environment} is not linear; spring is, at the stiffness of a contact")
     asked = {"stiffness_n_per_m": stiffness_n_per_m, "round_trip_ms": round_trip_ms, "hand": hand}
-    given = validate(_Given, asked, "theory")
+    question = validate(_Given, asked, "theory")
     section = merge(nested(dict(settings or {}), "theory"), {"law": law})
     controller = validate(ControllerConfig, section, "theory", "controller")
-    return linear_loop(controller, given.stiffness_n_per_m, 1e-3 * given.round_trip_ms, given.hand)
+    return linear_loop(controller, question.stiffness_n_per_m, 1e-3 * question.round_trip_ms, question.hand)

@@ -49,7 +49,7 @@ def measured_network(folder: Path) -> MeasuredNetwork:
 
 def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, CellResult]]:
     """Run each law in the contact of Fig. 12, with its defaults and tuned for the round trip; tuned is True there."""
-    found = []
+    rows = []
     for law in laws:
         for is_tuned in (False, True):
             cell = Cell(
@@ -64,8 +64,8 @@ def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, 
                 cell = cell.model_copy(update={"settings": settings})
             measured = (network.settings, network.folder)
             course = functools.partial(course_of, cell, cell.hand_points(), cell.hold_s()[1], measured)
-            found.append((is_tuned, run_cell(cell, course)))
-    return found
+            rows.append((is_tuned, run_cell(cell, course)))
+    return rows
 
 
 def rows_of(results: Sequence[tuple[bool, CellResult]]) -> list[dict[str, Any]]:

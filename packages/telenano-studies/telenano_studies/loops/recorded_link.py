@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from telenano.lockstep import Schedule, fresh, schedule_over
-from telenano.recording import Recording, columns, last_programme
+from telenano.recording import Recording, columns, last_force_profile
 from telenano.wire import RecordingError
 from telenano_studies.loops.links import Times
 
@@ -30,7 +30,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     recording = Recording(path)
     period_ns = round(period_s * 1e9)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "step_s"))
-    running = last_programme(hand["session_s"], hand["t_ns"])
+    running = last_force_profile(hand["session_s"], hand["t_ns"])
     if not running.size:
         raise RecordingError(f"{path}: the operator's force profile never ran in it")
     # Each sample says how many periods it is after the one before, which gives its tick, however late it was.
@@ -49,12 +49,12 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     answered_tick = _ticks(backward_hand_ns, stamps, tick_of)
     backward_ns, answered_tick = _within(backward_ns - origin_ns, answered_tick, ticks)
     place = np.searchsorted(forward_of, answered_tick)
-    known = place < len(forward_of)
-    known[known] = forward_of[place[known]] == answered_tick[known]
+    is_recorded = place < len(forward_of)
+    is_recorded[is_recorded] = forward_of[place[is_recorded]] == answered_tick[is_recorded]
 
     def answers(sent_ns: Times) -> tuple[Times, Times]:
         # there is one answer to forward messages that come together
-        times_ns, answered = fresh(backward_ns[known], np.searchsorted(sent_ns, forward_ns[place[known]]))
+        times_ns, answered = fresh(backward_ns[is_recorded], np.searchsorted(sent_ns, forward_ns[place[is_recorded]]))
         # an answer comes after its question
         return np.maximum(times_ns, sent_ns[answered]), answered
 
@@ -69,22 +69,22 @@ def _ticks(hand_ns: Times, stamps: Times, tick_of: Times) -> Times:
 
 def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, Times]:
     """Return when the link let each message of a topic out, and the stamp of its sample of the hand, by time [ns]."""
-    found = []
+    crossings = []
     for message in recording.messages(("link/fates",)):
         fates = message.fields()
         if fates["direction"] != direction:
             continue
-        found += [
+        crossings += [
             (fate["arrived_ns"] + fate["delay_ns"], fate["seq"])
             for fate in fates["fates"]
             if fate["topic"] == topic and not fate["dropped"] and not fate["corrupted"]
         ]
-    if not found:
+    if not crossings:
         raise RecordingError(f"{recording.path}: link/fates has no {topic} that crossed the link")
     sent = columns(recording, topic, ("seq", "hand_t_ns"))
     order = np.argsort(sent["seq"], kind="stable")
     seqs, hand_ns = sent["seq"][order], sent["hand_t_ns"][order]
-    released = np.array(sorted(found), dtype=np.int64)
+    released = np.array(sorted(crossings), dtype=np.int64)
     # Messages that crossed before the recorder had connected, or after its last message, belong to no session.
     released = released[(released[:, 1] >= seqs[0]) & (released[:, 1] <= seqs[-1])]
     place = np.searchsorted(seqs, released[:, 1])

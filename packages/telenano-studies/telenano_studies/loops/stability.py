@@ -220,8 +220,8 @@ def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sw
             edges[i] = Edge(samples, edges[i].high) if stable else Edge(edges[i].low, samples)
     ends = [lines[i].cell(_ms(lines[i], max(0, k))) for i, edge in edges.items() for k in (edge.low, edge.high)]
     growths = [result.growth_per_s for result in sweep.run(ends)]
-    found = {i: growths[2 * n : 2 * n + 2] for n, i in enumerate(edges)}
-    return [_ms(line, 1) * neutral(edges[i], *found[i]) if i in edges else None for i, line in enumerate(lines)]
+    growths_at = {i: growths[2 * n : 2 * n + 2] for n, i in enumerate(edges)}
+    return [_ms(line, 1) * neutral(edges[i], *growths_at[i]) if i in edges else None for i, line in enumerate(lines)]
 
 
 def neutral(edge: Edge, low_growth_per_s: float | None, high_growth_per_s: float | None) -> float:

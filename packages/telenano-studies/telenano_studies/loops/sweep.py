@@ -144,8 +144,8 @@ class Sweep:
         done = len(keys) - len(missing)
         self.progress(done, len(keys))
         # The generator is closed here, because an interruption must not wait for the work of the workers.
-        with contextlib.closing(self._computed(missing)) as found:
-            for results in found:
+        with contextlib.closing(self._computed(missing)) as computed:
+            for results in computed:
                 self.journal.record(results)
                 self.computed += len(results)
                 done += len(results)

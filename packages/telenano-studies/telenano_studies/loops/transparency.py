@@ -86,7 +86,7 @@ class Spectrum:
 
     def rows(self) -> list[dict[str, float | str | None]]:
         """Return one flat row a frequency."""
-        found: list[dict[str, float | str | None]] = []
+        table: list[dict[str, float | str | None]] = []
         for n, frequency in enumerate(self.frequencies_hz):
             row: dict[str, float | str | None] = {
                 "law": self.law,
@@ -100,8 +100,8 @@ class Spectrum:
             for k, name in enumerate(("h11", "h12", "h21", "h22")):
                 row[f"{name}_re"] = None if entries is None else entries[k].real
                 row[f"{name}_im"] = None if entries is None else entries[k].imag
-            found.append(row)
-        return found
+            table.append(row)
+        return table
 
 
 class _Tones(NamedTuple):
@@ -222,7 +222,7 @@ def _on_nothing(cell: Cell) -> Cell:
     return cell.model_copy(update={"environment": "spring", "stiffness_n_per_m": _NOTHING_N_PER_M})
 
 
-def hand_programme(
+def hand_force_profile(
     mean_n: float,
     settle_s: float,
     frequency_hz: float = FREQUENCY_HZ,
@@ -257,7 +257,7 @@ def _tones(cell: Cell, mean_n: float, frequency_hz: float) -> _Tones | None:
     """Run and demodulate; None when the instrument's guard ended it."""
     cycles = max(2, math.ceil(_LEAST_MEASURED_S * frequency_hz))
     cycles = _MEASURED_PERIODS if frequency_hz == FREQUENCY_HZ else cycles
-    points, begin_s = hand_programme(mean_n, 0.5 + 20.0 * cell.round_trip_s, frequency_hz, cycles)
+    points, begin_s = hand_force_profile(mean_n, 0.5 + 20.0 * cell.round_trip_s, frequency_hz, cycles)
     course = course_of(cell, points, begin_s + cycles / frequency_hz)
     return _demodulated(course, begin_s, cell, frequency_hz) if _followed(course) else None
 

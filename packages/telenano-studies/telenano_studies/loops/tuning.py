@@ -13,7 +13,7 @@ from typing import Any
 from telenano.laws import LAWS
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 
-DELAYS_BORNE = 2.0
+TOLERATED_DELAYS = 2.0
 _MOST_N_S_PER_M = 1e7
 
 Settings = tuple[tuple[str, float | int | str | bool], ...]
@@ -31,13 +31,13 @@ def tuned(law: str, stiffness_n_per_m: float, longest_delay_s: float) -> Setting
     config: Any = LAWS[law].config
     default = config()
     model = loop_model(law, default, stiffness_n_per_m)
-    if model is None or critical_delay_s(model) >= DELAYS_BORNE * longest_delay_s:
+    if model is None or critical_delay_s(model) >= TOLERATED_DELAYS * longest_delay_s:
         return ()
     from scipy.optimize import brentq
 
     def excess(log_damping: float) -> float:
         margin_s = critical_delay_s(model._replace(damping_n_s_per_m=math.exp(log_damping)))
-        return min(margin_s, 1e6) - DELAYS_BORNE * longest_delay_s
+        return min(margin_s, 1e6) - TOLERATED_DELAYS * longest_delay_s
 
     log_damping = brentq(excess, math.log(model.damping_n_s_per_m), math.log(_MOST_N_S_PER_M), xtol=1e-6)
     return ((f"{law}.damping_n_s_per_m", round(math.exp(log_damping), 1)),)

@@ -36,7 +36,7 @@ from telenano.analysis import lacks_of, read_session
 from telenano.cli import EXIT_INCOMPLETE
 from telenano.launcher import run_session
 from telenano.lockstep import Trajectory, simulate
-from telenano.recording import Recording, Timeline, columns, last_programme
+from telenano.recording import Recording, Timeline, columns, last_force_profile
 from telenano.wire import ConfigError, RecordingError, TelenanoError
 from telenano_studies.failed_session import reason_of
 from telenano_studies.loops.cells import (
@@ -175,26 +175,26 @@ def validate_cells(
     agreements = []
     for number, cell in enumerate(cells, start=1):
         report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
-        agreements.append(_compared_anew(cell, bus, report))
+        agreements.append(_compare_with_retries(cell, bus, report))
     return agreements
 
 
-def _compared_anew(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agreement:
+def _compare_with_retries(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agreement:
     """Run a cell and compare it, and once more where that fails or disagrees while the machine held a process up."""
     draws, path = draws_of(cell), bus.recording_of(cell)
     for run in range(1, TRIES + 1):
-        found: Agreement | StudyError
+        outcome: Agreement | StudyError
         try:
-            found = _compared(cell, draws, bus)
+            outcome = _compared(cell, draws, bus)
         except StudyError as error:
-            found = error
+            outcome = error
         stalled_s = _held_up_s(path)
-        if stalled_s == 0.0 or run == TRIES or (isinstance(found, Agreement) and found.agree):
+        if stalled_s == 0.0 or run == TRIES or (isinstance(outcome, Agreement) and outcome.agree):
             break
         report(f"   a process was held up for {1e3 * stalled_s:.0f} ms by the machine: once more")
-    if isinstance(found, StudyError):
-        raise found
-    return replace(found, stalled_s=stalled_s, runs=run)
+    if isinstance(outcome, StudyError):
+        raise outcome
+    return replace(outcome, stalled_s=stalled_s, runs=run)
 
 
 def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
@@ -203,8 +203,8 @@ def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
     try:
         recorded = over_recorded_link(cell, path) if cell.has_random_link else None
     except RecordingError as error:
-        found = compare(cell, draws, course, lacking=str(error))
-        return replace(found, agree=False, bus="no_data", reason=str(error))
+        agreement = compare(cell, draws, course, lacking=str(error))
+        return replace(agreement, agree=False, bus="no_data", reason=str(error))
     return compare(cell, draws, course, recorded, lacking=lacking_of(cell, path))
 
 
@@ -221,11 +221,11 @@ def longest_stall_s(path: Path) -> float:
     recording = Recording(path)
     events = [event.fields() for event in recording.messages(("session/event",))]
     hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
-    running = hand["t_ns"][last_programme(hand["session_s"], hand["t_ns"])]
+    running = hand["t_ns"][last_force_profile(hand["session_s"], hand["t_ns"])]
     # A rig that could not be started has no force profile, and all of its time counts.
     start_ns = int(running[0]) if running.size else 0
-    of_programme = [event["data"] for event in events if event["t_ns"] >= start_ns]
-    stalls_s = [float(data["stalled_s"]) for data in of_programme if "stalled_s" in data]
+    profile_events = [event["data"] for event in events if event["t_ns"] >= start_ns]
+    stalls_s = [float(data["stalled_s"]) for data in profile_events if "stalled_s" in data]
     return max(stalls_s, default=0.0)
 
 
@@ -278,7 +278,7 @@ def read_course(path: Path) -> Trajectory:
     """
     recording = Recording(path)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
-    running = last_programme(hand["session_s"], hand["t_ns"])
+    running = last_force_profile(hand["session_s"], hand["t_ns"])
     if running.size < 2:
         raise StudyError(f"{path}: the operator's force profile never ran in it")
     hand = {name: values[running] for name, values in hand.items()}
@@ -320,7 +320,7 @@ def lacking_of(cell: Cell, path: Path) -> str:
     """
     session = read_session(Recording(path))
     series = session.series()
-    lacks = lacks_of(series.hand_time_s, series.tip_time_s, cell.hold_s(), session.programme.answered_s)
+    lacks = lacks_of(series.hand_time_s, series.tip_time_s, cell.hold_s(), session.context.answered_s)
     return "; ".join(map(str, lacks))
 
 
@@ -341,9 +341,9 @@ def compare(
         recorded: The run in lockstep over the losses and delays that the bus had, with which the bus then is compared.
         lacking: What the recording of the bus has no data of.
     """
-    drawn, found = [judged(cell, course) for course in lockstep], judged(cell, bus)
-    if lacking and not found.guarded:
-        found = replace(found, verdict="no_data", reason=lacking)
+    drawn, measured = [judged(cell, course) for course in lockstep], judged(cell, bus)
+    if lacking and not measured.guarded:
+        measured = replace(measured, verdict="no_data", reason=lacking)
     verdicts = Counter(draw.verdict for draw in drawn)
     decisive = drawn if recorded is None else [judged(cell, recorded)]
     stable_draws = [course for course, draw in zip(lockstep, drawn, strict=True) if draw.verdict == "stable"]
@@ -352,13 +352,13 @@ def compare(
         stable.append(recorded)
     expected = any(draw.verdict == "stable" for draw in decisive)
     undecided = expected and any(draw.verdict != "stable" for draw in decisive)
-    same = undecided or expected == (found.verdict == "stable")
+    same = undecided or expected == (measured.verdict == "stable")
     difference, tolerance = None, TOLERANCE_SHARE
     if not same and recorded is not None and 0 < len(stable_draws) < len(drawn):
         # The draws differ too, so the course of the recorded link decides, within the tolerance of the verdict.
         difference = course_difference(cell, recorded, bus)
         same = difference <= tolerance
-    elif undecided or (expected and found.verdict == "stable"):
+    elif undecided or (expected and measured.verdict == "stable"):
         among = lockstep if undecided else stable
         difference = min(course_difference(cell, course, bus) for course in among)
         apart = (course_difference(cell, first, second) for first, second in combinations(among, 2))
@@ -371,17 +371,17 @@ def compare(
         cell.stiffness_n_per_m,
         cell.round_trip_ms,
         likely.verdict,
-        found.verdict,
+        measured.verdict,
         likely.growth_per_s,
-        found.growth_per_s,
+        measured.growth_per_s,
         difference,
         tolerance,
-        same and found.verdict != "no_data" and (difference is None or difference <= tolerance),
+        same and measured.verdict != "no_data" and (difference is None or difference <= tolerance),
         cell.hand,
         cell.jitter_ms,
         cell.loss,
         dict(verdicts),
-        found.reason,
+        measured.reason,
         recorded is not None,
     )
 

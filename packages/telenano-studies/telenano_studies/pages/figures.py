@@ -56,7 +56,7 @@ def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
               "|h21|, motion to the tip (ideal: 1)", "|h22|, give of the held tip [m/(N s)]")  # fmt: skip
     for entry, (axis, title) in enumerate(zip(axes.flat, titles, strict=True)):
         for spectrum in spectra:
-            _line(axis, spectrum, [None if found is None else abs(found[entry]) for found in spectrum.hybrid])
+            _line(axis, spectrum, [None if hybrid is None else abs(hybrid[entry]) for hybrid in spectrum.hybrid])
         axis.set_title(title, loc="left", fontsize="small")
         axis.set_yscale("log")
         axis.tick_params(which="both", labelsize="small")
@@ -68,10 +68,10 @@ def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
 
 def _line(axis: "Axes", spectrum: Spectrum, values: Sequence[float | None]) -> None:
     colour, mark, style = LAW_LOOKS[spectrum.law]
-    known = [np.nan if value is None else value for value in values]
-    if not np.isnan(known).all():
+    numbers = [np.nan if value is None else value for value in values]
+    if not np.isnan(numbers).all():
         axis.plot(
-            spectrum.frequencies_hz, known, mark, linestyle=style, color=colour, markersize=3.5, linewidth=1.2,
+            spectrum.frequencies_hz, numbers, mark, linestyle=style, color=colour, markersize=3.5, linewidth=1.2,
             label=spectrum.law.replace("_", " "),
         )  # fmt: skip
 

@@ -38,12 +38,12 @@ def cell_of(law: str, round_trip_ms: float, stiffness_n_per_m: float = STIFFNESS
 def shown(cell: Cell) -> dict[str, Any]:
     """Return what is drawn of a cell; series are differences from number to number."""
     course, scales = trajectory_of(cell), scales_of(cell.controller())
-    found = judged(cell, course)
+    hold = judged(cell, course)
     force = scales.force_scale * course.tip_force_n
     drawn = {
-        "verdict": found.verdict,
-        "reason": found.reason,
-        "lowest_mj": round(1e3 * found.lowest_energy_j, 3),
+        "verdict": hold.verdict,
+        "reason": hold.reason,
+        "lowest_mj": round(1e3 * hold.lowest_energy_j, 3),
         "force": _kept(_every(course.time_s, force, _FORCE_STEP_S), _FORCE_N, _MOST_N),
         "energy": _kept(
             _every(course.time_s, energies_of(course, scales).stored_j, _ENERGY_STEP_S), _ENERGY_J, _MOST_J

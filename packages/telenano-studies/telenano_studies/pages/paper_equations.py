@@ -74,11 +74,11 @@ def cantilever_rows() -> list[Row]:
 
 def contact_rows() -> list[Row]:
     """Return pull-off forces of Maugis and Dugdale's contact without dimensions, between DMT and JKR."""
-    known = ((0.1, -1.9506), (0.5, -1.7182), (1.0, -1.6007), (5.0, -1.5063))
+    published = ((0.1, -1.9506), (0.5, -1.7182), (1.0, -1.6007), (5.0, -1.5063))
     return [
         Row(f"pull-off for lambda = {value:g}, in pi omega R", "Eq. 7-11, E6",
             pull_off(MaugisDugdale(value, 1.0, 1.0, 1.0))[0], expected, "")
-        for value, expected in known
+        for value, expected in published
     ]  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from telenano.afm import (
     table_force,
     volts_per_m,
 )
-from telenano.files import whole_file
+from telenano.files import atomic_file
 from telenano.settings import instrument_named
 from telenano.wire import RigError
 from telenano_studies.page import Page, png_of, text
@@ -118,8 +118,8 @@ def _equation_number(where: str) -> int:
     >>> _equation_number("Eq. 7-11, E6")
     7
     """
-    found = re.search(r"Eq\. (\d+)", where)
-    return int(found.group(1)) if found else 0
+    match = re.search(r"Eq\. (\d+)", where)
+    return int(match.group(1)) if match else 0
 
 
 def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress) -> dict[str, object]:
@@ -159,13 +159,13 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             page.paragraph(_BESIDE_THE_PAPER[name])
     if "models" in figures:
         page.heading("The quasi-static cantilever beside Eq. 4 in full")
-        found = compare_models(progress=partial(progress, "models"))
+        curves = compare_models(progress=partial(progress, "models"))
         columns = (
             "k [N/m]", "pull-off [nN]", "difference [%]", "snap-in x_s [nm]", "difference [nm]", "hysteresis [aJ]",
             "difference [%]", "step [nm]",
         )  # fmt: skip
-        page.table(columns, [_model_cells(row) for row in found])
-        summary["models"] = [row._asdict() for row in found]
+        page.table(columns, [_model_cells(row) for row in curves])
+        summary["models"] = [row._asdict() for row in curves]
     if "fig8" in figures:
 
         def shown(n: int, of: int) -> bool:
@@ -195,7 +195,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
                 page.paragraph(f"Not made: {error}")
     if failed:
         summary["failed"] = failed
-    with whole_file(out / "reproduce.html") as file:
+    with atomic_file(out / "reproduce.html") as file:
         page.write(file)
     return summary
 

@@ -141,10 +141,10 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
     axes[-1].set_xlabel("round trip of the link [ms]")
     shown = {cell.verdict for result in results for cell in result.cells}
     handles = [_patch(VERDICTS[kind], kind.replace("_", " ")) for kind in VERDICTS if kind in shown]
-    found = axes[0].plot([], [], "k-", linewidth=_EDGE_PT, label="edge, lockstep")
+    edge = axes[0].plot([], [], "k-", linewidth=_EDGE_PT, label="edge, lockstep")
     theory = axes[0].plot([], [], "w--", linewidth=_THEORY_PT, label="edge, theory (sampled loop)")
     figure.legend(
-        handles=[*handles, *found, *theory], loc="outside upper center", ncols=5, fontsize="small", facecolor="0.75"
+        handles=[*handles, *edge, *theory], loc="outside upper center", ncols=5, fontsize="small", facecolor="0.75"
     )
     return figure
 
@@ -184,9 +184,9 @@ def growth_figure(results: Sequence[LineResult]) -> "Figure":
     figure, axes = _panels(len(laws), 2.6)
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):
         for number, row in enumerate(rows):
-            known = [(c.cell.round_trip_ms, c.growth_per_s) for c in row.cells if c.growth_per_s is not None]
-            if known:
-                axis.plot(*zip(*known, strict=True), "o-", markersize=3, color=f"C{number}", label=row.line.label)
+            growths = [(c.cell.round_trip_ms, c.growth_per_s) for c in row.cells if c.growth_per_s is not None]
+            if growths:
+                axis.plot(*zip(*growths, strict=True), "o-", markersize=3, color=f"C{number}", label=row.line.label)
             if row.theory_link_ms is not None:
                 axis.axvline(row.theory_link_ms, color=f"C{number}", linestyle=":")
         axis.axhline(0.0, color="0.4", linewidth=0.8)
@@ -332,9 +332,9 @@ def _page(results: Sequence[LineResult], images: dict[str, bytes], command: str)
 
 
 def _row(result: LineResult) -> tuple[Any, ...]:
-    found, theory = result.critical_delay_ms, result.theory_ms
-    difference = 100.0 * (found / theory - 1.0) if found is not None and theory is not None else None
-    values = (theory, found, difference, result.theory_link_ms, result.critical_link_ms)
+    edge_ms, theory = result.critical_delay_ms, result.theory_ms
+    difference = 100.0 * (edge_ms / theory - 1.0) if edge_ms is not None and theory is not None else None
+    values = (theory, edge_ms, difference, result.theory_link_ms, result.critical_link_ms)
     words = [None if v is None else f"{v:.2f}" for v in values]
     if result.theory_unlimited:
         words[0] = words[3] = "any"

@@ -61,8 +61,8 @@ def z_width_of(found: Spectrum) -> dict[str, float | None]:
 def spectrum_figures(spectra: Sequence[Spectrum]) -> "dict[str, Figure]":
     """Draw what is measured over frequency: impedances at every delay, a hybrid matrix for each delay."""
     figures = {"impedances": impedance_figure(spectra)}
-    for delay in sorted({found.round_trip_ms for found in spectra}):
-        some = [found for found in spectra if found.round_trip_ms == delay]
+    for delay in sorted({row.round_trip_ms for row in spectra}):
+        some = [row for row in spectra if row.round_trip_ms == delay]
         figures[f"hybrid-{delay:g}ms"] = hybrid_figure(some)
     return figures
 

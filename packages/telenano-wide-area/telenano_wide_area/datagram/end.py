@@ -243,7 +243,7 @@ class DatagramEnd:
 
     def receive(self, *, signalled: bool = False) -> list[Received]:
         """Return the messages of the datagrams that have arrived, judged as the subscriber judges its own."""
-        found: list[Received] = []
+        received: list[Received] = []
         now = self._clock.monotonic_ns()
         if now - self._turned_ns > _STOOD_STILL_NS:
             self._behind_until_ns = now + _BEHIND_NS
@@ -253,17 +253,17 @@ class DatagramEnd:
             if self.drained:
                 self._behind_until_ns = 0
             if waiting and self._play_out is None:
-                found = self.subscriber.take(waiting)
+                received = self.subscriber.take(waiting)
         if self._held and now >= self._held[0][0]:
-            found = self.subscriber.take(self._released(now))
+            received = self.subscriber.take(self._released(now))
         if now >= self._reception.missed_ns:
             self._reception.subscribe_early(now)
         self._set_due()
         # Arrived messages come first, because a report takes half a millisecond.
-        if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
+        if now >= self._maintain_ns + (_PUT_OFF_NS if received else 0):
             self._maintain_ns = now + _MAINTAIN_NS
             self.maintain(now)
-        return found
+        return received
 
     def pending(self) -> bool:
         """Return whether datagrams were left when the last batch was full."""
@@ -299,20 +299,20 @@ class DatagramEnd:
                 if opener is None:
                     raise RejectedError("unknown_key")
                 number, body = opener.open(datagram, now - self._clock.epoch_offset_ns)
-                found = parse(body)
+                datagram_read = parse(body)
             except RejectedError as error:
                 self._refuse(error.cause, address)
                 continue
-            self._note(opener, number, found, len(datagram), address, now)
+            self._note(opener, number, datagram_read, len(datagram), address, now)
             if not self._touch.is_kept:
                 continue
             # the oldest first, each once
-            for topic, payload in reversed(found.samples):
+            for topic, payload in reversed(datagram_read.samples):
                 if payload not in self._recent:
                     self._remember(payload)
                     waiting.append(([topic, payload], now))
             if self._play_out is not None:
-                self._hold(self._play_out, found.report, now, waiting)
+                self._hold(self._play_out, datagram_read.report, now, waiting)
         return waiting
 
     def _hold(self, play_out: PlayOut, report: Report, now_ns: int, waiting: list[tuple[list[bytes], int]]) -> None:
@@ -387,9 +387,9 @@ class DatagramEnd:
     def maintain(self, now_ns: int) -> None:
         """Exchange keys, send a sign of life, choose the way to receive by, and report."""
         loss_share = max(self.arrivals.lost / max(1, self.arrivals.settled), self.outgoing.repeats.loss_share)
-        told = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
-        if told is not None:
-            self._tell(*told)
+        notice = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
+        if notice is not None:
+            self._tell(*notice)
         if self._relay is not None:
             self._steer(self._relay, now_ns)
         self._exchange_keys(now_ns)
@@ -415,8 +415,8 @@ class DatagramEnd:
         sending = "datagram" if self.acknowledged else "stream"
         ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
         parts = self.offset.estimate(), self.arrivals, self.outgoing, self.incoming.capacity
-        said = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
-        self._outlets.reports.publish("link/network", **said, refused=dict(self.rejected))
+        report = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
+        self._outlets.reports.publish("link/network", **report, refused=dict(self.rejected))
 
     def _weigh_tcp(self) -> None:
         """Take what TCP can carry each way, by what is known of the datagrams."""
@@ -424,8 +424,8 @@ class DatagramEnd:
         self._losses.adapt(settled, settled - max(0, self.arrivals.lost))
         round_trip_s = 0.0 if offset is None else offset.round_trip_s
         self._reception.weigh(carried_by_tcp(self.incoming.capacity, self._losses.loss_share, round_trip_s))
-        known = self.outgoing.control.carried_while_full or self._known
-        self._sparse.carried = carried_by_tcp(known, self.outgoing.repeats.loss_share, round_trip_s)
+        capacity = self.outgoing.control.carried_while_full or self._known
+        self._sparse.carried = carried_by_tcp(capacity, self.outgoing.repeats.loss_share, round_trip_s)
 
     def _why_silent(self) -> str:
         """Return what may be said of the UDP port while no datagram comes."""
@@ -450,9 +450,9 @@ class DatagramEnd:
             self.incoming.wants_train = False
             self.outgoing.send_train(now_ns, self._send)
         self.incoming.measure(now_ns)
-        told = self.outgoing.told_of_queue(now_ns, self.machine)
-        if told is not None:
-            self._tell(*told)
+        notice = self.outgoing.report_queue(now_ns, self.machine)
+        if notice is not None:
+            self._tell(*notice)
 
     def send_train(self) -> bool:
         """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.

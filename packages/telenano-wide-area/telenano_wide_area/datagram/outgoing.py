@@ -56,7 +56,7 @@ class Outgoing:
         self._bytes_each, self._bytes_per_s = 400.0, 0.0
         self._train_ns = now_ns - _TRAIN_PAUSE_NS
         self._full_since_ns: int | None = None
-        self._told_ns: int | None = None
+        self._queue_reported_ns: int | None = None
 
     def samples(self, topic: str, payload: bytes, now_ns: int) -> bytes:
         """Return what to send now that a sample is offered; empty where it is left out."""
@@ -74,10 +74,10 @@ class Outgoing:
         if len(sample) > MOST_SAMPLE_BYTES or (not limited and len(sample) + REPORT.size + OVERHEAD_BYTES > left):
             self.unsent += 1
             return b""
-        found = self.repeats.with_repeats(sample, left - REPORT.size - RESERVE_BYTES)
-        if self._beside and len(found) + len(self._beside) <= MOST_SAMPLE_BYTES:
-            found, self._beside = found + self._beside, b""
-        return found
+        samples_sent = self.repeats.with_repeats(sample, left - REPORT.size - RESERVE_BYTES)
+        if self._beside and len(samples_sent) + len(self._beside) <= MOST_SAMPLE_BYTES:
+            samples_sent, self._beside = samples_sent + self._beside, b""
+        return samples_sent
 
     def leaves_report_out(self, now_ns: int) -> bool:
         """Return whether a sample goes without what was heard from the other end: 32 bytes of a line that is full."""
@@ -107,27 +107,27 @@ class Outgoing:
         self._bytes_per_s += _NEWEST_SHARE * (sent / elapsed_s - self._bytes_per_s)
         if datagrams:
             self._bytes_each += _NEWEST_SHARE * (sent / datagrams - self._bytes_each)
-        found, queue_ns = self._delivery.rate(self._bytes_each, self._bytes_per_s), self.line.there_ns
-        if found is None or queue_ns is None:
+        rate, queue_ns = self._delivery.rate(self._bytes_each, self._bytes_per_s), self.line.there_ns
+        if rate is None or queue_ns is None:
             return
-        seen = Seen(queue_ns, *found, round_trip_ns, self.line.there_variation_ns)
+        seen = Seen(queue_ns, *rate, round_trip_ns, self.line.there_variation_ns)
         self.control.update(now_ns, seen, LEAST_HZ * self._bytes_each)
         self._budget.limit(self.control.bytes_per_s, self._bytes_each, now_ns)
 
-    def told_of_queue(self, now_ns: int, machine: str) -> tuple[str, str] | None:
+    def report_queue(self, now_ns: int, machine: str) -> tuple[str, str] | None:
         """Return level and text of an event when the line to a machine becomes full, still is after long, or is not."""
-        queue_ns, mode, told_ns = self.line.there_ns or 0, self.control.mode, self._told_ns
+        queue_ns, mode, reported_ns = self.line.there_ns or 0, self.control.mode, self._queue_reported_ns
         if mode != "full" or queue_ns < WARN_QUEUE_NS:
             self._full_since_ns = None
-            if mode != "free" or told_ns is None:
+            if mode != "free" or reported_ns is None:
                 return None
-            self._told_ns = None
+            self._queue_reported_ns = None
             return "info", f"the line to {machine} is no longer full"
         if self._full_since_ns is None:
             self._full_since_ns = now_ns
-        if now_ns - self._full_since_ns < _STANDS_NS or (told_ns is not None and now_ns - told_ns < _REMIND_NS):
+        if now_ns - self._full_since_ns < _STANDS_NS or (reported_ns is not None and now_ns - reported_ns < _REMIND_NS):
             return None
-        self._told_ns = now_ns
+        self._queue_reported_ns = now_ns
         carries = f"carries {8e-6 * self.control.carried_bytes_per_s:.3g} Mbit/s of the link's datagrams"
         queue = f"a queue of {queue_ns * 1e-6:.0f} ms stands before it"
         return "warning", f"the line to {machine}, which {carries}, is full: {queue}, and every sample is as much older"

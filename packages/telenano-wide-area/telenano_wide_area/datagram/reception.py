@@ -180,8 +180,8 @@ class Reception:
 
     def _warn(self, now_ns: int, what: str) -> None:
         self._next_reminder_ns = now_ns + _REMIND_NS
-        goes_on = "the link continues over TCP, and tries again" if self._falls_back else "link.transport allows no TCP"
-        self._tell("warning", f"{what}: {goes_on}")
+        advice = "the link continues over TCP, and tries again" if self._falls_back else "link.transport allows no TCP"
+        self._tell("warning", f"{what}: {advice}")
 
     def _subscribe(self, *, streaming: bool) -> None:
         if streaming and not self._falls_back:

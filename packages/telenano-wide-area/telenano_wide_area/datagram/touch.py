@@ -16,7 +16,7 @@ class Touch:
         self.is_kept = True
         self._is_connected, self._machine = is_connected, machine
         self._connected_ns = now_ns
-        self._is_told = False
+        self._is_reported = False
 
     def look(self, now_ns: int, *, arriving: bool, loss_share: float) -> tuple[str, str] | None:
         """Look at the connections; return level and text of an event where datagrams cross and commands cannot.
@@ -29,11 +29,11 @@ class Touch:
         if self._is_connected():
             self._connected_ns = now_ns
         self.is_kept = now_ns - self._connected_ns < (LOSSY_NS if loss_share > LOSSY_SHARE else OUT_OF_TOUCH_NS)
-        if self._is_told and self.is_kept:
-            self._is_told = False
+        if self._is_reported and self.is_kept:
+            self._is_reported = False
             return "info", f"{self._machine} is connected again: the link's datagrams continue"
-        if not self._is_told and not self.is_kept and arriving:
-            self._is_told = True
+        if not self._is_reported and not self.is_kept and arriving:
+            self._is_reported = True
             text = "no command can cross, and the link's datagrams wait"
             return "warning", f"{self._machine} is no longer connected over TCP: {text}"
         return None

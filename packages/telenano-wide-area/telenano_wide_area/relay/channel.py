@@ -86,12 +86,12 @@ def abort(writer: asyncio.StreamWriter) -> None:
 
 def tend(writer: asyncio.StreamWriter) -> None:
     """Have the kernel find out when the other side of a connection is gone."""
-    found = writer.get_extra_info("socket")
+    stream_socket = writer.get_extra_info("socket")
     with contextlib.suppress(OSError, AttributeError):
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 5)
-        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2)
-        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
+        stream_socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        stream_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 5)
+        stream_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2)
+        stream_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
 
 
 async def dial(host: str, port: int, own: KeyPair, relay_public: bytes, request: dict[str, Any]) -> Channel:

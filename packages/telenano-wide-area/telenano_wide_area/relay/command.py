@@ -54,8 +54,8 @@ async def _serve(listen: str, mbit_per_s: float) -> None:
     keyring = Keyring()
     access = AccessControl(RELAY, keyring, requires_keys=True)
     log = StructuredLog(RELAY)
-    found = Relay(access, log, mbit_per_s)
-    await found.start(host, port)
+    relay = Relay(access, log, mbit_per_s)
+    await relay.start(host, port)
     log.info(f"listening on {host} port {port}, TCP and UDP; the key of this relay is {access.public_key}")
     names = [key.name for key in keyring.allowed().keys if "relay" in access.roles(key.name)]
     if names:
@@ -65,6 +65,6 @@ async def _serve(listen: str, mbit_per_s: float) -> None:
     for text in keyring.expiring():
         log.warning(text)
     try:
-        await found.run()
+        await relay.run()
     finally:
-        await found.close()
+        await relay.close()

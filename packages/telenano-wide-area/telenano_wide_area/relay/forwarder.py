@@ -86,16 +86,16 @@ class Forwarder:
     def open(self, host: str, port: int) -> None:
         """Bind the UDP port and begin to carry; OSError where it cannot be bound."""
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-        found = socket.socket(family, socket.SOCK_DGRAM)
+        opened = socket.socket(family, socket.SOCK_DGRAM)
         try:
-            found.setblocking(False)
-            found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-            found.bind(address)
+            opened.setblocking(False)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+            opened.bind(address)
         except OSError:
-            found.close()
+            opened.close()
             raise
-        self._socket = found
-        asyncio.get_running_loop().add_reader(found.fileno(), self._read)
+        self._socket = opened
+        asyncio.get_running_loop().add_reader(opened.fileno(), self._read)
 
     def close(self) -> None:
         """Close the port."""
@@ -143,16 +143,16 @@ class Forwarder:
             except OSError:
                 # An ICMP error answers an earlier datagram.
                 continue
-            for found, to in self.outgoing(datagram, address):
+            for data, to in self.outgoing(datagram, address):
                 try:
-                    self._socket.sendto(found, to)
+                    self._socket.sendto(data, to)
                 except OSError:
                     self.refused["send"] = self.refused.get("send", 0) + 1
 
     def outgoing(self, datagram: bytes, address: Address) -> list[tuple[bytes, Address]]:
         """Return what to send now that a datagram has come."""
-        found = self.take(datagram, address)
-        return [] if found is None else [found]
+        route = self.take(datagram, address)
+        return [] if route is None else [route]
 
     def _ask(self, datagram: bytes, address: Address) -> bytes:
         request = parse_request(datagram)

@@ -110,12 +110,12 @@ def pack(fields: dict[str, Any]) -> bytes:
 def unpack(body: bytes) -> dict[str, Any]:
     """Return the fields of a sealed part; RejectedError (`malformed`) where it has none."""
     try:
-        found = json.loads(body)
+        document = json.loads(body)
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        document = None
+    if not isinstance(document, dict):
         raise RejectedError("malformed")
-    return found
+    return document
 
 
 def make_request(

@@ -82,7 +82,7 @@ class Relay:
         self._open: dict[Channel, str] = {}
         self._server: asyncio.Server | None = None
         # When a refusal was logged last, by its reason and who was refused.
-        self._told: dict[tuple[str, str], float] = {}
+        self._reported_s: dict[tuple[str, str], float] = {}
         self.forwarder: Forwarder
 
     async def start(self, host: str, port: int) -> None:
@@ -154,7 +154,7 @@ class Relay:
         now_s = asyncio.get_running_loop().time()
         if len(self._arrivals) >= _MOST_ADDRESSES:
             self._arrivals.clear()
-        crowd = [writer for writer, found in self._strangers.items() if found == address]
+        crowd = [writer for writer, address_of_writer in self._strangers.items() if address_of_writer == address]
         if len(crowd) < _MOST_FROM_ADDRESS:
             crowd = list(self._strangers) if len(self._strangers) >= _MOST_STRANGERS else []
         for oldest in crowd[:1]:
@@ -166,10 +166,10 @@ class Relay:
     def _tell(self, reason: str, who: str, text: str) -> None:
         """Log a refusal, with how many there were for that reason so far, unless it was logged lately."""
         now_s = asyncio.get_running_loop().time()
-        if now_s - self._told.get((reason, who), -_REMIND_S) >= _REMIND_S:
-            if len(self._told) >= _MOST_ADDRESSES:
-                self._told.clear()
-            self._told[reason, who] = now_s
+        if now_s - self._reported_s.get((reason, who), -_REMIND_S) >= _REMIND_S:
+            if len(self._reported_s) >= _MOST_ADDRESSES:
+                self._reported_s.clear()
+            self._reported_s[reason, who] = now_s
             self._log.warning(f"{text} ({reason}, {self.refused[reason]} in all)")
 
     async def _identify(
@@ -239,8 +239,8 @@ class Relay:
             await self._tell_who_is_here()
             while True:
                 async with asyncio.timeout(_SITE_SILENCE_S):
-                    said = await site.channel.receive()
-                target, handed = self._waiting.get(str(said.get("refused")), ("", None))
+                    message = await site.channel.receive()
+                target, handed = self._waiting.get(str(message.get("refused")), ("", None))
                 if target == site.key and handed is not None and not handed.done():
                     handed.set_exception(RejectedError("absent"))
                 await site.channel.send(alive=True)

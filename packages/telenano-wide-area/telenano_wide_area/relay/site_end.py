@@ -41,7 +41,9 @@ class SiteEnd:
         self._own = access.own
         self._relay_key = raw_key(relay_key(access))
         self._access, self._log = access, log
-        ends = {node: _host_port(found) for node in book.nodes if (found := book.network_endpoint(node)) is not None}
+        ends = {
+            node: _host_port(endpoint) for node in book.nodes if (endpoint := book.network_endpoint(node)) is not None
+        }
         self._here = {ends[node][1] for node in ends if book.machine_of(node) == machine}
         self._bind = next((_host_port(book.bind_endpoint(node) or "")[0] for node in ends), "")
         self._there: Mapping[tuple[str, int], str] = {
@@ -52,7 +54,7 @@ class SiteEnd:
         self._servers: dict[tuple[str, int], asyncio.Server] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         # What was logged last of the relay and of single connections, and when [s].
-        self._told: dict[str, tuple[str, float]] = {}
+        self._reported: dict[str, tuple[str, float]] = {}
 
     async def run(self) -> None:
         """Listen, and keep the connection to the relay, until cancelled; EndpointError for a port that is taken."""
@@ -89,22 +91,22 @@ class SiteEnd:
         try:
             while True:
                 async with asyncio.timeout(_SILENCE_S):
-                    said = await channel.receive()
+                    message = await channel.receive()
                 if self._meets() != meets:
                     # The list of keys has changed: the relay learns it by a new connection.
                     return 0.0
-                if "refused" in said:
-                    self._tell("error", f"the relay {self._relay} refuses this machine: {said.get('text')}")
+                if "refused" in message:
+                    self._tell("error", f"the relay {self._relay} refuses this machine: {message.get('text')}")
                     return _AGAIN_MOST_S
-                if "replaced" in said:
+                if "replaced" in message:
                     self._tell("error", f"another process with the key of {self._access.machine} uses {self._relay}")
                     return _REPLACED_S
-                if "ok" in said:
+                if "ok" in message:
                     self._tell("info", f"the relay {self._relay} is reached")
-                if isinstance(said.get("present"), list):
-                    await self._see(frozenset(map(str, said["present"])))
-                if "open" in said:
-                    self._start(self._accept(channel, said))
+                if isinstance(message.get("present"), list):
+                    await self._see(frozenset(map(str, message["present"])))
+                if "open" in message:
+                    self._start(self._accept(channel, message))
         finally:
             pinging.cancel()
             channel.close()
@@ -177,12 +179,12 @@ class SiteEnd:
                 channel = None
                 try:
                     channel = await self._dial(want="open", to=self._key(machine), port=port)
-                    said = await channel.receive()
-                    if "ok" in said:
+                    message = await channel.receive()
+                    if "ok" in message:
                         joined, channel = channel, None
                         return joined
-                    if "text" in said:
-                        self._tell("warning", f"the relay {self._relay} refuses: {said['text']}", "connection")
+                    if "text" in message:
+                        self._tell("warning", f"the relay {self._relay} refuses: {message['text']}", "connection")
                 except Gone as error:
                     # The time of all attempts is limited outside.
                     self._tell_of_end(error)
@@ -193,11 +195,11 @@ class SiteEnd:
 
     # --- from there to here ---
 
-    async def _accept(self, control: Channel, said: dict[str, Any]) -> None:
+    async def _accept(self, control: Channel, message: dict[str, Any]) -> None:
         """Connect to the node that somebody there wants to reach, and dial the relay to be joined."""
-        number, port = str(said.get("open")), said.get("port")
+        number, port = str(message.get("open")), message.get("port")
         with contextlib.suppress(*Gone):
-            if port not in self._here or said.get("source") not in self._meets():
+            if port not in self._here or message.get("source") not in self._meets():
                 await control.send(refused=number)
                 return
             try:
@@ -251,9 +253,9 @@ class SiteEnd:
     def _tell(self, level: str, text: str, about: str = "relay") -> None:
         """Log a change of one matter, and what stays the same once a minute."""
         now_s = time.monotonic()
-        told, told_s = self._told.get(about, ("", 0.0))
-        if text != told or now_s - told_s >= _REMIND_S:
-            self._told[about] = (text, now_s)
+        last_text, reported_s = self._reported.get(about, ("", 0.0))
+        if text != last_text or now_s - reported_s >= _REMIND_S:
+            self._reported[about] = (text, now_s)
             self._log.write(level, text)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from telenano.files.whole_files import new_folder, whole_file, whole_folder, whole_results
+from telenano.files.atomic_files import atomic_file, new_folder, whole_folder, whole_results
 
 
 class _Stop(BaseException):
@@ -29,28 +29,28 @@ def ended_process() -> int:
 
 def test_a_file_has_its_name_when_it_is_whole_and_keeps_the_one_before_until_then(tmp_path: Path) -> None:
     path = tmp_path / "result.h5"
-    with whole_file(path, replace=False) as part:
+    with atomic_file(path, replace=False) as part:
         part.write_text("one")
         assert not path.exists()
         assert part.parent == tmp_path
         assert part.name.startswith(".result.h5.")
     assert path.read_text() == "one"
-    with pytest.raises(_Stop), whole_file(path) as part:
+    with pytest.raises(_Stop), atomic_file(path) as part:
         part.write_text("two")
         raise _Stop
     assert (path.read_text(), names(tmp_path)) == ("one", ["result.h5"])
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_text("three")
     assert (path.read_text(), names(tmp_path)) == ("three", ["result.h5"])
 
 
 def test_what_exists_is_not_replaced_also_when_it_came_meanwhile(tmp_path: Path) -> None:
     path = tmp_path / "result"
-    with pytest.raises(FileExistsError), whole_file(path, replace=False) as part:
+    with pytest.raises(FileExistsError), atomic_file(path, replace=False) as part:
         part.write_text("mine")
         path.write_text("theirs")
     assert (path.read_text(), names(tmp_path)) == ("theirs", ["result"])
-    with pytest.raises(FileExistsError), whole_file(path, replace=False):
+    with pytest.raises(FileExistsError), atomic_file(path, replace=False):
         pytest.fail("it is known before anything is written")
     with pytest.raises(FileExistsError), whole_folder(path):
         pytest.fail("it is known before anything is written")
@@ -104,7 +104,7 @@ def test_what_a_process_that_is_no_more_left_goes_and_what_others_write_stays(tm
     others = [f".result.{machine}.{os.getppid()}.part", f".result.elsewhere.{ended_process()}.part", ".result.x.part"]
     for other in others:
         (tmp_path / other).write_text("theirs")
-    with whole_file(tmp_path / "result") as part:
+    with atomic_file(tmp_path / "result") as part:
         part.write_text("mine")
     assert names(tmp_path) == sorted([*others, "result"])
 
@@ -113,7 +113,7 @@ def test_an_error_names_the_result_and_not_its_temporary_name(tmp_path: Path) ->
     with pytest.raises(FileNotFoundError) as found, whole_results(tmp_path / "out") as part:
         (part / "deep" / "a").write_text("1")
     assert found.value.filename == str(tmp_path / "out" / "deep" / "a")
-    with pytest.raises(NotADirectoryError) as other, whole_file(tmp_path / "b") as part:
+    with pytest.raises(NotADirectoryError) as other, atomic_file(tmp_path / "b") as part:
         part.write_text("")
         (part / "c").write_text("")
     assert other.value.filename == str(tmp_path / "b" / "c")
@@ -121,7 +121,7 @@ def test_an_error_names_the_result_and_not_its_temporary_name(tmp_path: Path) ->
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-@pytest.mark.parametrize("writing", [whole_file, whole_folder, whole_results])
+@pytest.mark.parametrize("writing", [atomic_file, whole_folder, whole_results])
 def test_a_write_that_has_no_room_names_the_result(writing: Any, tmp_path: Path) -> None:
     """The system names what cannot be opened, and not what cannot be written."""
     full = os.open("/dev/full", os.O_WRONLY)
@@ -135,12 +135,12 @@ def test_a_write_that_has_no_room_names_the_result(writing: Any, tmp_path: Path)
 
 
 def test_a_device_is_written_to_and_not_replaced_and_a_link_is_followed(tmp_path: Path) -> None:
-    with whole_file(Path(os.devnull)) as part:
+    with atomic_file(Path(os.devnull)) as part:
         part.write_text("gone")
     assert not Path(os.devnull).is_file()
     (tmp_path / "link").symlink_to(tmp_path / "target")
     (tmp_path / "target").write_text("0")
-    with whole_file(tmp_path / "link") as part:
+    with atomic_file(tmp_path / "link") as part:
         part.write_text("1")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "target").read_text() == "1"
@@ -148,7 +148,7 @@ def test_a_device_is_written_to_and_not_replaced_and_a_link_is_followed(tmp_path
 
 def test_a_long_name_has_a_temporary_name_too(tmp_path: Path) -> None:
     path = tmp_path / ("ä" * 120 + ".h5")
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         part.write_text("1")
     assert path.read_text() == "1"
 

@@ -40,7 +40,7 @@ _LONGEST = 120
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
+def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """Yield the temporary path of a file that gets its name when the block ends, and is removed if it fails.
 
     A link is followed; a device or a pipe is written to as it is.
@@ -59,7 +59,7 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
         yield path
         return
     with _temporary(path, path, replace=replace) as part:
-        with _said_when_interrupted(path):
+        with _report_interruption(path):
             yield part
         if replace:
             part.replace(path)
@@ -166,7 +166,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """
     with _temporary(path, path, replace=False) as part:
         part.mkdir(parents=True)
-        with _said_when_interrupted(path):
+        with _report_interruption(path):
             yield part
         part.rename(path)
 
@@ -188,9 +188,9 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """
     with new_folder(path), _temporary(path / _RESULTS, path, replace=True) as part:
         part.mkdir()
-        with _said_when_interrupted(path):
+        with _report_interruption(path):
             yield part
-        names = sorted(found.name for found in part.iterdir())
+        names = sorted(entry.name for entry in part.iterdir())
         taken = [] if replace else [name for name in names if os.path.lexists(path / name)]
         if taken:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path / taken[0]))
@@ -217,7 +217,7 @@ def new_folder(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _said_when_interrupted(path: Path) -> Iterator[None]:
+def _report_interruption(path: Path) -> Iterator[None]:
     """Let an interruption of what makes a result say that it is lost, for who reports it."""
     try:
         yield
@@ -227,8 +227,8 @@ def _said_when_interrupted(path: Path) -> Iterator[None]:
 
 
 def _move_into(part: Path, path: Path) -> None:
-    for found in sorted(part.iterdir()):
-        found.replace(path / found.name)
+    for entry in sorted(part.iterdir()):
+        entry.replace(path / entry.name)
 
 
 @contextlib.contextmanager
@@ -286,10 +286,10 @@ def _remove_leftovers(path: Path) -> None:
     """Remove what processes of this machine that are no more have left of a result."""
     stem = _stem(path)
     with contextlib.suppress(OSError):
-        for found in path.parent.iterdir():
-            process = found.name.removeprefix(stem).removesuffix(_SUFFIX)
-            if found.name == f"{stem}{process}{_SUFFIX}" and process.isdecimal() and not _runs(int(process)):
-                _remove(found)
+        for entry in path.parent.iterdir():
+            process = entry.name.removeprefix(stem).removesuffix(_SUFFIX)
+            if entry.name == f"{stem}{process}{_SUFFIX}" and process.isdecimal() and not _runs(int(process)):
+                _remove(entry)
 
 
 def _runs(process: int) -> bool:
