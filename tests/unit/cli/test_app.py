@@ -7,18 +7,15 @@ from pathlib import Path
 
 import command_page
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
-from telenano.cli.root import app
 from telenano.runtime.wiring.main import node_kind, parse_arguments, run_node
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins
 from telenano.settings.included import site_file_named
 from telenano.settings.known_packages import known_of
 from telenano.wire.errors import RigError
-
-RUNNER = CliRunner()
 
 
 @pytest.fixture(autouse=True)
@@ -26,12 +23,6 @@ def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
     # The rigs of others on this machine may hold its processors, which is said on the terminal.
     monkeypatch.setattr("telenano.launcher.processors._SHARED", tmp_path)
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    result = RUNNER.invoke(app, arguments)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 COMMANDS = command_page.commands()

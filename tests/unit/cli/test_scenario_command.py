@@ -10,24 +10,16 @@ from typing import Any
 import pytest
 import scenario_page
 import yaml
+from command_line import run
 from rig_graph import edges
-from typer.testing import CliRunner
 
 from telenano.cli import completion
-from telenano.cli.root import app
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
 from telenano.settings.config import read_yaml
 from telenano.settings.included import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import SERVICES
-
-RUNNER = CliRunner()
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    result = RUNNER.invoke(app, arguments)
-    return result.exit_code, result.stdout, result.stderr
 
 
 @pytest.fixture(scope="module")
