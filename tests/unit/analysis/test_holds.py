@@ -8,6 +8,7 @@ import pytest
 from telenano.analysis.holds import (
     _WORST_FIRST,
     Guard,
+    Incident,
     Instrument,
     Late,
     Limits,
@@ -277,6 +278,15 @@ def test_a_motion_without_a_line_that_has_grown_to_the_force_limit_has_diverged(
     ]
     assert hold.verdict == verdict, hold.reason
     assert ("until then the motion grew from 0.3 N to 1.2 N" in hold.reason) is (verdict == "diverged"), hold.reason
+
+
+def test_what_happened_within_seconds_of_a_lack_of_samples_is_named_as_its_cause() -> None:
+    there = (TIME_S < 2.5) | (TIME_S > 3.5)
+    incidents = [Incident(at_s, f"{at_s:g}") for at_s in (-0.6, -0.4, 5.4, 5.6)]
+    context = SessionContext(incidents=incidents)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S[there], HAND_N[there], context=context)[0]
+    assert hold.verdict == "no_data"
+    assert hold.reason.split("; ")[1:] == ["at -0.400 s: -0.4", "at 5.400 s: 5.4"]
 
 
 def test_a_tip_has_landed_where_its_last_contact_is_long_however_short_those_before_were() -> None:

@@ -11,7 +11,6 @@ import pytest
 import scenario_page
 import yaml
 from command_line import run
-from rig_graph import edges
 
 from telenano.cli import completion
 from telenano.launcher.plan import UpRequest, make_plan
@@ -146,20 +145,6 @@ def test_a_wrong_scenario_is_refused_by_key() -> None:
     names = [row["scenario"] for row in json.loads(run("scenario", "list", "--json")[1])["scenarios"]]
     assert {"fig12", "touch"} <= set(names)
     assert "duration_s: 8.0" in run("scenario", "show", "fig12")[1]
-
-
-def test_the_graph_is_the_loop() -> None:
-    found = {edge[:3] for edge in edges()}
-    assert ("haptic_node@master", "controller@master", "haptic/state") in found
-    assert ("controller@master", "delay_node@master", "teleop/forward") in found
-    assert ("delay_node@master", "controller@slave", "teleop/forward") in found
-    assert ("delay_node@master", "controller@master", "law/status") in found
-    # what crosses does so by the link, and no node speaks to itself
-    for source, reader, _ in found:
-        assert source != reader
-        link = "delay_node@master" in (source, reader)
-        assert link or source.partition("@")[2] == reader.partition("@")[2]
-    assert {edge.rate_hz for edge in edges() if edge.topic == "afm/state"} == {1000.0}
 
 
 def test_the_shell_completes_names() -> None:

@@ -5,13 +5,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
 import msgpack
 import pytest
 from made_source import MadeSource
+from waiting import PATIENCE_S, until
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
@@ -33,8 +34,6 @@ from telenano.serving.serve import LARGEST_FRAME, bind, make_server
 from telenano.wire.errors import EndpointError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123")
-# far beyond what is expected: only keeps a broken server from holding the suite
-PATIENCE_S = 30.0
 
 
 class Source(MadeSource):
@@ -100,13 +99,6 @@ def test_huge_frames_disturb_no_page(address: str) -> None:
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1009, "the code of a message that is too big"
         assert is_told_on(page)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not condition() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert condition()
 
 
 # a page that holds control and presses, until it is killed

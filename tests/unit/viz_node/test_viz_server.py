@@ -13,6 +13,7 @@ from typing import Any
 import msgpack
 import pytest
 from made_source import MadeSource
+from waiting import until
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
@@ -468,13 +469,6 @@ def test_a_running_rig_has_no_transport(client: TestClient, stack: ExitStack) ->
 
 def push(page: Page, force_n: float, held: bool = True) -> None:
     page.send({"k": "hand", "force_n": force_n, "held": held})
-
-
-def until(condition: Any) -> None:
-    end = time.monotonic() + 5.0
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.002)
-    assert condition()
 
 
 def changes(rig: Rig) -> list[float]:
