@@ -12,6 +12,8 @@ from typing import Any
 
 import msgpack
 import pytest
+from bus_page import ACCESS, HEADERS
+from bus_page import BusPage as Page
 from made_source import MadeSource
 from waiting import until
 
@@ -27,11 +29,8 @@ from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
 from telenano.hand.operator_config import InteractiveConfig
-from telenano.serving.access import Access, Role
+from telenano.serving.access import Role
 from telenano.wire.errors import RigError
-
-ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
-HEADERS = {"origin": "http://testserver"}
 
 
 class Commander:
@@ -102,28 +101,6 @@ def page(tmp_path: Path) -> Path:
 def client(rig: Rig, page: Path) -> Iterator[TestClient]:
     with TestClient(server.make_app(rig.hub, ACCESS, page), client=("127.0.0.1", 5)) as found:
         yield found
-
-
-class Page:
-    """A page as far as its web socket goes."""
-
-    def __init__(self, stack: ExitStack, client: TestClient, token: str = ACCESS.operator_token, **hello: Any) -> None:
-        self.socket = stack.enter_context(client.websocket_connect("/bus", headers=HEADERS))
-        self.send({"k": "hello", "token": token, "protocol": 1, **hello})
-
-    def send(self, fields: Mapping[str, Any]) -> None:
-        self.socket.send_bytes(msgpack.packb(fields))
-
-    def take(self, kind: str) -> dict[str, Any]:
-        """Return the next frame of a kind."""
-        while True:
-            frame: dict[str, Any] = msgpack.unpackb(self.socket.receive_bytes())
-            if frame["k"] == kind:
-                return frame
-
-    def ask(self, **fields: Any) -> dict[str, Any]:
-        self.send({"id": "a-1", **fields})
-        return self.take("answer")
 
 
 @pytest.fixture
