@@ -14,6 +14,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_bus import QuietBus
 from wire_contract import examples
 
 from telenano.runtime.bus.bus import ConnectionEvent
@@ -39,7 +40,7 @@ MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)
 
 
-class FakeBus:
+class FakeBus(QuietBus):
     """A bus in virtual time: messages arrive when their time has come, and a wait takes as long as it takes."""
 
     def __init__(self, clock: VirtualClock) -> None:
@@ -80,9 +81,6 @@ class FakeBus:
         due = bisect_right(self.coming, now, key=itemgetter(0))
         arrived, self.coming = self.coming[:due], self.coming[due:]
         yield from (received for _, received in arrived)
-
-    def input_health(self) -> tuple[InputHealth, ...]:
-        return ()
 
     def sequence_numbers(self) -> dict[str, int]:
         return {"haptic/state": len(self.sent)}
