@@ -17,7 +17,6 @@ from typing import Any
 
 import yaml
 import zmq
-from made_bus import QuietBus, QuietLog
 
 from services.afm_node.__main__ import build as build_afm_node
 from services.controller.__main__ import half_of_site
@@ -30,8 +29,9 @@ from telenano.recording.provenance import write_provenance
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import RejectedRecord
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.link_node import DelayNode
+from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
@@ -43,6 +43,7 @@ from telenano.testing import VirtualClock
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message, WireError, compose, decode, encode
 from telenano.wire.codec import decode_header
+from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
@@ -113,6 +114,13 @@ def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
 RANDOM_TIMING = Timing()
 
 
+class QuietLog(StructuredLog):
+    """Nothing of what the nodes log is of interest here."""
+
+    def write(self, level: str, text: str, **facts: Any) -> None:
+        """Write nothing."""
+
+
 class VirtualReader(Subscriber):
     """A subscriber whose messages are handed to it, and whose bytes need no second decoding."""
 
@@ -129,7 +137,7 @@ class VirtualReader(Subscriber):
         return Received(topic, message, payload, received_ns, arrival)
 
 
-class VirtualBus(QuietBus):
+class VirtualBus:
     """The bus of one node: what it publishes goes to the rig, what has arrived is taken by a subscriber."""
 
     def __init__(self, rig: "VirtualRig", key: str) -> None:
@@ -164,8 +172,23 @@ class VirtualBus(QuietBus):
             waiting.append(([topic.encode(), payload], self._rig.clock.now_ns()))
         return iter(self.reader.take(waiting))
 
+    def wait(self, deadline_ns: int) -> None:
+        """The rig has let the time pass."""
+
     def sequence_numbers(self) -> dict[str, int]:
         return dict(self._numbers)
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        return ()
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        return {}, ""
+
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+        return ()
+
+    def has_arrived(self) -> bool:
+        return False
 
     def close(self) -> None:
         self.inbox.clear()

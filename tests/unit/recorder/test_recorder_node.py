@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 import yaml
 import zmq
-from made_bus import QuietBus
 from recorder_samples import EPOCH_NS, NODE, haptic_state, session_control, teleop_forward
 
 from services.recorder.__main__ import begin, listeners
@@ -22,6 +21,7 @@ from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
@@ -32,7 +32,7 @@ from telenano.runtime.wiring.transport import Transport
 from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
 from telenano.wire import Message, compose, encode
-from telenano.wire.messages import SessionEvent
+from telenano.wire.messages import InputHealth, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 from telenano.wire.topics import OWN_TOPICS as TOPICS
@@ -40,7 +40,7 @@ from telenano.wire.topics import OWN_TOPICS as TOPICS
 PATIENCE_S = 30.0
 
 
-class CommandedBus(QuietBus):
+class QuietBus:
     """A bus on which only the node publishes, and which delivers the commands of the test."""
 
     def __init__(self, clock: VirtualClock) -> None:
@@ -62,6 +62,24 @@ class CommandedBus(QuietBus):
     def wait(self, deadline_ns: int) -> None:
         self.clock.advance_ns(max(0, deadline_ns - self.clock.monotonic_ns()))
 
+    def input_health(self) -> tuple[InputHealth, ...]:
+        return ()
+
+    def sequence_numbers(self) -> dict[str, int]:
+        return {}
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        return {}, ""
+
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+        return ()
+
+    def has_arrived(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        pass
+
     def events(self) -> list[SessionEvent]:
         return [message for _, message in self.published if isinstance(message, SessionEvent)]
 
@@ -71,7 +89,7 @@ class Rig:
 
     def __init__(self, intake: Intake, config: RecorderConfig) -> None:
         self.clock = VirtualClock(0, EPOCH_NS)
-        self.bus = CommandedBus(self.clock)
+        self.bus = QuietBus(self.clock)
         self.intake = intake
         self.node = RecorderNode(NodeContext(NODE, self.clock, self.bus, StructuredLog(NODE)), config, intake)
         self.loop = NodeLoop(self.node, self.bus, RealtimeStatus(fifo=False, memory_locked=False))
