@@ -128,12 +128,23 @@ def cell_of(law: str, environment: Any, round_trip_ms: float) -> Cell:
 
 def on_bus(cell: Cell, folder: Path, lost: Lost = (), settings: Sequence[str] = ()) -> Trajectory:
     """Run the nodes of a cell on the virtual bus and read the recording."""
+    timing = constant_timing(round(0.5e6 * cell.round_trip_ms))
+    rig = ConstantRig(folder, cell.seed, settings, timing, with_hand(cell))
+    # one later than in lockstep, see above
+    rig.lost = {tick + 1 for first, count in lost for tick in range(first, first + count)}
+    return course_of(rig)
+
+
+def with_hand(cell: Cell) -> dict[str, Any]:
+    """Return the scenario of a cell with the hand of these tests."""
     scenario = scenario_of(cell)
     points = [{"time_s": time, "force_n": force} for time, force in HAND_POINTS]
     scenario["haptic_node"]["operator"]["points"] = points
-    rig = ConstantRig(folder, cell.seed, settings, constant_timing(round(0.5e6 * cell.round_trip_ms)), scenario)
-    # one later than in lockstep, see above
-    rig.lost = {tick + 1 for first, count in lost for tick in range(first, first + count)}
+    return scenario
+
+
+def course_of(rig: ConstantRig) -> Trajectory:
+    """Run the session of a rig to its end and read the recording."""
     started_s = (SETTLE_TICKS + 2) * PERIOD_S
     rig.run_until(started_s)
     rig.command("start", "haptic_node")

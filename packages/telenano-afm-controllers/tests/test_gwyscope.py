@@ -12,7 +12,6 @@ import gwyfile
 import numpy as np
 import pytest
 from controller_line import (
-    MS,
     NEAR_M,
     PARAMS,
     RETRACTED_M,
@@ -27,6 +26,7 @@ from controller_line import (
     swallow,
     walk,
 )
+from request_line import MS
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from controller_line import (
-    MS,
     NEAR_M,
     RETRACTED_M,
     ControllerRig,
@@ -27,6 +26,7 @@ from controller_line import (
     walk,
 )
 from recorded_maps import frequency_shift_hz
+from request_line import MS
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError

@@ -2,8 +2,7 @@
 
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -13,6 +12,7 @@ from telenano_experiments.asked import CONSENT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
+from waiting import until
 
 from telenano.console import RigHand
 from telenano.runtime import AddressBook, Observer
@@ -47,14 +47,6 @@ def page() -> Iterator[RigHand]:
 def give(page: RigHand, number: int, cue: str, role: str = "participant", **values: Any) -> None:
     facts = {"id": f"a-{number}", "cue": cue, "role": role, "values": values, "given_ns": 1000 + number}
     page.publish("experiment/answer", **facts, shown_s=0.5)
-
-
-def until(found: Callable[[], Any]) -> Any:
-    end = time.monotonic() + PATIENCE_S
-    while not (value := found()):
-        assert time.monotonic() < end
-        time.sleep(0.01)
-    return value
 
 
 def connected(bus: ExperimentBus, page: RigHand) -> None:

@@ -72,7 +72,7 @@ class MemoryConversation:
         """Do nothing: the answer is there as soon as it was asked for."""
 
     def drop(self, keep: int = 0) -> int:
-        dropped = len(self._answers) - keep
+        dropped = max(0, len(self._answers) - keep)
         del self._answers[:dropped]
         return dropped
 

@@ -10,23 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command_line import run
 from rich.console import Console
-from typer.testing import CliRunner
 
 from telenano.cli import live_view, output
 from telenano.cli.live_view import LineView, LiveView
-from telenano.cli.root import app
 
 MakeFile = Callable[..., Path]
-RUNNER = CliRunner()
 FULL = Path("/dev/full")
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
-
-
-def run(*arguments: str | Path) -> tuple[int, str, str]:
-    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def refused(*arguments: str | Path) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from stranger_package import said
 
 from telenano.cli.new_package import Kind, new_package
 from telenano.extend.samples import AfmSample
@@ -154,12 +155,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         new_package(kind, name, site / name)
         put_on_path(site / name, site)
         folders.append(site / name)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
-    command = [sys.executable, "-W", "error", "-c", PROGRAM]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    document: dict[str, Any] = said(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
+    return document
 
 
 def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str, Any]) -> None:
