@@ -174,22 +174,20 @@ class SlaveController(ControllerHalf):
         self._hand_armed = message.hand_armed is True
         understood = self.receive_signal(message)
         self.switching = self.switching and not (understood and message.active)
-        self.timing, begins = integration.slave_signalled(
-            self.timing, self.timing_params, received_ns, message.hand_t_ns, understood
+        may_wait = not (self._instrument_lost or self.switching)
+        self.timing, tick = integration.slave_tick(
+            self.timing, self.timing_params, received_ns, self.clock.now_ns(), message.hand_t_ns, understood, may_wait
         )
         if self.law_state is None:
             self.law_state = self.law.slave_start(self.params, self.tip)
-        elif begins and not self.switching:
+        elif tick.begins and not self.switching:
             self.law_state = self._interrupted()
-        continues = not (begins or self._instrument_lost or self.switching)
         if self.lateral.motion.mode != DIRECT:
-            follows = continues and understood and message.active and self.tip.following
+            follows = may_wait and not tick.begins and understood and message.active and self.tip.following
             elapsed_s = self.timing.pacing.elapsed * self.config.period_s
             across = self.across
             self._across = lateral_slave_step(self.lateral, self._across, across.far, across.own_m, follows, elapsed_s)
-        if continues and integration.slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
-            self.timing = integration.slave_passed_over(self.timing)
-        else:
+        if tick.steps:
             if self._instrument_lost:
                 self.reference = SlaveReference(self.reference.position_m, False)
             elif not self.switching:
@@ -232,7 +230,7 @@ class SlaveController(ControllerHalf):
         silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
         if self.tip.following and silence_s > DEADLINES_S["afm/state"]:
             self._lose_instrument()
-            text = f"the AFM has been silent for {silence_s * 1e3:.0f} ms: the hand is let go"
+            text = f"no data from the AFM for {silence_s * 1e3:.0f} ms: the motor of the hand is switched off"
             self.event("fault", "warning", text, silence_s=silence_s)
 
     def _lose_instrument(self) -> None:
@@ -277,8 +275,8 @@ class SlaveController(ControllerHalf):
         """Report that hand and tip begin apart, because the hand is beyond where the tip may go at once."""
         apart_m = offset_m / self.config.law_config().position_scale
         text = (
-            f"the hand is {1e3 * apart_m:.3g} mm beyond where the tip may go at once: the base begins"
-            f" {1e9 * offset_m:.3g} nm short of it, and is let in at {1e9 * LET_IN_M_PER_S:g} nm/s while the tip"
+            f"the hand is {1e3 * apart_m:.3g} mm further than the tip may go at once: the base starts"
+            f" {1e9 * offset_m:.3g} nm short of it, and follows at {1e9 * LET_IN_M_PER_S:g} nm/s while the tip"
             " presses little"
         )
         self.event("mode", "warning", text, offset_m=offset_m, apart_m=apart_m)
@@ -292,16 +290,16 @@ class SlaveController(ControllerHalf):
 
     def _settle(self, settled: Settled) -> None:
         """Carry out what is due after a state of the instrument, or where none came."""
-        if settled.what not in (integration.NOTHING, integration.CONTINUE):
-            if settled.what == integration.ANSWER and self.switching:
+        if settled.sends:
+            if self.switching:
                 self.law_state = self._standing()
             dt_s = settled.periods * self.config.period_s
             state, signal = self.law.slave_send(self.params, self.law_state, self.tip, dt_s)
-            if settled.what != integration.ANSWER_EARLY:
+            if settled.accounts:
                 self.law_state = state
             if settled.answers:
                 self._publish_answer(signal)
-        if settled.what == integration.CONTINUE or settled.continues:
+        if settled.continues:
             self._receive(self.latest_signal(), 0)
             self._publish_command(answers=False)
 

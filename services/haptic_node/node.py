@@ -15,7 +15,7 @@ from telenano.extend.hands import (
 )
 from telenano.hand import safety
 from telenano.hand.config import DRIVERS, HapticConfig, changed_operator
-from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
+from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, Gate
 from telenano.hand.disturbances import DisturbedHaptic
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
@@ -187,7 +187,7 @@ class HapticNode(DeviceNode):
             return self._set_operator(control)
         if control.command == "set":
             if not isinstance(self.device, DisturbedHaptic):
-                raise RefusedError("disturbances: a real device has its own")
+                raise RefusedError("disturbances: only a simulated device has these settings, and this one is real")
             if not control.parameters:
                 raise RefusedError("set needs parameters, such as disturbances.tremor.enabled=true")
             changed = changed_disturbances(self.device.disturbances, control.parameters, "haptic_node")
@@ -219,13 +219,13 @@ class HapticNode(DeviceNode):
     def _set_operator(self, control: SessionControl) -> str:
         """Put another simulated hand on the device, while the operator's force profile does not run."""
         if not isinstance(self.device, SimulatedHaptic):
-            raise RefusedError("operator: a real device has its own")
+            raise RefusedError("operator: only a simulated device has a simulated hand, and this one is real")
         if self._memory.session_ticks is not None:
             raise RefusedError("operator: its force profile runs; stop the session first")
         self._config = changed_operator(self._config, control.parameters)
         self.device.take_operator(self._config.operator.to_params())
         self._other_operator = True
-        return f"the operator is {self._config.operator.kind}, with the next start"
+        return f"the operator is {self._config.operator.kind} from the next session start"
 
     def _on_law_change(self, control: SessionControl) -> None:
         """Let go of the hand when the law changes: the new one is to find no force in the coupling."""
@@ -307,7 +307,7 @@ class HapticNode(DeviceNode):
         """Return why an impedance device is not to be driven now, empty if it may be."""
         if self._memory.let_go_ticks:
             return _LAW_CHANGES
-        return "" if self._memory.gate in (GATE_ACTIVE, GATE_READY) else GATES[self._memory.gate]
+        return "" if self._memory.gate in (GATE_ACTIVE, GATE_READY) else Gate(self._memory.gate).text
 
 
 def _device_limited(reading: DeviceReading) -> bool:

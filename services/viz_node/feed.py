@@ -139,7 +139,7 @@ class Feed:
     def _set_state(self, name: str, facts: dict[str, Any]) -> None:
         if self._state.get(name) != facts:
             if name not in self._state and len(self._state) >= _MOST_STATES:
-                raise ValueError(f"{name}: is the state of one site too many")
+                raise ValueError(f"{name}: more than {_MOST_STATES} states are not kept")
             _check({name: facts}, _MOST_BYTES)
             self._state[name] = facts
             self._changes.setdefault("state", {})[name] = facts

@@ -16,6 +16,7 @@ from services.viz_node.document import Document
 from services.viz_node.feed import Feed
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.metrics import metrics_text
+from services.viz_node.page_hand import HAND_FRESH_S, TICK_S, HandOutlet, PageHand
 from services.viz_node.page_session import REQUESTS_PER_S, Session
 from services.viz_node.requests import (
     CommandRequest,
@@ -42,19 +43,10 @@ from telenano.wire.errors import RefusedError, TelenanoError
 from telenano.wire.messages import Scalar
 from telenano.wire.nodes import TIP
 
-TICK_S = 1.0 / 30.0
 # without a page only what a page that comes later needs is collected
 IDLE_S = 0.25
-# A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
-# for a tenth of a second and more. The last force holds for this time and is repeated to the haptic node, which waits
-# for less. A frame that is later than this is dropped: over a queue that grows, old forces would be those of now.
-HAND_FRESH_S = 0.1
-# The force then fades over this time, and rises again as slowly.
-HAND_FADE_S = 0.25
 # A page whose hand is too slow is told so this often [s].
 _SLOW_REPORT_PERIOD_S = 0.5
-# Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
-_LONGEST_LOOK_S = 3.0 * TICK_S
 # Of one page, with the one that is being carried out.
 MOST_COMMANDS = 4
 # As of a session/control (ADR 0014); a page that means it sends it again.
@@ -102,22 +94,6 @@ class Commander(Protocol):
         """Stop the devices at once; return by node the answer. TelenanoError says why not."""
 
 
-class HandOutlet(Protocol):
-    """Where the force of an operator at a page goes."""
-
-    def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
-        """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go. `by`: whose it is."""
-
-    def publish(self, topic: str, **fields: Any) -> object:
-        """Publish on a topic of a package's panel."""
-
-    def now_ns(self) -> int:
-        """Return the time on the clock of the endpoint [ns]."""
-
-    def close(self) -> None:
-        """Let go of the endpoint."""
-
-
 class Wish:
     """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
 
@@ -132,7 +108,7 @@ class Wish:
     def make_void(self, reason: str) -> None:
         """Give up a command, whether it waits or is being sent; what only ends a motion stays wanted."""
         if self._command != _STOP:
-            self.reason = f"{self._command} was given up: {reason}"
+            self.reason = f"{self._command} was cancelled: {reason}"
             self._is_void.set()
 
     def is_wanted(self) -> bool:
@@ -188,7 +164,7 @@ class Hub:
         self._commander = commander
         self._make_forms = forms
         self._forms: Mapping[str, Any] = {}
-        self._open_hand = open_hand
+        self.hand = PageHand(open_hand)
         self._document = document
         self._feed = Feed()
         self._turn = asyncio.Lock()
@@ -200,13 +176,6 @@ class Hub:
         self._withdrawing: asyncio.Task[None] | None = None
         self._held_up_s = self._distrust_until_s = 0.0
         self._about: Mapping[str, Any] = {}
-        self._hand: HandOutlet | None = None
-        self._holder: Session | None = None
-        # since when the hand was looked after, and how long the page has said nothing
-        self._looked_s = self._silent_s = 0.0
-        # what was said last, and the share of it that is in force
-        self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
-        self._share = 1.0
         self.panels = installed_panels()
         self._desks = {row.id: row.desk() for row in self.panels.rows if row.desk is not None}
         guests = self.panels.of_guests
@@ -229,9 +198,7 @@ class Hub:
                 await asyncio.sleep(due_s - time.monotonic())
         finally:
             making.cancel()
-            self._release()
-            if self._hand is not None:
-                self._hand.close()
+            self.hand.close()
 
     def note_end(self, task: "asyncio.Task[None]") -> None:
         """Note what ended `run`, and end the server with it: its pages would show the past."""
@@ -301,9 +268,9 @@ class Hub:
             self.leave(session)
             session.end(_packed({"k": "refused", "text": REVOKED}))
         changes = self.desk.tick(self.sessions, time.monotonic())
-        if changes is not None and self._holder is not None and not self.desk.may_press(self._holder):
-            self._holder.answer(_packed({"k": "hand", "held": False, "text": f"Let go: {self._who_has_it()}"}))
-            self._release()
+        if changes is not None and self.hand.holder is not None and not self.desk.may_press(self.hand.holder):
+            self.hand.holder.answer(_packed({"k": "hand", "held": False, "text": f"Let go: {self._who_has_it()}"}))
+            self.hand.release()
         holder = self.desk.lease.holder
         if changes is not None:
             self.on_lease(holder)
@@ -349,7 +316,7 @@ class Hub:
         if role is Role.PARTICIPANT:
             # Nothing reaches readers that is published before they have connected.
             with contextlib.suppress(TelenanoError):
-                self._outlet()
+                self.hand.outlet()
         return session
 
     def _free_window(self) -> str:
@@ -365,10 +332,10 @@ class Hub:
         self.sessions.discard(session)
         for wish in self._wishes:
             if wish.session is session:
-                wish.make_void("its page has left")
+                wish.make_void("its page was closed")
         self.desk.leave(session)
-        if session is self._holder:
-            self._release()
+        if session is self.hand.holder:
+            self.hand.release()
 
     @property
     def left_out(self) -> LeftOut:
@@ -387,13 +354,13 @@ class Hub:
     def snapshot(self, session: Session) -> bytes:
         """Return everything that a page needs to begin, and to a participant no more than that may know."""
         if session.role is Role.PARTICIPANT:
-            return _packed(self._picture.snapshot(self._feed.snapshot(), hand=self._open_hand is not None))
+            return _packed(self._picture.snapshot(self._feed.snapshot(), hand=self.hand.exists))
         return _packed(
             {
                 "k": "snapshot",
                 "role": session.role,
                 "commands": self._commander is not None,
-                "hand": self._open_hand is not None,
+                "hand": self.hand.exists,
                 "streams": described(),
                 "forms": self._forms,
                 "source": self._source.about(),
@@ -444,11 +411,13 @@ class Hub:
         document, counted = self._document, 0
         try:
             if not session.may_ask(time.monotonic()):
-                raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
+                raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
             if document is None:
-                raise RefusedError("a running rig is no document: only a recording can be read in")
+                raise RefusedError("only a recording can be read in parts, and this page shows a running rig")
             if self._reads >= _MOST_READS:
-                raise RefusedError(f"{self._reads} parts of the recording are being read already: ask again")
+                raise RefusedError(
+                    f"{self._reads} parts of the recording are already being read: try again in a moment"
+                )
             self._reads, counted = self._reads + 1, 1
             work: Callable[[], Any] = document.about
             if isinstance(request, PartRequest):
@@ -462,7 +431,7 @@ class Hub:
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
-            raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
+            raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
         if isinstance(request, PanelRequest) and session.role is not Role.OBSERVER:
             return await self._ask_desk(session, request)
         if session.role in (Role.OBSERVER, Role.PARTICIPANT) and not isinstance(request, EstopRequest):
@@ -478,7 +447,7 @@ class Hub:
         if isinstance(request, LeaseRequest):
             # Opening the way of the hand may take as long as a lease lasts without its holder.
             with contextlib.suppress(TelenanoError):
-                self._outlet()
+                self.hand.outlet()
             text = self.desk.ask_for(session, request)
             # the former holder lets go before the answer
             self.tick()
@@ -486,14 +455,6 @@ class Hub:
         if isinstance(request, CommandRequest):
             return await self._command(self._commander, session, request, arrived_s)
         raise RefusedError("a page says hello once")
-
-    def _outlet(self) -> HandOutlet:
-        """Return the endpoint of the page, and open it the first time."""
-        if self._open_hand is None:
-            raise RefusedError("a recording cannot be answered")
-        if self._hand is None:
-            self._hand = self._open_hand()
-        return self._hand
 
     async def _ask_desk(self, session: Session, request: PanelRequest) -> Answers:
         """Let the desk of a panel carry out what a page asks of it; a guest asks that of the guests alone."""
@@ -504,7 +465,7 @@ class Hub:
         if (size := len(_packed(request.values))) > _MOST_ASKED_BYTES:
             raise RefusedError(f"an answer has {size} bytes, {_MOST_ASKED_BYTES} are allowed")
         asked = Asked(request.id, session.party.id, session.role.value, request.values)
-        return {request.panel: ("ack", await desk.ask(asked, _PanelRig(self._outlet(), self._feed.state)))}
+        return {request.panel: ("ack", await desk.ask(asked, _PanelRig(self.hand.outlet(), self._feed.state)))}
 
     async def _stop(self, commander: Commander, by: str) -> Answers:
         """Stop the devices beside whatever else is being sent, and give up every command of every page."""
@@ -551,7 +512,7 @@ class Hub:
     def _check_arrival(self, session: Session, request: CommandRequest) -> None:
         """Raise RefusedError for a command that may not even wait for its turn."""
         if session not in self.sessions:
-            raise RefusedError(f"{request.command} was given up: its page has left")
+            raise RefusedError(f"{request.command} was cancelled: its page was closed")
         waiting = sum(wish.session is session for wish in self._wishes)
         if waiting >= MOST_COMMANDS:
             raise RefusedError(
@@ -582,28 +543,22 @@ class Hub:
         # A hand is let go at any age and in any order.
         if not request.held:
             session.hand.number = max(session.hand.number, request.number)
-            if session is self._holder:
-                self._release()
+            if session is self.hand.holder:
+                self.hand.release()
             if self.desk.has(session):
                 self._end_act(session)
             return
         try:
-            if self._open_hand is None or session.role is Role.OBSERVER:
+            if not self.hand.exists or session.role is Role.OBSERVER:
                 self.desk.refused.note("role", f"{session.party.label}: the force of a hand")
                 raise RefusedError("this page cannot hold the hand")
             if self._is_old(session, request):
                 return
-            if session is not self._holder or request.lease not in (0, self.desk.lease.number):
+            if session is not self.hand.holder or request.lease not in (0, self.desk.lease.number):
                 self.desk.act(session, request.lease, presses=True)
-                if self._holder not in (None, session):
+                if self.hand.holder not in (None, session):
                     raise RefusedError("another page holds the hand")
-            outlet = self._outlet()
-            if self._holder is not session:
-                self._share, self._looked_s = 1.0, time.monotonic()
-            self._holder, self._force = session, (request.force_n, (request.across_x_n, request.across_y_n))
-            self._fade()
-            self._silent_s = 0.0
-            self._push_share(outlet)
+            self.hand.press(session, request.force_n, (request.across_x_n, request.across_y_n))
         except TelenanoError as error:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
 
@@ -630,45 +585,16 @@ class Hub:
 
     def _end_act(self, session: Session) -> None:
         """Let a page that has not taken the hand have it no longer than its acts last."""
-        if session is not self._holder and not any(wish.session is session for wish in self._wishes):
+        if session is not self.hand.holder and not any(wish.session is session for wish in self._wishes):
             with contextlib.suppress(TelenanoError):
                 self.desk.ended(session)
 
     def _hold(self) -> None:
-        """Repeat the force of the page that holds the hand, and let go for one that has said nothing for too long."""
-        if self._holder is None or self._hand is None:
-            return
-        self._fade()
-        late_s = max(self._silent_s, self._holder.hand.late_s)
-        self._tell_slow(self._holder, late_s if late_s > HAND_FRESH_S else 0.0)
-        if self._silent_s > HAND_FRESH_S + HAND_FADE_S:
-            self._release()
-            return
-        with contextlib.suppress(TelenanoError):
-            self._push_share(self._hand)
-
-    def _fade(self) -> None:
-        """Continue with the share of the force that is in force: less in a silence, and more while a page is heard."""
-        now_s = time.monotonic()
-        passed_s = min(_LONGEST_LOOK_S, now_s - self._looked_s)
-        self._silent_s, self._looked_s = self._silent_s + passed_s, now_s
-        # Of what passed since the last look only what is beyond the first time is silence.
-        over_s = min(passed_s, self._silent_s - HAND_FRESH_S)
-        change = -over_s if over_s > 0.0 else passed_s
-        self._share = min(1.0, max(0.0, self._share + change / HAND_FADE_S))
-
-    def _push_share(self, outlet: HandOutlet) -> None:
-        """Publish the force of the page that holds the hand, as much of it as is in force."""
-        (force_n, (x_n, y_n)), share, holder = self._force, self._share, self._holder
-        if holder is not None:
-            outlet.push(share * force_n, (share * x_n, share * y_n), holder.party.name)
-
-    def _release(self) -> None:
-        """Let go of the hand: the force at the device is none. The endpoint stays open for the next time."""
-        holder, self._holder = self._holder, None
-        if holder is not None and self._hand is not None:
-            with contextlib.suppress(TelenanoError):
-                self._hand.push(0.0, (0.0, 0.0), holder.party.name)
+        """Repeat the force of the page that presses, and report to it how late its hand is."""
+        holder, late_s = self.hand.holder, self.hand.look()
+        if holder is not None and late_s is not None:
+            self._tell_slow(holder, late_s if late_s > HAND_FRESH_S else 0.0)
+            self.hand.repeat()
 
 
 class _NoPicture:

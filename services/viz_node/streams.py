@@ -132,12 +132,12 @@ STREAMS = (
             Column("forward_dropped", "1", "messages dropped since the start", lambda f: _dropped(f["forward"])),
             Column("backward_dropped", "1", "messages dropped since the start", lambda f: _dropped(f["backward"])),
             Column(
-                "forward_loss", "1", "share dropped of those that came since the report before", _number("forward_loss")
+                "forward_loss", "1", "share dropped of the messages since the previous report", _number("forward_loss")
             ),
             Column(
                 "backward_loss",
                 "1",
-                "share dropped of those that came since the report before",
+                "share dropped of the messages since the previous report",
                 _number("backward_loss"),
             ),
         ),

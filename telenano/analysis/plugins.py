@@ -62,7 +62,7 @@ def require_installed(recorded: Mapping[str, Mapping[str, str]]) -> None:
         if name not in installed(kind):
             package = facts["package"]
             is_own = package in KNOWN_PACKAGES.values()
-            how = how_to_add_package(package) if is_own else "ask who recorded it where that package comes from"
+            how = how_to_add_package(package) if is_own else "ask the author of the recording for that package"
             what = f"{kind.removesuffix('s')} {printable(name)} of {package} {facts['version']}"
             raise ConfigError(f"the session used the {what}, which is not installed here: {how}")
 
@@ -79,5 +79,7 @@ def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
         kind, _, name = key.partition(".")
         row, what = installed(kind)[name], f"{kind.removesuffix('s')} {name} of {facts['package']}"
         if row.digest != facts["digest"]:
-            texts.append(f"the {what} was {facts['version']} with other files, and is {row.version} here")
+            texts.append(
+                f"the {what} of this session was version {facts['version']} with other files; {row.version} is here"
+            )
     return texts

@@ -214,15 +214,15 @@ class Summary(_Part):
     changed: list[str] = Field(description="What was set while the session ran, each with the node that set it")
     outside_of_shown: list[OutsideSummary] = Field(
         default=[],
-        description="Warnings that the session was outside of what its law was shown to hold by the benchmark "
-        "(`docs/laws.md`); the key is absent where there was none",
+        description="Warnings that the session was outside of the conditions in which the benchmark showed its law to "
+        "hold (`docs/laws.md`); the key is absent where there was none",
     )
     link_round_trip_ms: float | None = Field(
         description="Median of the delays that the link added there and back [ms]; null without `link/status`"
     )
     link_round_trip_range_ms: list[float] | None = Field(
         default=None,
-        description="Least and greatest of those delays, each a mean of 0.1 s [ms]: they tell of a delay that was "
+        description="Least and greatest of those delays, each a mean of 0.1 s [ms]: they differ where the delay was "
         "changed in the session; null without `link/status`",
     )
     loop_round_trip_ms: float | None = Field(

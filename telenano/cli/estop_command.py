@@ -168,7 +168,7 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         emergency_stop(rig, reach, target, on_answer, os.environ.get("TELENANO_NAME", ""))
     elif reach.absent and not reach.by_console:
         if kept := keep_stop(rig, reach, target, os.urandom(12).hex()):
-            raise RigError(f"{', '.join(kept)} does not run now: the stop is kept, it comes back in emergency stop")
+            raise RigError(f"{', '.join(kept)} is not running: the stop is kept, and it will start in emergency stop")
         raise RigError("no device of the site file runs here: is `telenano up` running with this site file?")
     for device in reach.absent:
         sys.stderr.write(f"telenano: {device} does not run\n")

@@ -41,7 +41,7 @@ _ABOUT = {
     "estop": "Stop the devices at once, regardless of what else sends commands.",
     "status": "Show the state of a running rig.",
     "view": "Open the operator's page of a rig or of a recording.",
-    "bridge": "Hand a running rig to the viewers of others.",
+    "bridge": "Publish a running rig to other viewers.",
     "topic": "Inspect the messages of a running rig.",
     "link": "Show and change the link of a running rig.",
     "node": "Run one node alone.",

@@ -231,7 +231,7 @@ def emergency_stop(
     if missing:
         # The stop is kept once more, because an earlier arming may have removed the first copy.
         kept = [device for device in keep_stop(rig, reach, target, identifier) if device in missing]
-        later = f": {', '.join(kept)} will obey it on going on, or when started again" if kept else ""
+        later = f": {', '.join(kept)} will stop as soon as it continues or is started again" if kept else ""
         raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s{later}")
     return answers
 

@@ -192,12 +192,12 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
     """
     lease = current(lease, now_ns)
     if party.role != "teacher" and not lease.is_held_by(party):
-        raise RefusedError("only who holds control, or a teacher, hands it over")
+        raise RefusedError("only the holder of control, or a teacher, can hand it over")
     if number != lease.number:
         raise RefusedError("this belongs to an earlier lease")
     receiver = next((each.party for each in lease.asking if to in ("", each.party.id)), None)
     if receiver is None:
-        raise RefusedError("control was not asked for" if not to else "that one does not ask any more")
+        raise RefusedError("control was not asked for" if not to else "that page no longer asks for control")
     return _granted(lease, receiver, now_ns, kept=True)
 
 

@@ -148,10 +148,10 @@ def holding(what: str, *, role: str = "operator", register: LeaseRegister | None
 
 @contextlib.contextmanager
 def acting() -> Iterator[Hold]:
-    """Have the hand for one command of this process, unless it has taken it for longer.
+    """Hold control for one command of this process, unless it holds it for longer already.
 
     Raises:
-        RefusedError: Another has it.
+        RefusedError: Another process or page holds it.
     """
     if _held:
         if not _held[-1].is_held():

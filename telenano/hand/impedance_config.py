@@ -93,7 +93,10 @@ class CouplingConfig(Settings):
         default=0.05, ge=1e-3, le=0.05, description="Silence of node or device after which there is no force [s]"
     )
     deadman_age_s: float = Field(
-        default=0.1, ge=0.02, le=1.0, description="Oldest word about the button; grips speak at some 50 Hz [s]"
+        default=0.1,
+        ge=0.02,
+        le=1.0,
+        description="Oldest report of the button that counts; grips report at some 50 Hz [s]",
     )
     rest_s: float = Field(
         default=0.2, ge=0.0, le=10.0, description="How long the hand has to be at rest before there is force [s]"
@@ -106,7 +109,7 @@ class CouplingConfig(Settings):
         default=0.1,
         ge=0.0,
         le=10.0,
-        description="How long a place may stay the same bits under a changing force [s]; 0: for ever",
+        description="How long a position may stay exactly the same under a changing force [s]; 0: for ever",
     )
     frozen_force_n: float | None = Field(
         default=None,
@@ -160,7 +163,7 @@ class CouplingConfig(Settings):
         return bounds_of(self.to_settings(device), device, self.margin)
 
 
-def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float) -> Bounds:
+def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float = STABLE_MARGIN) -> Bounds:
     """Return a coupling along the paper's axis beside its bounds at a device; margin: of the stable one."""
     k, b = settings.stiffness_n_per_m[2], settings.damping_n_s_per_m[2]
     timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s

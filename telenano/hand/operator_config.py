@@ -153,15 +153,17 @@ class ReactingConfig(Settings):
         default=0.25, ge=1e-3, le=10.0, description="How long the arm has stood still before the next move [s]"
     )
     answer_s: float = Field(
-        default=0.0, ge=0.0, le=60.0, description="What it has learnt to wait for as well, the round trip [s]; [0, 60]"
+        default=0.0, ge=0.0, le=60.0, description="Additional wait that it has learnt, the round trip [s]; [0, 60]"
     )
     still_m_per_s: float = Field(
         default=1e-3, ge=1e-6, le=1.0, description="Speed below which the arm stands still [m/s]; [1e-6, 1]"
     )
     gain: float = Field(default=0.6, gt=0.0, le=1.9, description="Share of the error that a move corrects; (0, 1.9]")
-    noise: float = Field(default=0.0, ge=0.0, le=1.0, description="Scatter of that share, a share of it; [0, 1]")
+    noise: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="Standard deviation of that share, relative to it; [0, 1]"
+    )
     seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of the scatter")
-    tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that it leaves as it is [N]")
+    tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that it does not correct [N]")
     rate_n_per_s: float = Field(default=10.0, gt=0.0, le=1e4, description="How fast its force changes [N/s]")
     max_force_n: MaxForce = 10.0
 

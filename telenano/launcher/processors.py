@@ -76,7 +76,7 @@ def held(numbers: Collection[int], folder: Path) -> tuple[int, ...]:
 def fits_text(free: int) -> str:
     """Return in words how many rigs a number of free processors is enough for, and what a further one gets."""
     rigs = free // FOR_A_RIG
-    beyond = "a further one runs behind those that hold theirs, and may not reach its rate"
+    beyond = "a further rig shares processors with them, and may not reach its rate"
     return f"{free} free, enough for {rigs} more rig{'' if rigs == 1 else 's'}" + ("" if rigs else f": {beyond}")
 
 

@@ -184,7 +184,7 @@ class RigNode(Node):
             for node in change.nodes:
                 self.health.pop(node, None)
             at = datetime.fromtimestamp(change.since_ns * 1e-9).astimezone()
-            text = f"{change.subject} is silent since {at:%H:%M:%S}"
+            text = f"{change.subject} has been silent since {at:%H:%M:%S}"
             self.report("warning", text, about_node=change.subject, state="silent", silence_s=change.silence_s)
         elif change.first:
             self.report("info", f"{change.subject} is alive", about_node=change.subject, state="heard")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from telenano.files.atomic_files import write_whole
 from telenano.files.optional_modules import optional_module
 from telenano.launcher import processors
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
 from telenano.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
@@ -84,7 +84,7 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
             name, lock = _named(plan, show)
             stack.callback(_leave, name, site_of(plan.launcher), lock)
             # Its path is longer than that of the first rig, which was checked with the site file.
-            load_site(plan.site_file)
+            AddressBook.load(plan.site_file)
             held = lock.descriptors
             _remove_stale_folders(name, plan.launcher)
         claimed, behind = _claim(plan, show, lock_folder or processors.shared_folder())
@@ -166,7 +166,7 @@ def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict
     if isinstance(config.cpus, dict):
         claimed = processors.claim_these(config.cpus.values(), folder)
         if others := sorted(set(config.cpus.values()) - set(claimed)):
-            show(f"warning: realtime.cpus: other rigs hold {_list(others)}, and both will be late there")
+            show(f"warning: realtime.cpus: other rigs use processors {_list(others)} too, and both will be late there")
         return claimed, False
     if config.cpus == "free" or len(permitted) < processors.FOR_A_RIG or not _wants_fifo(config):
         return {}, False
@@ -176,7 +176,7 @@ def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict
         os.environ[PROCESSORS_VARIABLE] = ",".join(map(str, sorted(claimed)))
         return claimed, False
     taken = _list(processors.held(permitted, folder))
-    text = f"warning: no {needed} processors are free for this rig: other rigs hold {taken} of {len(permitted)}"
+    text = f"warning: this rig needs {needed} free processors: other rigs use processors {taken} of {len(permitted)}"
     if plan.site is not None:
         show(f"{text}; it shares theirs, and all of them may be late")
         return {}, False

@@ -13,6 +13,7 @@ from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.nodes import SERVICES
 
+_KNOWN = re.compile(r"did you mean [^?]*\? Known are|known are")
 _UNKNOWN = re.compile(r"(?:^|: )([^\s:]+): (?:unknown key|.+ has no key )")
 # The paper's symbols, as docs/glossary.md has them, and the last word of the key.
 _SYMBOLS = {
@@ -155,7 +156,10 @@ def _with_meant(line: str) -> str:
     endings = [name for name, ending in zip(names, words, strict=True) if ending == word]
     inner = [name for name in endings if section and name.startswith(f"{section.partition('.')[0]}.")]
     meant = " or ".join((inner or endings)[:_MOST_MEANT])
-    return f"{line.partition('; did you mean')[0]}; did you mean {meant}?" if meant else line
+    if not meant:
+        return line
+    text, count = _KNOWN.subn(lambda _: f"did you mean {meant}? Known are", line, count=1)
+    return text if count else f"{line}; did you mean {meant}?"
 
 
 def value_at(document: Mapping[str, Any], key: str) -> Any:
@@ -172,6 +176,6 @@ def value_at(document: Mapping[str, Any], key: str) -> Any:
                 names = known_names(part, value if isinstance(value, Mapping) else document)
                 raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {names}")
             names = known_names(part, value_at(document, ".".join(seen[:-1])))
-            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; in {'.'.join(seen[:-1])} {names}")
+            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; {names} in {'.'.join(seen[:-1])}")
         seen.append(part)
     return value

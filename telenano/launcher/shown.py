@@ -198,17 +198,17 @@ def advice(table: Mapping[str, Shown], law: str, axis: Axis, session: Session, c
         choices: The laws that can be taken instead.
     """
     happened, remedy = _HAPPENED[axis](table[law], law, session)
-    means = "The hand may feel a swing, or the tip rest off its force."
+    means = "The hand may feel an oscillation, or the tip may rest at another force than intended."
     fitting = [name for name in choices if name != law and name in table and table[name].fits(session)]
     best = min(fitting, key=lambda name: (table[name].tracking_error or math.inf, name), default="")
     if best:
         return f"{happened} {means} Take {best} (--set controller.law={best}) or {remedy}."
-    return f"{happened} {means} Take {remedy}: no law was shown to hold this session."
+    return f"{happened} {means} Take {remedy}: no law held such a session in the benchmark."
 
 
 def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     there, uneven = session.round_trip_ms, session.unevenness_ms
-    beginning = f"The line is outside of what {law} was shown to hold: "
+    beginning = f"The line is outside of the range in which {law} held in the benchmark: "
     there_ms = f"{there.value:.0f} ms there and back" if there is not None else "any length"
     if there is not None and not shown.holds_some(Session(there)):
         return f"{beginning}{there_ms}, {_up_to(shown, session)}.", "a shorter line"
@@ -216,25 +216,28 @@ def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     held = {place.unevenness_ms for place in shown.held}
     most = max((ms for ms in held if shown.holds_some(lengths._replace(unevenness_ms=Known(ms, ms, ms)))), default=0.0)
     longer = uneven.value if uneven is not None else 0.0
-    return f"{beginning}{there_ms}, at times {longer:.0f} ms more, shown up to {most:.0f} ms more.", "a steadier line"
+    return (
+        f"{beginning}{there_ms}, at times {longer:.0f} ms more, and it held up to {most:.0f} ms more.",
+        "a steadier line",
+    )
 
 
 def _of_stiffness(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     held, estimate = [place.stiffness_n_per_m for place in shown.held], session.stiffness_n_per_m
     if estimate is None or not held:
-        return f"{law} was shown to hold no sample.", "another law"
+        return f"{law} held no sample in the benchmark.", "another law"
     softer = estimate.high < min(held)
-    text = f"{estimate.low:.3g} to {estimate.high:.3g} N/m, shown from {min(held):g} to {max(held):g} N/m"
+    text = f"{estimate.low:.3g} to {estimate.high:.3g} N/m, where it held {min(held):g} to {max(held):g} N/m"
     return (
-        f"The sample is {'softer' if softer else 'stiffer'} than what {law} was shown to hold: {text}.",
+        f"The sample is {'softer' if softer else 'stiffer'} than those that {law} held in the benchmark: {text}.",
         f"a {'stiffer' if softer else 'softer'} cantilever or sample",
     )
 
 
 def _of_drift(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     most = max((place.drift_pm_per_s for place in shown.held), default=0.0)
-    limit = f"up to {most:g} pm/s" if most else "without drift only"
-    text = f"The contact drifts faster than what {law} was shown to hold: {_drift(session)}, shown {limit}."
+    limit = f"held up to {most:g} pm/s" if most else "held only without drift"
+    text = f"The contact drifts faster than {law} held in the benchmark: {_drift(session)}, and it {limit}."
     return text, "a pause until the instrument rests"
 
 
@@ -244,7 +247,7 @@ def _of_all(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     parts += [f"{sample.low:.3g} to {sample.high:.3g} N/m"] if sample is not None else []
     parts += [f"a drift of {_drift(session)}"] if session.drift_pm_per_s is not None else []
     remedy = "a shorter line" if line is not None and line.low > RIG_MS else "a softer sample or an instrument at rest"
-    beginning = f"The session is outside of what {law} was shown to hold: {', '.join(parts)} together"
+    beginning = f"The session is outside of the range in which {law} held in the benchmark: {', '.join(parts)} together"
     return f"{beginning}, {_up_to(shown, session)}.", remedy
 
 
@@ -259,7 +262,7 @@ def _up_to(shown: Shown, session: Session) -> str:
     rest = Session(stiffness_n_per_m=session.stiffness_n_per_m, drift_pm_per_s=session.drift_pm_per_s)
     held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Known(ms, ms, ms)), _NOTHING)]
     somewhere = "" if session.stiffness_n_per_m is not None else " on some sample"
-    return f"shown up to {max(held):.0f} ms{somewhere}" if held else "not shown over any line"
+    return f"and it held up to {max(held):.0f} ms{somewhere}" if held else "and it held over no line"
 
 
 _HAPPENED = {"line": _of_line, "stiffness": _of_stiffness, "drift": _of_drift, "together": _of_all}

@@ -142,7 +142,7 @@ class _OwnSections(Settings):
         if prompt is None or limit is None or stiffness_n_per_m <= limit:
             return ""
         behind = f" with an instrument that answers {1e3 * latency_s:.4g} ms late" if late else ""
-        behind += "" if even else " over a line that loses signals or holds them back"
+        behind += "" if even else " over a line that loses or delays signals"
         behind += f" ({prompt:.4g} N/m without that)" if behind else ""
         remedy = "an instrument that answers sooner" if late else "a smaller controller.period_s"
         return (

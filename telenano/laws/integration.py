@@ -36,7 +36,7 @@ A loop of the half against the sample has the force that was measured last, and 
 that. So it takes one step for each that the instrument has carried out, and, where the instrument answers late, one for
 each period. Signals that it passes over add to what it is behind.
 
-Before the instrument has answered, a half that keeps account of its local steps answers without accounting (EARLY): to
+Before the instrument has answered, a half that keeps account of its local steps answers without accounting: to
 such a half the tip would have stood for this step and moved twice as fast in the next, which takes twice the energy
 for the same way. Every other half accounts as if the commands had been carried out.
 """
@@ -47,12 +47,6 @@ from telenano.extend.laws import paced
 from telenano.laws.hand_periods import RESTARTED, HandClock, no_sample, periods_to
 from telenano.numerics.compiler import inlined
 
-# The slave half does one of these on a state of the instrument, or when none has come.
-NOTHING = 0
-ACCOUNT = 1
-ANSWER = 2
-ANSWER_EARLY = 3
-CONTINUE = 4
 _NEVER_NS = -1
 # the place among the steps of commands where those that are no longer distinguished are added up
 _LAST = 7
@@ -207,15 +201,30 @@ class SlaveTiming(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """What the slave half does (NOTHING to CONTINUE), the periods to account for, and whether the answer is sent.
+    """What the slave half does on a state of the instrument, or where a signal finds that none came.
 
-    continues: whether it steps once more behind an ANSWER, as in CONTINUE.
+    periods: for which the law accounts.
+    sends: whether the law makes the signal of its half.
+    accounts: whether the law keeps what it booked for that, which it does where the tip was measured.
+    answers: whether the signal goes to the other half.
+    continues: whether the half then steps by itself, and commands the instrument.
     """
 
-    what: int
     periods: int
+    sends: bool
+    accounts: bool
     answers: bool
     continues: bool
+
+
+class Tick(NamedTuple):
+    """What the slave half does at a signal: whether it begins again, and whether it steps now.
+
+    Without a step the command that is waited for answers this signal as well.
+    """
+
+    begins: bool
+    steps: bool
 
 
 @inlined
@@ -238,27 +247,40 @@ def slave_stalled(timing: SlaveTiming) -> SlaveTiming:
 
 
 @inlined
-def slave_signalled(
-    timing: SlaveTiming, params: TimingParams, received_ns: int, hand_ns: int, understood: bool
-) -> tuple[SlaveTiming, bool]:
-    """Return the timing at a signal that came at received_ns [ns], and whether the half begins again.
+def slave_tick(
+    timing: SlaveTiming,
+    params: TimingParams,
+    received_ns: int,
+    now_ns: int,
+    hand_ns: int,
+    understood: bool,
+    may_wait: bool,
+) -> tuple[SlaveTiming, Tick]:
+    """Return the timing at a signal, and what the half does about it.
 
     Args:
         timing: The timing before the signal.
         params: The parameters of timing.
         received_ns: When the signal came [ns].
+        now_ns: The time now [ns].
         hand_ns: The stamp of the hand's sample that the signal descends from [ns].
         understood: Whether the signal is of the law in force; any other counts as silence.
+        may_wait: Whether the half may leave its step to the instrument's next state: not without one, nor while the
+            law changes.
     """
     hand, periods = periods_to(timing.hand, hand_ns, params.period_ns, params.longest_periods)
     heard = Heard(received_ns, hand_ns) if understood else timing.heard
     if periods == RESTARTED:
-        return SlaveTiming(hand, heard, Pacing(1, 0, timing.pacing.step), timing.commands), True
-    return SlaveTiming(hand, heard, Pacing(periods, timing.pacing.behind, timing.pacing.step), timing.commands), False
+        return SlaveTiming(hand, heard, Pacing(1, 0, timing.pacing.step), timing.commands), Tick(True, True)
+    pacing = Pacing(periods, timing.pacing.behind, timing.pacing.step)
+    after = SlaveTiming(hand, heard, pacing, timing.commands)
+    if may_wait and _passes_over(after, params, now_ns):
+        return _passed_over(after), Tick(False, False)
+    return after, Tick(False, True)
 
 
 @inlined
-def slave_passes_over(timing: SlaveTiming, params: TimingParams, now_ns: int) -> bool:
+def _passes_over(timing: SlaveTiming, params: TimingParams, now_ns: int) -> bool:
     """Return whether the half makes no step at a signal now: the instrument still has one, and its time is not over.
 
     Half a period is left to signals that come early.
@@ -268,7 +290,7 @@ def slave_passes_over(timing: SlaveTiming, params: TimingParams, now_ns: int) ->
 
 
 @inlined
-def slave_passed_over(timing: SlaveTiming) -> SlaveTiming:
+def _passed_over(timing: SlaveTiming) -> SlaveTiming:
     """Return the timing after a signal without a step: the command that is waited for answers this one as well."""
     c, pacing = timing.commands, timing.pacing
     commands = Commands(c.newest, c.carried_out, c.steps, c.waiting, True, c.lasts_ns)
@@ -303,10 +325,10 @@ def slave_commanded(timing: SlaveTiming, number: int, answers: bool) -> SlaveTim
 def slave_unanswered(timing: SlaveTiming, early: bool) -> tuple[SlaveTiming, Settled]:
     """Return what a signal settles that comes while a command is waited for; early: without accounting for it."""
     if not timing.commands.waiting:
-        return timing, Settled(NOTHING, 0, False, False)
+        return timing, _nothing()
     if early:
-        return timing, Settled(ANSWER_EARLY, 0, timing.commands.answers, False)
-    return _settled(timing, ANSWER, 0, False)
+        return timing, Settled(0, True, False, timing.commands.answers, False)
+    return _settled(timing, 0, False)
 
 
 @inlined
@@ -332,19 +354,25 @@ def slave_measured(
         if c.waiting:
             # an instrument that answers late would make a loop in a silence as much slower
             late = now_ns >= c.lasts_ns - params.period_ns // 2 and 2 * silent_ns >= 3 * params.period_ns
-            return _settled(timing, ANSWER, 0, continues and late)
-        return timing, Settled(CONTINUE if continues else NOTHING, 0, False, False)
+            return _settled(timing, 0, continues and late)
+        return timing, Settled(0, False, False, False, continues)
     if held or number <= c.carried_out or not 0 < later < _LAST:
-        return timing, Settled(NOTHING, 0, False, False)
-    return _settled(timing, ACCOUNT, later, False)
+        return timing, _nothing()
+    return _settled(timing, later, False)
 
 
 @inlined
-def _settled(timing: SlaveTiming, what: int, later: int, continues: bool) -> tuple[SlaveTiming, Settled]:
-    """Settle all commands but those that were sent later than the one carried out."""
+def _nothing() -> Settled:
+    """Return that a half does nothing."""
+    return Settled(0, False, False, False, False)
+
+
+@inlined
+def _settled(timing: SlaveTiming, later: int, continues: bool) -> tuple[SlaveTiming, Settled]:
+    """Settle all commands but those that were sent later than the one carried out; the newest of them is answered."""
     commands, periods = _carried_out(timing.commands, later)
     after = SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
-    return after, Settled(what, periods, what == ANSWER and timing.commands.answers, continues)
+    return after, Settled(periods, True, True, later == 0 and timing.commands.answers, continues)
 
 
 @inlined

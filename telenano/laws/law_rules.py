@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement
 from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
@@ -183,7 +183,7 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
     held = [1e8 * force_n for _, force_n in rows[-_HOLD_TICKS:]]
     mean, swing = sum(held) / len(held), max(held) - min(held)
     if not abs(mean - 1.0) <= _HOLD_SHARE or not swing <= _HOLD_SHARE:
-        late = f" and tells the law of it {' and '.join(map(str, lates))} ms later," if any(lates) else ""
+        late = f" and reports it to the law {' and '.join(map(str, lates))} ms later," if any(lates) else ""
         yield (
             f"a hand of 1 N that goes to a wall of {stiffness:.4g} N/m, {1e9 * _WALL_M:g} nm away,{late} presses with"
             f" {mean:.3g} N on average and swings by {swing:.3g} N in the end; 1 N within"
@@ -255,7 +255,7 @@ def _retunes(name: str) -> Iterator[str]:
     settings = bench.law.config.model_validate({})
     for key, schema in bench.law.config.model_json_schema()["properties"].items():
         value = getattr(settings, key)
-        if key in fixed_in_contact(bench.law) or schema.get("type") not in ("number", "integer") or not value:
+        if key in bench.law.all_fixed_in_contact() or schema.get("type") not in ("number", "integer") or not value:
             continue
         for factor in _RETUNED_BY:
             other = bench.retuned(**{key: min(max(factor * value, schema["minimum"]), schema["maximum"])})

@@ -236,7 +236,9 @@ class DirectionEngine:
         for pattern, waiting in state.waiting.items():
             queue = pipeline.shared_models[pattern].queue
             if queue is None:
-                raise ValueError(f"{pattern or 'the direction'} has no queue")
+                raise ValueError(
+                    f"{pattern or 'the direction'}: messages waited in a queue, and the settings have none"
+                )
             queue.refill(_waiting(self._restored(message, find)) for message in waiting)
 
     def _captured(self, message: InFlight) -> Queued:

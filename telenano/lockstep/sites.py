@@ -250,11 +250,11 @@ def master_with_answer(
 @inlined
 def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> Slave:
     """Return the slave half after a signal that descends from the sample of hand_ns [ns], with a new command."""
-    timing, begins = integration.slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    timing, tick = integration.slave_tick(s.timing, halves.slave, now_ns, now_ns, hand_ns, True, False)
     law = s.law
     if s.timing.heard.received_ns < 0:
         law = slave_start(halves.law, s.tip)
-    elif begins:
+    elif tick.begins:
         law, _ = slave_receive(halves.law, law, NO_SIGNAL, s.tip, halves.period_s)
     reported_ns = hand_ns + _reported_delay_ns(now_ns - hand_ns)
     s = Slave(
@@ -364,8 +364,8 @@ def counts(m: Master, path: AcrossPath, now_ns: int) -> bool:
 @inlined
 def continues(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
     """Return whether a signal follows the one before while the instrument follows, and how much later it is [s]."""
-    timing, begins = integration.slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
-    follows = not begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
+    timing, tick = integration.slave_tick(s.timing, halves.slave, now_ns, now_ns, hand_ns, True, False)
+    follows = not tick.begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
     return follows, timing.pacing.elapsed * halves.period_s
 
 
@@ -388,7 +388,7 @@ def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -
     """Let the instrument step by itself, and the slave half with it, where its last signal still counts."""
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, False)
     s, settled = _slave_measured(halves, s, tip, now_ns)
-    if settled.what == integration.CONTINUE:
+    if settled.continues:
         s = _slave_stepped(halves, s, now_ns, 0, False)
         s, i, _ = carried_out(halves, params, s, i, now_ns)
     return s, i

@@ -64,7 +64,7 @@ def column_pieces(recording: RecordingSource, channel_topic: str, fields: Sequen
     if channel_topic not in names:
         shown = ", ".join(sorted(names)) or "none"
         near = probably_meant(channel_topic, names)
-        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {shown}{near}")
+        raise RecordingError(f"{recording.path}: has no channel {channel_topic}{near}; its channels are {shown}")
     paths: dict[str, _Path] = {
         field: tuple(int(part) if part.isdecimal() else part for part in field.split("."))
         for field in fields
@@ -176,8 +176,8 @@ def _read_each(
                     value = None if value is None else value[part]
             except (KeyError, IndexError, TypeError) as error:
                 where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
-                shown = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
-                raise RecordingError(f"{where}: has no field {field}, its fields are {shown}") from error
+                near, shown = probably_meant(str(path[0]), decoded), ", ".join(decoded)
+                raise RecordingError(f"{where}: has no field {field}{near}; its fields are {shown}") from error
             values[field].append(value)
     return [message for message, _ in taken], values
 

@@ -106,7 +106,7 @@ class IndexedRecording(Recording):
             return super()._content(data, block)
         chunk = chunk_at(data, block.offset, block.data_end)
         if chunk is None or chunk._replace(crc=0) != block:
-            raise DamagedBlockError("the chunk is not what the index says")
+            raise DamagedBlockError("the chunk differs from its entry in the index")
         return unpack(data, chunk)
 
     def _records(

@@ -48,9 +48,9 @@ def _faults(data: Bytes, layout: Layout, messages: int) -> Iterator[str]:
     statistics = summary.statistics
     if statistics is not None:
         if statistics.message_count != messages:
-            yield f"the summary states {statistics.message_count} messages, and {messages} are in the file"
+            yield f"the summary states {statistics.message_count} messages, but the file has {messages}"
         if sum(statistics.channel_message_counts.values()) != statistics.message_count:
-            yield "the summary states other numbers of messages for all channels than for each of them"
+            yield "the numbers of messages by channel in the summary do not add up to the total that it states"
     stated = {(c.chunk_start_offset, c.message_start_time, c.message_end_time) for c in summary.chunk_indexes}
     chunks = (block for block in layout.blocks if block.data_start != block.offset)
     actual = {(block.offset, block.first_ns, block.last_ns) for block in chunks}

@@ -27,19 +27,19 @@ class RecorderConfig(FileSettings):
     """Settings: what is recorded, into how many files, and how much of it a kill may lose."""
 
     flush_interval_s: Annotated[float, Field(ge=0.01, le=0.25)] = Field(
-        default=0.2, description="Most that a kill of the recorder may lose [s], 0.01 to 0.25"
+        default=0.2, description="Longest part lost if the recorder is killed [s], 0.01 to 0.25"
     )
     topics: tuple[str, ...] = Field(
         default=(), description="Record only these: globs of channel names, or /regular expressions/; none = all"
     )
-    exclude: tuple[str, ...] = Field(default=(), description="Do not record these: the same patterns")
+    exclude: tuple[str, ...] = Field(default=(), description="Channels not to record, by the same patterns")
     far: Literal["fetch", "stream"] = Field(
         default="stream",
-        description="What the other machine of two sends fast: stream it over the network, or fetch it from there "
-        "after the session, which `up --site` has by default",
+        description="How the fast topics of the other machine are recorded: stream them over the network, or fetch "
+        "them from there after the session, the default of `up --site`",
     )
     fetch_kbit_per_s: Annotated[float, Field(ge=64.0, le=1e6)] = Field(
-        default=50_000.0, description="Most that is fetched after a session [kbit/s]; no loop runs then"
+        default=50_000.0, description="Rate of the fetch after a session, while no loop runs [kbit/s]"
     )
     split_size_bytes: _Size | None = Field(
         default=None, description="Begin a new file at this size [bytes]; none = never"

@@ -30,7 +30,7 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
     if sites != sorted(sites) or set(sites) != {"master", "slave"}:
         sites_read = ", ".join(f"{source} of {site or 'no site'}" for source, site in zip(sources, sites, strict=True))
         raise RecordingError(
-            f"recordings of the master's site and then of the slave's are needed, these are {sites_read}"
+            f"give the recordings of the master's site first and of the slave's second; these are {sites_read}"
         )
     clock = slave_clock(open_recordings([Path(source) for source in sources[: sites.count("master")]]))
     of_slave, of_master = (

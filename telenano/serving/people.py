@@ -78,7 +78,9 @@ class People:
         def without_person(people: list[Person]) -> list[Person]:
             names = sorted({each.name for each in people if each.is_admitted(self._now_s())})
             if name not in names:
-                raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(names) or 'no person'} has")
+                raise ConfigError(
+                    f"--revoke {printable(name)}: has no address; addresses exist for {', '.join(names) or 'no person'}"
+                )
             return [msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in people]
 
         self._change(without_person)

@@ -7,7 +7,7 @@ site_file_named(Path("two_sites"))         # .../telenano/settings/sites/two_sit
 from pathlib import Path
 
 from telenano.settings.plugins import scenario_files
-from telenano.wire.errors import ConfigError, probably_meant
+from telenano.wire.errors import ConfigError, known_names
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
@@ -47,8 +47,7 @@ def find_scenario(name: str) -> Path:
     if hint := where_it_is(f"scenario {name}"):
         raise ConfigError(hint)
     names = known_scenarios()
-    listed = f"known are {', '.join(names)}, or give a .yaml file{probably_meant(name, names)}"
-    raise ConfigError(f"unknown scenario {name!r}: {listed}")
+    raise ConfigError(f"unknown scenario {name!r}: {known_names(name, names)}, or give a .yaml file")
 
 
 def site_file_named(path: Path | None) -> Path | None:

@@ -5,16 +5,17 @@ from typing import Any
 
 
 def known_names(name: str, choices: Iterable[str]) -> str:
-    """Return the names that there are, for an error, and the one that was probably meant: `known are a, b`."""
+    """Return the names that there are, for an error, after the one that was probably meant: `known are a, b`."""
     names = [str(choice) for choice in choices]
-    return f"known are {', '.join(names)}{probably_meant(name, names)}"
+    meant = probably_meant(name, names).removeprefix("; ")
+    return f"{meant} Known are {', '.join(names)}" if meant else f"known are {', '.join(names)}"
 
 
 def probably_meant(name: str, choices: Iterable[str]) -> str:
     """Return `; did you mean NAME?` with the nearest of some names, empty where none is near."""
     from difflib import get_close_matches
 
-    near = get_close_matches(name, choices, n=1, cutoff=0.7)
+    near = get_close_matches(name, [choice for choice in choices if choice != name], n=1, cutoff=0.7)
     return f"; did you mean {near[0]}?" if near else ""
 
 

@@ -280,7 +280,7 @@ END_BY_THEMSELVES = {
     "deploy/handover.py: hand_over": "each file of the session is answered once, and the files are a list",
     f"{UDP}: UdpPorts.receive": "what one call of epoll has returned is a list",
     "telenano/runtime/bus/bus.py: without_superseded": "a batch is a list",
-    "telenano/console/command_client.py: send_controls": "it takes a batch of each reader a turn, as Observer.listen",
+    "telenano/console/command_client.py: _exchange": "it takes a batch of each reader a turn, as Observer.listen",
 }
 
 

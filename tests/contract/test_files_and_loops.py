@@ -44,7 +44,7 @@ READS = {"recv", "recv_multipart", "recv_into", "recvfrom", "recvfrom_into", "re
 READS_OF = {("select", "select"), ("zmq", "select"), ("os", "read")}
 # To parse all modules takes seconds, and most have none of these.
 _MAYBE_WRITES = re.compile(
-    r"os\.open\(|(open|File|memmap)\([^)]*[\"'][rb]*[wax+]|\.replace\((?![\"'])|whole_|mkstemp|np\.save\(|\bshutil\.|"
+    r"os\.open\(|(open|File|memmap)\([^)]*[\"'][rb]*[wax+]|\.replace\((?![\"'])|whole_|atomic_|mkstemp|np\.save\(|\bshutil\.|"
     r"\bos\.(link|symlink|sendfile|copy_file)|\.(" + "|".join(WRITING_METHODS) + r")\("
 )
 _MAYBE_READS = re.compile(r"\.(recv\w*|poll|accept)\b|\bos\.read|recv_monitor|\bselect\.select|zmq\.select")

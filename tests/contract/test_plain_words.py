@@ -80,4 +80,11 @@ def test_the_list_of_printed_texts_has_plain_and_formatted_ones_and_no_docstring
         "the arm let go of it",
         "of {n} the last one",
     ]
-    assert len(list(printed_texts())) > 1000
+
+
+@pytest.mark.check("parses every module")
+def test_the_list_of_printed_texts_has_those_of_library_packages_and_page() -> None:
+    places = [text.place for text in printed_texts()]
+    assert len(places) > 1000
+    assert {place.partition("/")[0] for place in places} == {"telenano", "services", "packages", "deploy"}
+    assert any(".ts:" in place for place in places)

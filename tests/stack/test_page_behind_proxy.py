@@ -13,7 +13,7 @@ from free_ports import free_ports
 from slow_proxy import SlowProxy
 from wire_contract import examples
 
-from services.viz_node.hub import HAND_FADE_S, HAND_FRESH_S
+from services.viz_node.page_hand import HAND_FADE_S, HAND_FRESH_S
 from telenano.wire.topics import TOPICS
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]

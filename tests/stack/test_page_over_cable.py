@@ -5,7 +5,7 @@ import pytest
 from page_over_cable import session
 from two_sites import needs_namespaces
 
-from services.viz_node.hub import HAND_FADE_S, HAND_FRESH_S
+from services.viz_node.page_hand import HAND_FADE_S, HAND_FRESH_S
 
 pytest.importorskip("websockets")
 

@@ -216,4 +216,4 @@ def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_th
     rig.is_deaf = False
     until(lambda: "NOT AS HELD" not in page.banners(), "the end of the banner")
     rig.is_silent = True
-    until(lambda: "nothing is heard of the hand" in page.banners(), "the banner of a silence")
+    until(lambda: "no data comes from the hand" in page.banners(), "the banner of a silence")

@@ -19,7 +19,7 @@ SettingsOption = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="A key of haptic_node.* or afm_node.* (repeat)."),
 ]
 MassOption = Annotated[
-    float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass to hang at the handle; 0: none.")
+    float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass to hang at the handle [kg]; 0: none.")
 ]
 StopOption = Annotated[
     str, typer.Option("--independent-stop", metavar="TEXT", help="How the drives are stopped without the computer.")
@@ -38,7 +38,7 @@ def accept(
         typer.Option("--calibration", metavar="FILE", help="Calibration of an instrument: it is judged instead."),
     ] = None,
     taken: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Judge this take again in the place of a new one.")
+        Path | None, typer.Option("--from", metavar="FILE", help="Judge this recorded take instead of making one.")
     ] = None,
     faults: Annotated[
         list[str] | None,

@@ -3,11 +3,11 @@
 COMMANDS = {
     "device accept": (
         "telenano_acceptance.accept_command:accept",
-        "Lead through a motion of a minute, and tell of each of its checks: pass, fail, retake or cannot say.",
+        "Lead through a motion of one minute, and report each check: pass, fail, retake or cannot say.",
     ),
     "device monitor": (
         "telenano_acceptance.look_commands:monitor",
-        "Read a device undriven, and tell age of its samples, losses and bad frames.",
+        "Read a device without driving it, and report the age of its samples, losses and bad frames.",
     ),
     "device probe": (
         "telenano_acceptance.look_commands:probe",

@@ -413,7 +413,7 @@ def test_an_instrument_whose_trial_is_ended_is_retracted(tmp_path: Path) -> None
         facts = facts_of_instrument(chosen, driver)
         take = record_instrument_take(driver, facts, Clock(lambda: 0), hook)
         assert take.rows["base_m"][-1] == facts.limits.retract_position_m
-        assert take.facts.stopped in ("the step approach was not wanted", "the person has ended it")
+        assert take.facts.stopped in ("the step approach was declined", "the person has ended it")
 
 
 def test_questions_are_answered_on_the_terminal_and_the_page_is_the_same_from_the_file(tmp_path: Path) -> None:

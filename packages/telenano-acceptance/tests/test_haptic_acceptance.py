@@ -168,7 +168,7 @@ def test_strong_device_without_an_independent_stop_is_refused_and_driven_with_le
 
 
 def test_unknown_driver_and_faults_are_refused_in_words() -> None:
-    with pytest.raises(ConfigError, match="no device that takes a force"):
+    with pytest.raises(ConfigError, match="is not a device that takes a force"):
         make_take(HapticConfig(), pace=0.01)
     with pytest.raises(ConfigError, match="simulated_impedance only"):
         make_take(HapticConfig(), pace=0.01, faults={"scale": 2.0})

@@ -64,8 +64,8 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         answer = yield from self._ask("get", **wanted)
         if busy := [name for name in _BUSY if answer.get(name)]:
             raise DeviceError(
-                f"is busy ({', '.join(busy)}): end that in its own software first; it was not driven, and the tip is"
-                " where that left it"
+                f"is busy ({', '.join(busy)}): end that in its own software first; the rig has not moved the tip, and"
+                " it is where that software left it"
             )
         if answer.get("moving"):
             yield from self._ask("stop")
@@ -101,7 +101,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         answer = _items((yield gwyscope_wire.encode({"todo": todo, **items})))
         reported = answer.get("todo")
         if reported != todo:
-            raise DeviceError(f"does not do {todo}: it answers {reported!r}" + _sent_text(items))
+            raise DeviceError(f"did not carry out {todo}: it answered {reported!r}" + _sent_text(items))
         return answer
 
     def _send_z(self, z_m: float) -> Generator[bytes, bytes, None]:
@@ -109,10 +109,10 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         answer = yield from self._ask("set_feedback", feedback=False, zpiezo=float(z_m))
         on = [name for name in _FEEDBACKS if answer.get(name)]
         if on:
-            raise DeviceError(f"refuses: {', '.join(on)} stays on, with which z is not the rig's")
+            raise DeviceError(f"cannot be driven: {', '.join(on)} stays on and controls z; switch it off there")
         found_m = _number(answer, "zpiezo")
         if not abs(found_m - z_m) <= self.calibration.z.tolerance_m:
-            raise DeviceError(f"refuses: z = {z_m:.6g} m was sent, and it says {found_m:.6g} m")
+            raise DeviceError(f"did not set z: {z_m:.6g} m was sent, and it reports {found_m:.6g} m")
 
     def _move(self, x_m: float, y_m: float) -> Generator[bytes, bytes, None]:
         self._sent_place, self._arrived = (x_m, y_m), False
@@ -129,7 +129,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
             # The sample is as old as the server's tick at most when it is asked for.
             self.take_sample(z_m, value, asked_ns - round(self.tick_s * 1e9))
         elif (asked_ns - self._stamp_ns) * 1e-9 > max(_CLOCK_STANDS_S, 4.0 * self.tick_s):
-            raise DeviceError(f"its samples stand at {stamp_s:.3f} s: the server answers, and its loop does not run")
+            raise DeviceError(f"its samples stopped at {stamp_s:.3f} s: the server answers, but its loop does not run")
         return answer
 
     def _check_place(self, answer: dict[str, Any]) -> None:
@@ -163,7 +163,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
                 break
         steps = [after - before for before, after in pairwise(stamps)]
         if len(steps) < _TICKS or not 0.0 < min(steps) < _SLOWEST_TICK_S:
-            raise DeviceError("answers, and its samples stand: the server's loop does not run")
+            raise DeviceError("answers, but its samples do not advance: start the loop of the server")
         self.tick_s = min(steps)
 
 

@@ -183,8 +183,8 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
             if status == _OFF:
                 return
             if status == _SAFE_TIP:
-                raise DeviceError("its safe tip is triggered still: see why its signal is beyond the threshold")
-        raise DeviceError("has not withdrawn the tip: its z-controller is not off after 5000 questions")
+                raise DeviceError("its safe tip is still triggered: find out why its signal is beyond the threshold")
+        raise DeviceError("has not withdrawn the tip: its z-controller is still on after 5000 requests")
 
     def _protect(self) -> Generator[bytes, bytes, None]:
         """Set the limits of z and the safe tip, and read them back; DeviceError where they are others."""
@@ -194,7 +194,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         high_m, low_m = yield from self._ask("ZCtrl.LimitsGet")
         enabled = (yield from self._ask("ZCtrl.LimitsEnabledGet"))[0]
         if not enabled or abs(high_m - z.max_m) > z.tolerance_m or abs(low_m - z.min_m) > z.tolerance_m:
-            raise DeviceError(f"refuses the limits of z: {z.max_m} m and {z.min_m} m were set, {high_m}, {low_m} read")
+            raise DeviceError(f"kept other limits of z: {z.max_m}, {z.min_m} m were sent, {high_m}, {low_m} m read")
         yield from self._ask("ZCtrl.TipLiftSet", self.calibration.tip_lift_m)
         lift_m = (yield from self._ask("ZCtrl.TipLiftGet"))[0]
         if abs(lift_m - self.calibration.tip_lift_m) > z.tolerance_m:
@@ -262,7 +262,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
             for forward in (1, 0):
                 name, frame, _ = yield from self._ask("Scan.FrameDataGrab", channel, forward)
                 if name != _Z_SIGNAL or frame.shape != (lines, pixels):
-                    raise DeviceError(f"returned {name!r} of {frame.shape}, {_Z_SIGNAL!r} of {lines, pixels} was asked")
+                    raise DeviceError(f"returned {name!r} of {frame.shape}, {_Z_SIGNAL!r} of {lines, pixels} was due")
                 frames.append(frame)
             while taken < 2 * lines and np.isfinite(row := frames[taken % 2][taken // 2]).all():
                 # A height counts away from the sample, as the base does with the other sign.

@@ -204,7 +204,7 @@ class RetractGuard:
                 else:
                     self._send_server(request, "rig")
         except WireError as error:
-            self._leave_client(f"what has come is no request: {error}")
+            self._leave_client(f"received bytes that are not a request: {error}")
 
     def _hear_server(self) -> None:
         received = _received(self._server)

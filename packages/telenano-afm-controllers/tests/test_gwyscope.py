@@ -12,7 +12,6 @@ import gwyfile
 import numpy as np
 import pytest
 from controller_line import (
-    MS,
     NEAR_M,
     PARAMS,
     RETRACTED_M,
@@ -27,14 +26,15 @@ from controller_line import (
     swallow,
     walk,
 )
-from telenano_afm_controllers import gwyscope_model, gwyscope_wire, request_driver
+from request_line import MS
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.devices import read_controller
+from telenano.devices import TcpDriver
 from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of
@@ -272,7 +272,7 @@ def test_calibration_of_the_document_is_valid(
     page = (Path(__file__).parents[1] / "README.md").read_text()
     (block,) = re.findall(rf"```yaml\n(schema: 1\ncontroller: {controller}\n.*?)```", page, re.DOTALL)
     (tmp_path / "controller.yaml").write_text(block)
-    found = read_controller(tmp_path / "controller.yaml", model)
+    found = model.from_file(tmp_path / "controller.yaml")
     assert found.check(PARAMS.safety) == []
 
 
@@ -351,13 +351,13 @@ FAULTS = {
     "server killed": Fault(kill, "the connection is gone", at_ms=None),
     "server stopped": Fault(stop, "has been silent for 50 ms", duration_ms=140, at_ms=None),
     "server swallows": Fault(swallow, "does not answer: check address, cable and firewall", duration_ms=300, at_ms=60),
-    "loop stands": Fault(stand, "the server answers, and its loop does not run", duration_ms=140, at_ms=110),
+    "loop stands": Fault(stand, "the server answers, but its loop does not run", duration_ms=140, at_ms=110),
     "garbage": Fault(garble, "is not the beginning of a message"),
     "half answers": Fault(cut, "has been silent for 50 ms", duration_ms=140, at_ms=110),
-    "two answers": Fault(answer_twice, "has answered more than it was asked"),
-    "command refused": Fault(refuse, "does not do", at_ms=None),
-    "z is not taken": Fault(clamp, "refuses: z = 1.93e-06 m was sent, and it says 1.83e-06 m"),
-    "feedback latched": Fault(keep_feedback, "refuses: feedback stays on"),
+    "two answers": Fault(answer_twice, "has sent more answers than there were requests"),
+    "command refused": Fault(refuse, "did not carry out", at_ms=None),
+    "z is not taken": Fault(clamp, "did not set z: 1.93e-06 m was sent, and it reports 1.83e-06 m"),
+    "feedback latched": Fault(keep_feedback, "cannot be driven: feedback stays on"),
     "z moved from outside": Fault(others({"todo": "set_feedback", "feedback": False, "zpiezo": 1.9e-6}), SEIZED),
     "feedback from outside": Fault(
         others({"todo": "set", "pid_setpoint": 0.01, "pid_i": -1e-3}, {"todo": "set_feedback", "feedback": True}),
@@ -375,8 +375,8 @@ FAULTS = {
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
     monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    for module in (modbus_line, request_driver):
-        monkeypatch.setattr(module, "STEP_NS", 150 * MS)
+    for owner in (modbus_line, TcpDriver):
+        monkeypatch.setattr(owner, "STEP_NS", 150 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Gwyscope())
     approach(found)
     return found
@@ -476,11 +476,11 @@ def test_a_driver_that_fails_in_its_retraction_is_told_and_its_connection_ended(
 @pytest.mark.parametrize(
     ("begin", "text"),
     [
-        pytest.param(refuse, "does not do get: it answers 'unknown'", id="refuses"),
+        pytest.param(refuse, "did not carry out get: it answered 'unknown'", id="refuses"),
         pytest.param(stop, "is connected and does not answer requests: is it a Gwyscope", id="stopped"),
         pytest.param(kill, "cannot be reached: Connection refused", id="killed"),
         pytest.param(swallow, "does not answer: check address, cable and firewall", id="blackholed"),
-        pytest.param(stand, "its samples stand: the server's loop does not run", id="loop stands at the start"),
+        pytest.param(stand, "its samples do not advance: start the loop of the server", id="loop stands at the start"),
         pytest.param(garble, "is not the beginning of a message of a Gwyscope", id="garbage at the start"),
     ],
 )

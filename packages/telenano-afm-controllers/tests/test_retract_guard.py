@@ -156,7 +156,7 @@ def test_a_rig_that_sends_garbage_or_does_not_wait_is_put_out(wiring: Wiring) ->
     wiring.connect()
     assert wiring.rig is not None
     wiring.rig.sendall(b"GET / HTTP/1.1\r\n\r\n")
-    wiring.until(lambda: any("what has come is no request" in text for text in wiring.told))
+    wiring.until(lambda: any("received bytes that are not a request" in text for text in wiring.told))
     wiring.rig.close()
     wiring.connect()
     wiring.answers = False

@@ -3,14 +3,14 @@
 COMMANDS = {
     "inspect": (
         "telenano_afm_files.inspect_command:inspect",
-        "Say what a file is taken for: format, columns, units, sign, what was left out, and which command takes it.",
+        "Show how a file is read: format, columns, units, sign, what was left out, and which command uses it.",
     ),
     "sample import": (
         "telenano_afm_files.map_commands:import_map",
-        "Bring a recorded map into a file that `afm_node.sample.map` feels.",
+        "Convert a recorded map into a file for `afm_node.sample.map`.",
     ),
     "sample info": (
         "telenano_afm_files.map_commands:info",
-        "Show what a recorded map is, or what it lacks to be felt.",
+        "Show what a recorded map contains, or what it lacks to be felt.",
     ),
 }

@@ -34,7 +34,7 @@ def _open(path: str, constants: dict[str, float], options: text_curves.TableOpti
     suffix = Path(path).suffix.lower()
     if any(options):
         if suffix not in text_curves.SUFFIXES or nanonis.is_spectroscopy(path):
-            raise ValueError(f"--set {', '.join(options._fields)}: are for a text table; this file says its own")
+            raise ValueError(f"--set {', '.join(options._fields)}: are for a text table; this file states them itself")
         yield text_curves.curves_of(path, options)
         return
     own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)

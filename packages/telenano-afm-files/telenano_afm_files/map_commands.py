@@ -69,9 +69,9 @@ def import_map(
         Correction | None,
         typer.Option(
             "--correct",
-            help="Take off what free air has: the mean of each curve there (offset), with a slope that all have "
-            "(tilt), or nothing. Without it curves lose their offset and a plain grid nothing. "
-            "--set sign=-1 turns all values.",
+            help="What to subtract, as measured in free air: the mean of each curve (offset), also the slope common to "
+            "all (tilt), or nothing; default: offset for curves, nothing for a plain grid. "
+            "--set sign=-1 inverts all values.",
         ),
     ] = None,
     baseline: Annotated[
@@ -80,11 +80,11 @@ def import_map(
             "--baseline",
             min=0.0,
             max=50.0,
-            help="Share of the heights that is free air, farthest from the sample [%]; 10, of a tilt 25 without it.",
+            help="Share of the heights that is free air, farthest from the sample [%]; default: 10, for tilt 25.",
         ),
     ] = None,
     converted: Annotated[
-        Quantity | None, typer.Option("--as", help="Make the force of a frequency shift, by Sader and Jarvis.")
+        Quantity | None, typer.Option("--as", help="Compute the force from a frequency shift, by Sader and Jarvis.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -110,13 +110,15 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *TableOptions._fields)}
         options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
         if options and path.suffix.lower() not in SUFFIXES:
-            raise MapError(f"--set {next(iter(options))}: is for a text table; this file says its own")
+            raise MapError(f"--set {next(iter(options))}: is for a text table; this file states it itself")
         imported = _import(path, wanted._replace(given=members), json.dumps(options), watch)
         imported = _corrected(imported, wanted)
         imported = imported._replace(notes=(*_in_free_air(imported.map), *imported.notes))
         if not wanted.converted:
             return imported
-        text = "the force was made of the frequency shift, whose mean in the farthest tenth of a curve was taken as 0"
+        text = (
+            "the force is computed from the frequency shift, whose mean in the farthest tenth of a curve is taken as 0"
+        )
         return Imported(as_force(imported.map, dict(wanted.given)), (*imported.notes, text))
     except ImportError as error:
         text = f"{path}: needs {error.name} to be read: install telenano-afm-files with its dependencies"
@@ -166,13 +168,13 @@ def _in_free_air(recorded: ForceMap) -> list[str]:
     notes = []
     if abs(level) > _FREE_SHARE * span:
         notes.append(
-            f"at its top, in free air, its force is {1e9 * level:.3g} nN, and a hand would feel it: --correct offset"
-            " takes it off"
+            f"at its top, in free air, its force is {1e9 * level:.3g} nN, which a hand would feel: --correct offset"
+            " removes it"
         )
     if abs(tilt) * step_m * len(middle) > 2.0 * _FREE_SHARE * span:
         notes.append(
             f"at its top, in free air, its force rises by {tilt:.3g} N/m: its base line is tilted, and --correct"
-            " tilt takes that off"
+            " tilt removes that"
         )
     if float(middle[0]) < level - _FREE_SHARE * span and int(np.argmax(np.abs(middle - level))) == 0:
         notes.append("its greatest force is at its bottom and pulls: is its sign turned? Then give --set sign=-1")

@@ -152,7 +152,7 @@ def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> N
         raise ValueError(f"it unpacks to {unpacked} bytes, at most {most_bytes} are read")
     for one, after in pairwise(entries):
         if one.header_offset + _LEAST_HEAD + one.compress_size > after.header_offset:
-            raise ValueError(f"its entries {one.filename!r} and {after.filename!r} lie over one another")
+            raise ValueError(f"its entries {one.filename!r} and {after.filename!r} overlap")
 
 
 def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:

@@ -102,7 +102,7 @@ def test_the_command_writes_a_map_that_is_felt_as_a_force(tmp_path: Path) -> Non
     arguments = ["sample", "import", str(tmp_path / "shift.npz"), "--out", str(out), "--as", "force", *words]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    assert "the force was made of the frequency shift" in " ".join(result.output.split())
+    assert "the force is computed from the frequency shift" in " ".join(result.output.split())
     found, _ = read_map(out)
     assert (found.quantity, found.stiffness_n_per_m) == ("force", STIFFNESS_N_PER_M)
     assert found.values.min() == pytest.approx(morse(Z).min(), rel=0.08)

@@ -40,7 +40,7 @@ class LiveBench(ProgramBench):
     def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
         _, values = self._run(keys)
         if values is None:
-            raise RigError("the instrument says nothing of what it has pushed: is it of an older version?")
+            raise RigError("the instrument does not report what it has pushed: update telenano there")
         return values
 
     def _run(self, keys: dict[str, Scalar]) -> tuple[LiveImage, Mapping[str, Scalar] | None]:

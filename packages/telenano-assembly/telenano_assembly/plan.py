@@ -197,5 +197,5 @@ def _parking(
             if task := _task(particle, at, stands, place, -1, clearance_m):
                 return task
     raise UnreachableError(
-        "no way leads to the targets of particles " + ", ".join(str(i) for i in waiting) + ": others stand around them"
+        "no free path leads to the targets of particles " + ", ".join(str(i) for i in waiting) + ": others block it"
     )

@@ -100,7 +100,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
                 show(0.01 * report.done_percent, text=report.text)
     outcome = instrument.outcome
     if outcome is None or outcome.values is None or outcome.state != "finished":
-        raise ConfigError("--from: nothing was pushed" if outcome is None else outcome.text)
+        raise ConfigError("--from: nothing was pushed: check that place" if outcome is None else outcome.text)
     places = instrument.truths["particles"].places_m.tolist()
     outcome_values = _values(outcome.values)
     # What the simulation knows, and neither the program nor a real instrument does.

@@ -11,7 +11,9 @@ from telenano.wire import ConfigError
 app = command_group()
 ColumnsOption = Annotated[
     tuple[str, str] | None,
-    typer.Option("--columns", metavar="X Y", help="Those of a text table, by number or title; default: its head."),
+    typer.Option(
+        "--columns", metavar="X Y", help="Columns of a text table, by number or title; default: by its headings."
+    ),
 ]
 
 
@@ -26,17 +28,24 @@ def sensitivity(
         ),
     ],
     part: Annotated[
-        tuple[float, float], typer.Option("--part", metavar="LOW HIGH", help="Shares of its span of voltage to use.")
+        tuple[float, float],
+        typer.Option("--part", metavar="LOW HIGH", help="Part of the voltage span to use, as two shares."),
     ] = (0.3, 0.95),
     way_unit: Annotated[
-        str, typer.Option("--way-unit", metavar="UNIT", help="Of the way in a text table; default: its head, or nm.")
+        str,
+        typer.Option(
+            "--way-unit", metavar="UNIT", help="Unit of the way in a text table; default: by its heading, or nm."
+        ),
     ] = "",
     deflection_unit: Annotated[
-        str, typer.Option("--deflection-unit", metavar="UNIT", help="Of the deflection there; default: its head, or V.")
+        str,
+        typer.Option(
+            "--deflection-unit", metavar="UNIT", help="Unit of the deflection; default: by its heading, or V."
+        ),
     ] = "",
     columns: ColumnsOption = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Accept a way for a volt that no usual read-out has.")
+        bool, typer.Option("--anyway", help="Accept a deflection per volt outside the usual range.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -58,11 +67,12 @@ def stiffness(
         typer.Option(
             "--unit",
             metavar="UNIT",
-            help="Of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz or m/sqrt(Hz); of a record V; default: its head.",
+            help="Unit of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz); of a record V; default: by its heading.",
         ),
     ] = "",
     frequency_unit: Annotated[
-        str, typer.Option("--frequency-unit", metavar="UNIT", help="Of the frequency; default: its head, or Hz.")
+        str,
+        typer.Option("--frequency-unit", metavar="UNIT", help="Unit of the frequency; default: by its heading, or Hz."),
     ] = "",
     columns: ColumnsOption = None,
     exclude: Annotated[
@@ -70,16 +80,17 @@ def stiffness(
         typer.Option("--exclude", metavar="LOW HIGH", help="Leave out lines of the electronics between these [Hz]."),
     ] = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Accept a resonance, Q and mass that no usual lever has.")
+        bool, typer.Option("--anyway", help="Accept a resonance, Q and mass outside the usual range.")
     ] = False,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="FILE", help="A record of the free deflection [V].")
     ] = None,
     sensitivity_nm: Annotated[
-        float | None, typer.Option("--sensitivity", min=1e-6, metavar="NM/V", help="Way for a volt [nm/V].")
+        float | None, typer.Option("--sensitivity", min=1e-6, metavar="NM/V", help="Deflection per volt [nm/V].")
     ] = None,
     sensitivity_error: Annotated[
-        float, typer.Option("--sensitivity-error", min=0.0, metavar="NM/V", help="Standard error of it [nm/V].")
+        float,
+        typer.Option("--sensitivity-error", min=0.0, metavar="NM/V", help="Standard error of --sensitivity [nm/V]."),
     ] = 0.0,
     rate: Annotated[
         float | None, typer.Option("--rate", min=1e-3, metavar="HZ", help="Rate of the samples [Hz].")
@@ -87,7 +98,10 @@ def stiffness(
     averages: Annotated[
         float | None,
         typer.Option(
-            "--averages", min=1.0, metavar="N", help="Periodograms in a line; default: by the file or the scatter."
+            "--averages",
+            min=1.0,
+            metavar="N",
+            help="Periodograms averaged in each line; default: by the file or the scatter.",
         ),
     ] = None,
     factor: Annotated[
@@ -95,10 +109,10 @@ def stiffness(
     ] = None,
     size: Annotated[
         tuple[float, float] | None,
-        typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [nm]: Sader's method as well."),
+        typer.Option("--size", metavar="WIDTH LENGTH", help="Size of a rectangular lever [nm], to add Sader's method."),
     ] = None,
     size_error: Annotated[
-        float, typer.Option("--size-error", min=0.0, metavar="NM", help="Standard error of each of them [nm].")
+        float, typer.Option("--size-error", min=0.0, metavar="NM", help="Standard error of width and of length [nm].")
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:

@@ -37,9 +37,11 @@ def calibrate_handle(
         float, typer.Option("--saturation", min=1e-6, metavar="N", help="Force at which the sensor saturates [N].")
     ],
     baud: Annotated[
-        int, typer.Option("--baud", min=115_200, metavar="N", help="Bits a second of the serial port.")
+        int, typer.Option("--baud", min=115_200, metavar="N", help="Baud rate of the serial port [bit/s].")
     ] = 1_000_000,
-    duration: Annotated[float, typer.Option("--duration", min=0.2, metavar="S", help="Time for a point [s].")] = 1.0,
+    duration: Annotated[
+        float, typer.Option("--duration", min=0.2, metavar="S", help="Duration of each point [s].")
+    ] = 1.0,
 ) -> None:
     """Measure a handle at gauges and with masses, step by step, and write its calibration file; it is never driven.
 

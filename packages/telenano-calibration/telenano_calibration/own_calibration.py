@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import constants, ndimage
 
-from telenano.files import Column, TextTable, read_table, unit_of
+from telenano.files import Column, TextTable, unit_of
 from telenano.settings import read_by_package
 from telenano.wire import ConfigError
 from telenano_calibration.line_fit import regressed
@@ -178,7 +178,7 @@ def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "", columns: S
             raise ConfigError(f"{path}: {error}") from error
         power, is_of_metres = _power_of(density, unit or facts["unit"], f"{path}: its density")
         return Spectrum(frequency_hz, power, is_of_metres, float(facts["averages"]))
-    table = read_table(path)
+    table = TextTable.read(path)
     others = ("psd", "power", "density", "pwr", "amplitude")
     first, second = _pair_of(table, columns, ("Hz",), DENSITIES, ("freq", "f"), others)
     remarks = list(table.remarks)
@@ -242,7 +242,7 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
     Raises:
         ConfigError: The file cannot be read, or its unit is no voltage; the message says how to give it.
     """
-    table = read_table(path)
+    table = TextTable.read(path)
     volts = [column for column in table.columns if (known := column.known) and known.powers == (("V", 1.0),)]
     column = volts[0] if volts else table.find("deflection", "defl", "volt", "signal") or table.columns[0]
     if not volts and len(table.columns) > 1 and column is table.columns[0]:
@@ -269,7 +269,7 @@ def curve_of(
     Raises:
         ConfigError: The file cannot be read, or a unit is not known, or no way has the size; the message asks for it.
     """
-    table = read_table(path)
+    table = TextTable.read(path)
     ways = ("z", "way", "height", "piezo", "dist")
     first, second = _pair_of(table, columns, ("m",), ("V",), ways, ("defl", "volt", "signal"))
     remarks = list(table.remarks)
@@ -378,8 +378,8 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
     k = known.factor * constants.Boltzmann * known.temperature_k / peak.mean_square_m2
     if not _STIFFNESS[0] <= k <= _STIFFNESS[1]:
         raise ConfigError(
-            f"a stiffness of {k:.3g} N/m is that of no cantilever: look at the unit of the density (--unit), or of a "
-            "record, which is V, and at the way for a volt in nm/V"
+            f"no cantilever has a stiffness of {k:.3g} N/m: check the unit of the density (--unit), or of a record, "
+            "which is V, and the deflection per volt in nm/V (--sensitivity)"
         )
     if not known.anyway:
         _ask_about(k, peak)
@@ -419,21 +419,21 @@ def _ask_about(k: float, resonance: Resonance) -> None:
         asked = f"Q of {q:.3g} at {f0:.6g} Hz: is the peak a tone or a hum? Leave it out by --exclude LOW HIGH"
     elif not _MASS_KG[0] <= mass_kg <= _MASS_KG[1]:
         asked = (
-            f"{k:.3g} N/m at {f0:.6g} Hz, a mass of {mass_kg:.1g} kg: is the way for a volt in nm/V, and the unit of"
-            " the density as its head says?"
+            f"{k:.3g} N/m at {f0:.6g} Hz, a mass of {mass_kg:.1g} kg: check the deflection per volt in nm/V and the"
+            " unit of the density"
         )
     if asked:
-        raise ConfigError(f"no usual lever has {asked}; --anyway takes it as it is")
+        raise ConfigError(f"no usual lever has {asked}; --anyway accepts it")
 
 
 def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
     remarks = []
     if resonance.tones:
-        remarks.append(f"{resonance.tones} lines that no thermal noise has (of the electronics) are left out")
-    if quality is None:
         remarks.append(
-            f"by the scatter of its lines each is the mean of {resonance.averages:.3g} periodograms (--averages)"
+            f"{resonance.tones} lines that are no thermal noise (such as hum of the electronics) are left out"
         )
+    if quality is None:
+        remarks.append(f"by their scatter, each line is the mean of {resonance.averages:.3g} periodograms (--averages)")
     elif not 0.5 < resonance.deviance < 2.0:
         scatter = "more" if resonance.deviance > 1.0 else "less"
         remarks.append(f"its lines scatter {scatter} than those of {quality:g} averages: is --averages right?")
@@ -551,8 +551,8 @@ def require_usual(sensitivities: Sequence[Sensitivity]) -> None:
     for one in sensitivities:
         if not _M_PER_V[0] <= one.m_per_v <= _M_PER_V[1]:
             raise ConfigError(
-                f"{1e9 * one.m_per_v:.3g} nm/V is the way for a volt of no usual read-out: are --way-unit and "
-                "--deflection-unit as the file has them? --anyway takes it as it is"
+                f"{1e9 * one.m_per_v:.3g} nm/V is outside the usual range of a deflection per volt: check that "
+                "--way-unit and --deflection-unit are those of the file; --anyway accepts it"
             )
 
 

@@ -97,7 +97,7 @@ def _print_findings(rows: list[Row], broken: list[Row]) -> None:
         lost = sum(row[0] == name for row in broken)
         kinds = sum(row[0] == name for row in rows)
         if not states_passivity(known_law(name)):
-            typer.echo(f"{name} does not state passivity, so that it is held to nothing")
+            typer.echo(f"{name} does not claim passivity: its energy is shown, not judged")
         else:
             typer.echo(
                 f"{name} makes energy at {lost} of {kinds} kinds of transition" if lost else f"{name} makes none"

@@ -27,10 +27,11 @@ def conformance(
         str | None, typer.Option("--server-key", metavar="KEY", help="Public key of the client's machine, in Z85.")
     ] = None,
     key_file: Annotated[
-        Path | None, typer.Option("--key-file", help="File NAME.key_secret with the own pair; its key must be allowed.")
+        Path | None,
+        typer.Option("--key-file", help="File NAME.key_secret with your own key pair, which must be allowed."),
     ] = None,
     insecure: Annotated[
-        bool, typer.Option("--insecure", help="The client is plain over the network, by insecure: true.")
+        bool, typer.Option("--insecure", help="The client is not encrypted (insecure: true in its site file).")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

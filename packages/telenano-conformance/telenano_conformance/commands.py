@@ -1,9 +1,12 @@
 """The commands of this package, which telenano lists without importing what they need."""
 
 COMMANDS = {
-    "conformance": ("telenano_conformance.command:conformance", "Tell a client in any language what it does wrong."),
+    "conformance": (
+        "telenano_conformance.command:conformance",
+        "Check a client in any language against the rules of the protocol.",
+    ),
     "law balance": (
         "telenano_conformance.balance_command:law_balance",
-        "Run drawn orders of events against a law, and print what energy it makes at its two ports.",
+        "Run random sequences of events against a law, and report the energy that it generates at its ports.",
     ),
 }

@@ -152,7 +152,9 @@ def examine(
     """
     for address in (client, rig or ""):
         if address.startswith("tcp://") and not insecure and (keys is None or address == rig):
-            raise ConfigError(f"{address}: is plain: give the key of the client's machine, or say that it is insecure")
+            raise ConfigError(
+                f"{address}: is not encrypted: give --server-key, the key of the client's machine, or --insecure"
+            )
     account = Account()
     with zmq.Context() as context:
         reader, monitor = _reader(context, client, keys)

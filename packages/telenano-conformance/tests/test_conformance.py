@@ -638,7 +638,7 @@ def test_an_address_where_nobody_is_fails(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("client", "said"),
-    [("tcp://127.0.0.1:5999", "is plain: give the key"), ("nonsense", "is no endpoint")],
+    [("tcp://127.0.0.1:5999", "is not encrypted: give --server-key"), ("nonsense", "is no endpoint")],
 )
 def test_an_address_that_cannot_be_used_is_refused(client: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):

@@ -190,7 +190,7 @@ def publish(
 def erase(
     folder: FolderArgument,
     pseudonym: PseudonymArgument,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether it is meant.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Erase all data of a participant; it cannot be undone."""

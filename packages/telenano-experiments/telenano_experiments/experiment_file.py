@@ -147,7 +147,9 @@ class Disturbed(Settings):
 class Stop(Settings):
     """What ends a run before its plan is done; `resume` continues."""
 
-    disturbed_in_a_row: int = Field(default=5, ge=1, description="Attempts that were disturbed, one after the other")
+    disturbed_in_a_row: int = Field(
+        default=5, ge=1, description="Stop after this number of disturbed attempts in a row"
+    )
     session_s: float | None = Field(default=None, gt=0.0, description="The longest session of a participant [s]")
 
 
@@ -155,7 +157,9 @@ class Asked(Settings):
     """An instrument of questions, and when it is asked."""
 
     instrument: str = Field(description="Name of the instrument, such as nasa_tlx")
-    after: Literal["trial", "block", "session"] = Field(default="block", description="After what it is asked")
+    after: Literal["trial", "block", "session"] = Field(
+        default="block", description="Whether it is asked after each trial, block or session"
+    )
 
 
 class Item(Settings):

@@ -52,15 +52,15 @@ class Profile(Parameters):
 
     reaction_time_s: float = Field(0.25, ge=1e-3, le=5.0, description="Reaction time [s]")
     gain: float = Field(0.6, gt=0.0, le=1.9, description="Share of an error that a move corrects")
-    noise: float = Field(0.1, ge=0.0, le=1.0, description="Scatter of that share, a share of it")
+    noise: float = Field(0.1, ge=0.0, le=1.0, description="Standard deviation of that share, relative to it")
     tolerance_n: float = Field(0.05, gt=0.0, le=10.0, description="Error of the felt force that is left [N]")
     arm: Literal["soft", "ordinary", "stiff"] = Field("ordinary", description="Arm of the hand")
     threshold_n: float = Field(0.15, gt=0.0, le=10.0, description="Change of the felt force that is noticed [N]")
     weber: float = Field(0.2, gt=0.0, le=5.0, description="Scatter of the perceived logarithm of a ratio of stiffness")
     lapse: float = Field(0.02, ge=0.0, lt=1.0, description="Share of trials in which the answer is a guess")
     rating: float = Field(50.0, ge=0.0, le=100.0, description="Mean of its ratings, in percent of a scale")
-    force_scale: float = Field(1e8, gt=0.0, description="Force at the hand for a force on the tip, that of the law")
-    position_scale: float = Field(1e-6, gt=0.0, description="Way of the base for a way of the hand, that of the law")
+    force_scale: float = Field(1e8, gt=0.0, description="Force at the hand per force on the tip, as in the law")
+    position_scale: float = Field(1e-6, gt=0.0, description="Motion of the base per motion of the hand, as in the law")
 
 
 class Simulated:

@@ -47,7 +47,7 @@ class AnswerDesk:
         try:
             while time.monotonic() < end_s:
                 if is_own and cue != rig.state(CUE).get("id"):
-                    raise RefusedError(f"cue {cue} does not stand: answer the one that is shown")
+                    raise RefusedError(f"cue {cue} is no longer shown: answer the one that is")
                 rig.publish(
                     ANSWER.name,
                     id=asked.id,
@@ -63,7 +63,7 @@ class AnswerDesk:
                         return "taken"
         finally:
             self._answering.discard(asked.page)
-        raise RefusedError("no experiment takes the answer: does one run?")
+        raise RefusedError("no experiment received the answer: check that one is running")
 
 
 PANEL = Panel(

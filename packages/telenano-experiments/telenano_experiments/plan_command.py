@@ -38,11 +38,14 @@ def plan(
         ),
     ] = None,
     power: Annotated[
-        float, typer.Option("--power", metavar="P", min=0.06, max=0.999, help="Chance of finding the effect.")
+        float,
+        typer.Option(
+            "--power", metavar="P", min=0.06, max=0.999, help="Power: probability of finding the effect, below 1."
+        ),
     ] = 0.8,
     category: Annotated[
         list[str] | None,
-        typer.Option("--category", metavar="FACTOR", help="Numeric factor that is not to be a slope (repeatable)."),
+        typer.Option("--category", metavar="FACTOR", help="Numeric factor to treat as categories (repeatable)."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -60,8 +60,8 @@ def test_json_has_the_slope_that_the_experiment_was_made_with(folder: Path, tmp_
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("--measure", "completion_tine_s"), "measure completion_tine_s: known are"),
-        (("--correction", "holms"), "correction holms: known are"),
+        (("--measure", "completion_tine_s"), "measure completion_tine_s: did you mean completion_time_s? Known are"),
+        (("--correction", "holms"), "correction holms: did you mean holm? Known are"),
         (("--format", "gif"), "--format gif"),
     ],
 )

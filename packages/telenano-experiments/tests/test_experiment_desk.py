@@ -237,12 +237,12 @@ def test_an_answer_during_a_trial_means_what_it_does_in_english(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"tasks": {"askin": {}}}, "words.tasks: askin is no task of this file; known are asking; did you mean"),
+        ({"tasks": {"askin": {}}}, "words.tasks: askin is no task of this file; did you mean asking. Known are asking"),
         ({"agree": "no"}, "words.agree and words.disagree are the same word"),
         ({"language": "deutsch bitte"}, "words.language"),
         ({"consent": "x" * 1025}, "words.consent"),
         ({"tasks": {"asking": {"questions": {"answr": {}}}}},
-         r"words.tasks.asking.questions.answr: is not asked by the task; known are answer, contact; did you"),
+         r"words.tasks.asking.questions.answr: is not asked by the task; did you mean answer. Known are answer"),
         ({"tasks": {"asking": {"questions": {"answer": {"options": ["nur eine"]}}}}},
          r"questions.answer.options: has 1 words for first, second"),
     ],

@@ -108,7 +108,10 @@ def test_the_command_says_how_many_people_each_effect_of_a_plan_needs() -> None:
 
 
 def test_a_plan_without_an_effect_is_refused_with_the_reason() -> None:
-    assert "factor laws: known are" in plan("delay_and_law", "--effect", "1", "--category", "laws", code=2).output
+    assert (
+        "factor laws: did you mean law? Known are"
+        in plan("delay_and_law", "--effect", "1", "--category", "laws", code=2).output
+    )
 
 
 _BITS = """

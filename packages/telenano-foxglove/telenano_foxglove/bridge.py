@@ -167,7 +167,7 @@ class FoxgloveServer:
                 for subscription in fields["subscriptionIds"]:
                     viewer.subscriptions.pop(int(subscription), None)
             else:
-                raise ValueError(f"{fields['op']}: viewers subscribe and unsubscribe here, and nothing else")
+                raise ValueError(f"{fields['op']}: is not supported; viewers can only subscribe and unsubscribe")
         except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
             viewer.tell(op="status", level=_ERROR, message=f"Invalid message: {str(error)[:200]}")
         self._note_wanted()

@@ -29,7 +29,7 @@ def foxglove(
         ),
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each channel a second; 0: all.")
+        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most messages of each channel per second; 0: all.")
     ] = Rate.DEFAULT_HZ,
     duration: DurationOption = None,
 ) -> None:

@@ -282,14 +282,13 @@ class HaplyWire:
     def _count(self, unasked: int) -> None:
         """Count the messages of a reading that were not asked for; DeviceError where they do not end."""
         if unasked and not self.unasked:
-            StructuredLog("servo").warning("the service sends what it was not asked for", device=self._id)
+            StructuredLog("servo").warning("the service sends messages that were not requested", device=self._id)
         self.unasked += unasked
         self._unasked_lately = max(0, self._unasked_lately + (1 if unasked else -1))
         if self._unasked_lately > _MOST_UNASKED:
             raise DeviceError(
-                f"{self._service}: the service has sent {self.unasked} messages that it was not asked for, and "
-                "continues:"
-                " end other programs of the device, or update it"
+                f"{self._service}: the service has sent {self.unasked} messages that were not requested, and "
+                "continues: end other programs that use the device, or update the service"
             )
 
     def _sample(self, answer: Answer, sent: Vector, taken_ns: int) -> DeviceSample:

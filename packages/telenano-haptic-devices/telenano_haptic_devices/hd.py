@@ -154,7 +154,7 @@ class HdWire(LibraryWire):
                 seen, silent = calls, silent + 1 if calls == seen else 0
                 if silent >= (_SILENT_LOOKS if 0 < begun[0] == done[0] else _PATIENT_LOOKS):
                     # What follows closes the device, which sets no force from this thread.
-                    raise DeviceError(f"{self._name}: its scheduler calls no more (none for {silent * _WAIT_S:g} s)")
+                    raise DeviceError(f"{self._name}: its scheduler has stopped (no call for {silent * _WAIT_S:g} s)")
         finally:
             lib.hdStopScheduler()
             lib.hdUnschedule(handle)

@@ -23,7 +23,7 @@ from typing import Any
 from telenano.extend.hands import Capabilities, DeviceError
 from telenano.hand import Vector
 from telenano.runtime import schedule_as_node, start_process
-from telenano.settings import haptic_driver
+from telenano.settings import DeviceDriver
 from telenano.wire import cause
 from telenano_haptic_devices.impedance import takes_force
 from telenano_haptic_devices.impedance_wire import ImpedanceWire
@@ -178,9 +178,7 @@ class ServoLoop:
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
-                error = (
-                    f"the device is now {capabilities.identity}, and it was {self._found.identity}: restart the node"
-                )
+                error = f"{capabilities.identity} is connected instead of {self._found.identity}: restart the node"
             except Exception as still:  # noqa: BLE001
                 error = cause(still)
             self._let_go()
@@ -314,7 +312,7 @@ def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
         ConfigError: The settings are none of this driver.
         DeviceError: There is no such driver, or its device takes no force.
     """
-    driver = haptic_driver(kind)
+    driver = DeviceDriver.haptic(kind)
     if driver is None or not takes_force(driver):
         raise DeviceError(f"there is no wire called {kind!r}")
     wire: ImpedanceWire = driver.own.wire(driver.settings(settings))

@@ -69,7 +69,9 @@ def _declare(loaded: ctypes.CDLL, library: VendorLibrary) -> None:
         try:
             call = getattr(loaded, name)
         except AttributeError as error:
-            raise DeviceError(f"{library.what}: the library has no {name}: another one, or too old") from error
+            raise DeviceError(
+                f"{library.what}: the library has no {name}: it is another library, or too old"
+            ) from error
         call.restype, call.argtypes = result, list(arguments)
 
 

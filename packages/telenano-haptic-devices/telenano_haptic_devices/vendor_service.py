@@ -105,7 +105,7 @@ class Conversation(Generic[T]):
         try:
             return self._decode(text)
         except ValueError as error:
-            unknown = f"the service says what {self._about.format} does not have: {error}"
+            unknown = f"the service sent a message that does not fit {self._about.format}: {error}"
             raise DeviceError(f"{self._service}: {unknown}") from error
 
     def drop(self, keep: int = 0) -> int:

@@ -116,9 +116,11 @@ def test_commands_know_it_by_its_entry(found: dict[str, Any]) -> None:
     assert "passive up to" in found["probe"]["coupling"]
     assert found["monitor"]["code"] == 0
     assert found["monitor"]["position_m"] == pytest.approx(0.01, rel=1e-9)
-    assert found["misspelt"]["error"].endswith("; did you mean knob?")
+    assert "did you mean knob? Known are " in found["misspelt"]["error"]
     error = found["of_no_force"]["error"]
-    assert error.startswith("haptic_node.driver = serial is no device that takes a force: simulated_impedance, ")
+    assert error.startswith(
+        "haptic_node.driver = serial is not a device that takes a force; take one of simulated_impedance, "
+    )
     assert "knob" in error
 
 

@@ -77,7 +77,7 @@ def test_a_library_that_is_another_one_is_refused(tmp_path: Path) -> None:
     if shutil.which("cc") is None:
         pytest.skip("needs a C compiler: apt install gcc")
     link = ProcessLink("dhd", {"library": str(library_doubles.build("hd"))})
-    with pytest.raises(DeviceError, match="the library has no dhdGetAvailableCount: another one, or too old"):
+    with pytest.raises(DeviceError, match="the library has no dhdGetAvailableCount: it is another library, or too old"):
         link.open()
 
 

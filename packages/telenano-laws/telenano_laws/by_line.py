@@ -92,13 +92,15 @@ class Candidate(NamedTuple):
     def unwanted(self, line: Line) -> str:
         """Return what of a line the law is not wanted for; empty where it is wanted."""
         if line.median_s > self.longest_s:
-            return f"answers are {1e3 * line.median_s:.3g} ms old, and it follows up to {1e3 * self.longest_s:.3g} ms"
+            return f"answers are {1e3 * line.median_s:.3g} ms old; it is used up to {1e3 * self.longest_s:.3g} ms"
         if self.least_stalls and line.stalls >= self.least_stalls:
             return ""
         if line.floor_s < self.shortest_s:
-            return f"it is wanted from ages of {1e3 * self.shortest_s:.3g} ms on"
+            return f"it is used for answers {1e3 * self.shortest_s:.3g} ms old or older"
         return (
-            "" if line.spread_s >= self.least_spread_s else f"its spread is from {1e3 * self.least_spread_s:.3g} ms on"
+            ""
+            if line.spread_s >= self.least_spread_s
+            else f"it is used for a spread of {1e3 * self.least_spread_s:.3g} ms or more"
         )
 
 
@@ -220,7 +222,7 @@ class Policy:
         config = self._configs[candidate.law]
         if not config.stiffness_doubts(self._stiffness_n_per_m, self._latency_s, even=even):
             return ""
-        line_text = "" if even else ", whose signals are lost or held back"
+        line_text = "" if even else ", which loses or delays signals"
         return f"law {candidate.law} does not tolerate {self._stiffness_n_per_m:g} N/m over this line{line_text}"
 
     def refused(self, law: str, text: str) -> None:

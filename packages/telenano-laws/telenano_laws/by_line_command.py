@@ -83,7 +83,7 @@ def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
         text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
     except TelenanoError as error:
         # Somebody else has control, or no answer came: that is no fault of the law, which is asked for again.
-        typer.echo(f"not asked: {text_of_decision}: {error}")
+        typer.echo(f"not changed, tried again later: {text_of_decision}: {error}")
         return False
     if text:
         policy.refused(decision.law, text)

@@ -21,7 +21,6 @@ from telenano.cli import (
 from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
 from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
-from telenano.signals import received as signal_received
 from telenano.wire import ConfigError, RigError
 from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
 
@@ -58,13 +57,15 @@ def curve(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="What its file lacks: stiffness_n_per_m, sensitivity_m_per_v; of a text table columns=1,2, "
+            help="What the measured file lacks: stiffness_n_per_m, sensitivity_m_per_v; for a text table columns=1,2, "
             "way_unit=nm, value_unit=nN.",
         ),
     ] = None,
     reduced_modulus: Annotated[
         float | None,
-        typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
+        typer.Option(
+            "--reduced-modulus", metavar="PA", help="Reduced modulus of the measured contact [Pa]; default: of --afm."
+        ),
     ] = None,
     live: LiveOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
@@ -115,7 +116,7 @@ def curve(
         document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
-    if signal_received():
+    if exit_code_of_signal():
         typer.echo(f"telenano: interrupted; {out} is complete", err=True)
         raise typer.Exit(exit_code_of_signal())
 

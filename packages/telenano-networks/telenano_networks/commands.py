@@ -11,7 +11,7 @@ COMMANDS = {
     ),
     "link picture": (
         "telenano_networks.picture_command:picture",
-        "Draw what networks do forward: delay, its distribution and autocorrelation, stalls, losses, and age.",
+        "Draw the way forward of networks: delay, its distribution and autocorrelation, stalls, losses, and age.",
     ),
     "link report": (
         "telenano_networks.report_command:report",

@@ -51,8 +51,8 @@ def fit(
         bool, typer.Option("--anyway", help="Write the settings also where the model is not like the log.")
     ] = False,
     about: Annotated[str, typer.Option("--about", metavar="TEXT", help="What the line is, in one line.")] = "",
-    cite: Annotated[str, typer.Option("--cite", metavar="TEXT", help="Where the log is from.")] = "",
-    taken: Annotated[str, typer.Option("--taken", metavar="TEXT", help="What of it was given, and how.")] = (
+    cite: Annotated[str, typer.Option("--cite", metavar="TEXT", help="Source of the log.")] = "",
+    taken: Annotated[str, typer.Option("--taken", metavar="TEXT", help="What was used of the log, and how.")] = (
         "all messages of the log, by telenano link fit"
     ),
     histogram: Annotated[

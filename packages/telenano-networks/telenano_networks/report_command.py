@@ -20,7 +20,7 @@ def report(
     recording: Annotated[Path, typer.Argument(metavar="FILE", help="Recording of a rig or of `telenano link udp`.")],
     topic: Annotated[
         str | None,
-        typer.Option("--topic", metavar="NAME", help="Messages of this topic; default: those that are most."),
+        typer.Option("--topic", metavar="NAME", help="Topic of the messages; default: the one with most."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

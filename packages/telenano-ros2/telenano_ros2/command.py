@@ -22,7 +22,7 @@ def ros2(
     ] = 0,
     namespace: Annotated[str, typer.Option("--namespace", metavar="NAME", help="What stands before each topic.")] = "",
     rate: Annotated[
-        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each topic a second; 0: all.")
+        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most messages of each topic per second; 0: all.")
     ] = Rate.DEFAULT_HZ,
     duration: DurationOption = None,
 ) -> None:

@@ -116,7 +116,7 @@ def test_a_scheduler_that_is_lost_is_named_and_the_study_goes_on_from_its_journa
         if done >= 10:
             cluster.scheduler.send_signal(signal.SIGKILL)
 
-    with pytest.raises(ConfigError, match=r"scheduler was lost, \d+ of 30 batches .* the same command continues"):
+    with pytest.raises(ConfigError, match=r"scheduler was lost, \d+ of 30 batches .* repeat the command to continue"):
         sweep_of(tmp_path, cluster.address, progress=progress).run(CELLS)
     kept = len((tmp_path / "journal.jsonl").read_text().splitlines())
     assert 10 <= kept < len(CELLS)
@@ -142,7 +142,7 @@ def test_a_second_study_that_waits_says_for_what(
         assert [result.cell for result in found] == CELLS[:2]
         other.cancel(busy)
     (text,) = heard
-    said = f"--scheduler {cluster.address}: its workers have tasks of others, which come first: "
+    said = f"--scheduler {cluster.address}: its workers first finish "
     assert re.fullmatch(re.escape(said) + "[12] now", text)
 
 

@@ -31,5 +31,5 @@ class DatagramSettings(Settings):
         "datagrams go through the relay",
     )
     budget_kbit_per_s: float = Field(
-        default=6000.0, ge=100.0, le=1e6, description="Most that each end sends in datagrams, network headers included"
+        default=6000.0, ge=100.0, le=1e6, description="Greatest rate of each end's datagrams, headers included [kbit/s]"
     )

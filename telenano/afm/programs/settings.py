@@ -132,7 +132,9 @@ def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> l
     simulation = driver.simulation
     if simulation is None:
         for key in parameters:
-            raise RefusedError(f"{key.partition('.')[0]}: a real instrument has its own")
+            raise RefusedError(
+                f"{key.partition('.')[0]}: only a simulated instrument has this setting, and this one is real"
+            )
         return []
     found: list[tuple[str, Callable[[], None]]] = []
     if STIFFNESS in parameters:

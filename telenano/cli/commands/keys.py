@@ -155,10 +155,10 @@ def _public_key(text: str) -> tuple[str, date | None]:
     try:
         content, _ = read_regular(path)
     except OSError as error:
-        raise ConfigError(f"{path}: holds no public key: {error.strerror}") from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     public, _ = keys_in(content)
     if not public:
-        raise ConfigError(f"{path}: holds no public key")
+        raise ConfigError(f"{path}: contains no public key; give the NAME.key file of that machine")
     return public.decode(errors="replace"), expiry_in(content, path)
 
 

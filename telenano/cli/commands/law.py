@@ -75,7 +75,9 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
 
         known_law(law)
         if not as_json:
-            typer.echo("trying the rules; the first time the steps are compiled, up to a minute", err=True)
+            typer.echo(
+                "checking the rules; the first time needs a minute or less, because the steps are compiled", err=True
+            )
         broken = broken_rules(law)
         limit_of = ControllerConfig(law=law).stiffness_limit_n_per_m
         limit, *behind = map(limit_of, range(LATE_PERIODS + 1))
@@ -88,9 +90,11 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
         if limit is not None:
             late, lossy = (", ".join(f"{value:.4g}" for value in values) for values in (behind, uneven))
             typer.echo(
-                f"tolerates samples of up to {limit:.4g} N/m; {late} with an instrument 1 to {LATE_PERIODS} ms late;"
+                f"tolerates samples of up to {limit:.4g} N/m; {late} N/m, the instrument 1 to {LATE_PERIODS} ms late,"
             )
-            typer.echo(f"over a line that loses signals or holds them back {lossy}, 0 to {LATE_PERIODS} ms late")
+            typer.echo(
+                f"over a line that loses or delays signals {lossy} N/m, the instrument 0 to {LATE_PERIODS} ms late"
+            )
         for rule, faults in broken.items():
             typer.echo(f"{'broken' if faults else 'kept  '}  {rule}")
             for fault in faults:

@@ -33,7 +33,7 @@ def session(
     target: TargetOption = "*",
     site: SiteOption = None,
     site_file: RigFileOption = None,
-    take: Annotated[bool, typer.Option("--take", help="Take the hand from a page for this command.")] = False,
+    take: Annotated[bool, typer.Option("--take", help="Take control from a page for this command.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing.

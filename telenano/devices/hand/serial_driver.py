@@ -223,7 +223,9 @@ class SerialHandle:
         if self._phase is not _Phase.READY:
             return
         if command.mode not in self._modes:
-            raise DeviceError(f"the handle at {self.path} has no mode {MODE_NAMES.get(command.mode, command.mode)}")
+            raise DeviceError(
+                f"the handle at {self.path} cannot be driven in mode {MODE_NAMES.get(command.mode, command.mode)}"
+            )
         self._send_command(command)
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import zmq
@@ -14,10 +14,10 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.local_endpoint import local_endpoint
-from telenano.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.settings.package_topics import installed_topics, problem_with, row_of
 from telenano.wire import TOPICS
-from telenano.wire.errors import ConfigError, RigError, probably_meant
+from telenano.wire.errors import ConfigError, RigError, known_names, probably_meant
 from telenano.wire.nodes import is_visitor, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import SequenceTracker
@@ -45,8 +45,7 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
     topic, _, site = name.partition("@")
     meant = probably_meant(topic, TOPICS)
     if row_of(topic) is None and not (unknown and not meant and keep_unknown(topic)):
-        names = f"known are {', '.join(TOPICS)}, with @site for what left the link"
-        reason = problem_with(topic) or f"{names}{meant}"
+        reason = problem_with(topic) or f"{known_names(topic, TOPICS)}, with @site for what left the link"
         raise ConfigError(f"unknown topic {name!r}: {reason}")
     if site and TOPICS[topic].bridged is None:
         raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")
@@ -66,12 +65,19 @@ class Observer:
         """
         self.notices: list[ConnectionEvent] = []
         self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
         self.subscribers = participant.observe(lambda topic, node: wanted is None or topic in wanted, shared=shared)
         self._poller = zmq.Poller()
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)
+
+    @classmethod
+    def of_rig(cls, site_file: Path, wanted: Collection[str] | None = None) -> Self:
+        """Connect to the rig of a site file; RigError at once where no rig can be running."""
+        book = AddressBook.load(site_file)
+        require_rig(book, site_file)
+        return cls(book, wanted)
 
     def listen(self, duration_s: float | None) -> Iterator[ObservedMessage]:
         """Return the messages received within a time [s], None for no end."""

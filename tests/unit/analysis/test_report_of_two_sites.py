@@ -104,7 +104,7 @@ def test_two_readings_with_two_verdicts_are_said_in_words(with_one_clock: dict[s
     other = {"stable": False, "verdict": "limit_cycle", "reason": "", "hold_ratio": None}
     clocks = {**with_one_clock["clocks"], "otherwise": other}
     assert clock_warning({**with_one_clock, "clocks": clocks}).endswith(
-        "as they are the session is stable, with that difference taken off limit_cycle"
+        "uncorrected, the session is stable, corrected for it limit_cycle"
     )
 
 

@@ -53,7 +53,7 @@ def test_no_command_is_recommended_for_what_is_not_ours() -> None:
     said = require(f"some-laws 1.0 {DIGEST}")
     assert said == (
         "the session used the law evil_law of some-laws 1.0, which is not installed here: "
-        "ask who recorded it where that package comes from"
+        "ask the author of the recording for that package"
     )
     assert "pip" not in said
     own = sorted(set(KNOWN_PACKAGES.values()))[0]

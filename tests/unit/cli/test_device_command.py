@@ -15,7 +15,7 @@ from telenano.cli.commands.device_files import section_of
 def test_emulators_take_a_scenario_by_its_name_and_say_which_there_are(emulator: str) -> None:
     done = CliRunner().invoke(root.app, ["device", "simulate", emulator, "--scenario", "fig13"])
     assert done.exit_code == 2
-    assert "unknown scenario 'fig13': known are" in done.output and "fig12" in done.output
+    assert "unknown scenario 'fig13': did you mean fig12? Known are" in done.output and "fig12" in done.output
 
 
 def test_scenario_of_an_emulator_is_a_name_a_file_or_the_defaults(tmp_path: Path) -> None:

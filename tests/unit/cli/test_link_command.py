@@ -43,7 +43,7 @@ def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled()
     backward = {**forward, "queue_s": 0.001, "line": "full", "limit_bit_per_s": 850_000, "unsent": 300, "settled": 0}
     ways = {"forward": forward, "backward": backward}
     rows = {row["what"]: (row["forward"], row["backward"]) for row in network_rows(ways)}
-    assert rows["network: lost of settled [%]"] == ("10.0", "")
+    assert rows["network: lost, of those known [%]"] == ("10.0", "")
     assert rows["network: queue [ms]"] == ("52.0", "1.0")
     assert rows["network: line carries [Mbit/s]"] == ("1.04", "1.04")
     # the end that receives backward, at the master, is the one that sends forward
@@ -52,7 +52,7 @@ def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled()
     assert rows["network: unsent"] == ("300", "0")
     earlier = {key: forward[key] for key in ("receiving", "sent", "arrived", "late", "lost", "refused", "delay_valid")}
     shown = {row["what"]: row["forward"] for row in network_rows({"forward": earlier})}
-    assert shown["network: queue [ms]"] == shown["network: line"] == shown["network: lost of settled [%]"] == ""
+    assert shown["network: queue [ms]"] == shown["network: line"] == shown["network: lost, of those known [%]"] == ""
 
 
 def test_profiles_are_listed_and_shown_without_a_rig():

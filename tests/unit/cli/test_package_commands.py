@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from stranger_package import said
 from typer.testing import CliRunner
 
 from telenano.cli.commands import new as new_command
@@ -157,12 +158,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         new_package(kind, name, site / name)
         put_on_path(site / name, site)
         folders.append(site / name)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
-    command = [sys.executable, "-W", "error", "-c", PROGRAM]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    document: dict[str, Any] = said(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
+    return document
 
 
 def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str, Any]) -> None:
@@ -200,8 +197,7 @@ def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, An
     assert (instrument["code"], instrument["status"], instrument["force_n"]) == (0, "ok", 0.0)
     assert instrument["base_m"] == instrument["safe_position_m"] < 0.0
     assert (misspelt["code"], elsewhere["code"], soft["code"]) == (2, 2, 2)
-    assert misspelt["error"].startswith("--device stub_amf: known are simulated_impedance, ")
-    assert misspelt["error"].endswith("; did you mean stub_afm?")
+    assert misspelt["error"].startswith("--device stub_amf: did you mean stub_afm? Known are simulated_impedance, ")
     assert elsewhere["error"] == "--set haptic_node: the driver stub_afm has keys afm_node.stub_afm.* only"
     assert soft["error"].startswith("--set: afm_node.stub_afm.stiffness_n_per_m: ")
     for watched in found["monitor"]:

@@ -238,7 +238,7 @@ def test_a_device_that_does_not_answer_is_named(
         assert run_estop(EstopRequest(site_file=site_file)) == 1
     out, err = capsys.readouterr()
     assert out == f"{HAND} ack: stopped\n"
-    later = f"{TIP} will obey it on going on, or when started again"
+    later = f"{TIP} will stop as soon as it continues or is started again"
     assert err == f"telenano: {TIP} did not answer estop within 0.3 s: {later}\n"
     kept = decode("session/control", (site_file.parent / f"{TIP}.estop.kept").read_bytes())
     assert isinstance(kept, SessionControl)

@@ -66,7 +66,7 @@ def test_a_pupil_has_the_hand_when_it_is_handed_over_and_gives_it_back() -> None
     with pytest.raises(RefusedError, match="ask for it"):
         act(Lease(), PUPIL, 5)
     lease = ask(held_by(OWNER), PUPIL, 6)
-    with pytest.raises(RefusedError, match="only who holds control, or a teacher"):
+    with pytest.raises(RefusedError, match="only the holder of control, or a teacher"):
         hand_over(lease, PUPIL, "p", 7, lease.number)
     lease = hand_over(lease, OWNER, "", 7, lease.number)
     assert (lease.holder, lease.asking) == (PUPIL, ())

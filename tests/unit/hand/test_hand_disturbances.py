@@ -143,7 +143,7 @@ def test_they_are_switched_while_the_node_runs(bench_of: Any) -> None:
     assert forces(5) == {0.0}
     for parameters, what in (
         ({"disturbances.tremor.size": 1.0}, "haptic_node.disturbances.tremor.size: unknown key"),
-        ({"limits.max_force_n": 1.0}, "haptic_node.limits: unknown key, known is disturbances"),
+        ({"limits.max_force_n": 1.0}, "haptic_node.limits: unknown key; keys here begin with disturbances"),
         ({}, "set needs parameters"),
     ):
         with pytest.raises(RefusedError, match=what):

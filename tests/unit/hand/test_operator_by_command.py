@@ -47,7 +47,9 @@ def test_the_next_programme_is_that_of_the_new_hand(hand: Bench) -> None:
     hand.control("start")
     assert hand.forces(40)[-1] == 1.0
     hand.control("stop")
-    assert hand.control("set", operator=json.dumps(HARDER)) == "the operator is force_profile, with the next start"
+    assert (
+        hand.control("set", operator=json.dumps(HARDER)) == "the operator is force_profile from the next session start"
+    )
     assert set(hand.forces(5)) == {0.0}
     hand.control("start")
     assert hand.forces(40)[-1] == 3.0

@@ -77,7 +77,7 @@ def test_a_delay_longer_than_the_session_is_a_sentence(given: dict[str, Any], is
 def test_the_key_that_was_meant_is_looked_for_in_all_sections(key: str, meant: str, tmp_path: Path) -> None:
     said = refusal_of(tmp_path, f"{key}=2")
     assert "unknown key" in said
-    assert said.partition("; did you mean ")[2] == (f"{meant}?" if meant else "")
+    assert said.partition("did you mean ")[2].partition("? Known are ")[0] == meant
     assert said.count("did you mean") == bool(meant)
 
 
@@ -88,7 +88,7 @@ def test_each_key_is_found_by_its_last_word_from_the_wrong_section(keys: list[sc
     for name in names[:: max(1, len(names) // 20)]:
         word = name.rpartition(".")[2]
         said = with_meant(f"x.yaml: recorder.{word}: unknown key, known are a, b")
-        meant = said.partition("; did you mean ")[2].rstrip("?").split(" or ")
+        meant = said.partition("did you mean ")[2].partition("?")[0].split(" or ")
         if not any(each.endswith(f".{word}") for each in meant):
             missed.append(name)
     assert missed == []

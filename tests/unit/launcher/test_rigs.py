@@ -83,7 +83,7 @@ def test_a_rig_without_processors_of_its_own_is_told_so_and_runs_behind(tmp_path
         assert processors.held({0, 1, 2, 3}, locks) == (1, 2, 3)
         [rig] = running_rigs()
         assert rig.about["behind"]
-    assert "other rigs hold 1, 2, 3 of 4; it runs behind them" in said[0]
+    assert "other rigs use processors 1, 2, 3 of 4; it runs behind them" in said[0]
     assert "realtime.rate_hz" in said[0]
     processors.release(taken)
 
@@ -108,7 +108,7 @@ def test_a_processor_that_is_named_and_held_is_warned_of(tmp_path: Path, locks: 
     taken, said = processors.claim_these({1}, locks), []
     with own_rig(plan_of(tmp_path, "realtime.cpus={afm_node: 1, controller: 2}"), said.append, locks) as own:
         assert own.processors == (2,)
-    assert said == ["warning: realtime.cpus: other rigs hold 1, and both will be late there"]
+    assert said == ["warning: realtime.cpus: other rigs use processors 1 too, and both will be late there"]
     processors.release(taken)
 
 

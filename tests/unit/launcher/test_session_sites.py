@@ -107,7 +107,7 @@ def test_a_pulled_cable_is_reported_and_the_session_goes_on() -> None:
     for silence in (5, 60):
         rig.reports.clear()
         rig.tick_alive(20 * silence, missing=SLAVE)
-        assert [text[:32] for text in rig.reports] == ["the slave's site is silent since"]
+        assert [text[:38] for text in rig.reports] == ["the slave's site has been silent since"]
         assert rig.session.status_line().endswith("silent: the slave's site")
         assert rig.session.phase == "running"
         rig.tick_alive(5)
@@ -125,7 +125,7 @@ def test_one_node_of_the_slave_is_reported_by_its_name() -> None:
     rig.tick_alive(10)
     rig.reports.clear()
     rig.tick_alive(80, missing=["afm_node@slave"])
-    assert [text[:27] for text in rig.reports] == ["afm_node@slave is silent si"]
+    assert [text[:31] for text in rig.reports] == ["afm_node@slave has been silent "]
 
 
 def test_the_end_stops_the_own_nodes_only() -> None:
@@ -165,7 +165,7 @@ def test_the_slave_reports_the_masters_silence_and_return() -> None:
     rig.receive_health(*SLAVE)
     rig.tick_linked(5)
     rig.tick(20 * 60)
-    assert rig.reports[-1].startswith("the master's site is silent since")
+    assert rig.reports[-1].startswith("the master's site has been silent since")
     assert "is silent, the nodes here wait for it" in rig.site.status_line()
     rig.tick_linked(20)
     assert rig.reports[-1].startswith("the master's site is alive again after 60.")

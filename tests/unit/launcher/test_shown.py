@@ -96,19 +96,20 @@ def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
 
     far = Session(exactly(78.0), exactly(1.0))
     assert text(far) == (
-        "The line is outside of what one was shown to hold: 78 ms there and back, shown up to 20 ms on some sample. "
-        "The hand may feel a swing, or the tip rest off its force. "
+        "The line is outside of the range in which one held in the benchmark: 78 ms there and back, and it held up to "
+        "20 ms on some sample. "
+        "The hand may feel an oscillation, or the tip may rest at another force than intended. "
         "Take other (--set controller.law=other) or a shorter line."
     )
-    assert text(far, ("one", "nearer")).endswith("Take a shorter line: no law was shown to hold this session.")
-    assert "5 ms there and back, at times 90 ms more, shown up to 70 ms more" in text(
+    assert text(far, ("one", "nearer")).endswith("Take a shorter line: no law held such a session in the benchmark.")
+    assert "5 ms there and back, at times 90 ms more, and it held up to 70 ms more" in text(
         Session(exactly(5.0), exactly(90.0))
     )
-    assert "stiffer than what one was shown to hold: 85 to 150 N/m, shown from 20 to 80 N/m" in text(
+    assert "stiffer than those that one held in the benchmark: 85 to 150 N/m, where it held 20 to 80 N/m" in text(
         Session(stiffness_n_per_m=Known(100.0, 85.0, 150.0))
     )
-    assert "20 ± 8 pm/s, shown up to 10 pm/s" in text(Session(drift_pm_per_s=Known(20.0, 12.0, 28.0)))
-    assert "26 ms there and back, 80 to 80 N/m together, shown up to 16 ms" in text(
+    assert "20 ± 8 pm/s, and it held up to 10 pm/s" in text(Session(drift_pm_per_s=Known(20.0, 12.0, 28.0)))
+    assert "26 ms there and back, 80 to 80 N/m together, and it held up to 16 ms" in text(
         Session(exactly(26.0), exactly(2.0), exactly(80.0))
     )
 

@@ -83,11 +83,13 @@ def test_one_event_and_one_line_for_a_session_that_is_outside_for_long() -> None
     rig = WatchedRig()
     (event,) = rig.run(100.0, 0.078)
     assert (event.kind, event.level, event.src) == ("node", "warning", "launcher@master")
-    assert event.text.startswith("The line is outside of what wave was shown to hold: 78 ms there and back")
+    assert event.text.startswith(
+        "The line is outside of the range in which wave held in the benchmark: 78 ms there and back"
+    )
     assert "Take passivity (--set controller.law=passivity) or a shorter line." in event.text
     assert (event.data["outside"], event.data["law"], event.data["round_trip_ms"]) == ("line", "wave", 78.0)
     assert float(event.data["least_round_trip_ms"]) < 78.0 < float(event.data["most_round_trip_ms"])
-    assert [text for text in rig.reports if "shown to hold" in text] == [event.text]
+    assert [text for text in rig.reports if "held in the benchmark" in text] == [event.text]
 
 
 def test_it_is_warned_of_again_only_after_it_was_inside_for_a_while() -> None:
@@ -112,7 +114,7 @@ def test_another_law_is_another_question() -> None:
     rig = WatchedRig()
     assert len(rig.run(20.0, 0.12)) == 1
     (event,) = rig.run(20.0, 0.12, law="passivity")
-    assert event.data["law"] == "passivity" and event.text.endswith("no law was shown to hold this session.")
+    assert event.data["law"] == "passivity" and event.text.endswith("no law held such a session in the benchmark.")
 
 
 @pytest.mark.parametrize(("law", "laws"), [("my_law", ("my_law",)), ("wave", ("passivity",))])

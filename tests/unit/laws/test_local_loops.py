@@ -157,8 +157,7 @@ def test_a_line_that_is_not_even_is_named_with_both_limits() -> None:
     text = config.stiffness_doubts(195.0, even=False)
     assert text.startswith(
         "law wave: 195 N/m is stiffer than the 194.4 N/m that its slave half tolerates over a line that loses "
-        "signals or"
-        " holds them back (444.4 N/m without that)"
+        "or delays signals (444.4 N/m without that)"
     )
     both = config_of("model_mediated").stiffness_doubts(53.0, 4e-3, even=False)
     assert "the 52.78 N/m that its slave half tolerates with an instrument that answers 4 ms late over a line" in both
@@ -211,7 +210,7 @@ def test_a_law_that_overlooks_what_a_late_instrument_still_has_to_do_breaks_a_ru
 
     rule = next(rule for rule in RULES if rule.name.startswith("touches a wall"))
     monkeypatch.setitem(LAWS, "model_mediated", replace(law, slave_receive=hasty))
-    assert any("tells the law of it 4 ms later" in fault for fault in rule.broken_by("model_mediated"))
+    assert any("reports it to the law 4 ms later" in fault for fault in rule.broken_by("model_mediated"))
 
 
 @pytest.mark.parametrize("name", LOCAL)

@@ -48,8 +48,16 @@ def test_nil_becomes_nan(config: RecorderConfig) -> None:
 @pytest.mark.parametrize(
     ("channel", "field", "text"),
     [
-        ("haptic/stat", "t_ns", "has no channel haptic/stat; its channels are haptic/state, teleop/forward@slave"),
-        ("haptic/state", "positon_m.2", "haptic/state, seq 0: has no field positon_m.2, its fields are seq, t_ns"),
+        (
+            "haptic/stat",
+            "t_ns",
+            "has no channel haptic/stat; did you mean haptic/state.; its channels are haptic/state, teleop",
+        ),
+        (
+            "haptic/state",
+            "positon_m.2",
+            "haptic/state, seq 0: has no field positon_m.2; did you mean position_m.; its fields are seq, t_ns",
+        ),
         ("haptic/state", "position_m.3", "has no field position_m.3"),
         ("haptic/state", "t_ns.1", "has no field t_ns.1"),
         ("haptic/state", "position_m", "position_m is a tuple; name one of its parts, such as position_m.0"),

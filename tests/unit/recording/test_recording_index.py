@@ -102,8 +102,8 @@ def test_what_a_writer_may_leave_out_is_not_asked_for() -> None:
 def test_what_other_readers_go_by_is_compared_with_the_file(plain: bytes) -> None:
     statistics, chunk = start_of(plain, Opcode.STATISTICS), start_of(plain, Opcode.CHUNK_INDEX, 1)
     for place, form, value, fault in (
-        (statistics + FIRST, "<Q", 31, "the summary states 31 messages, and 30 are in the file"),
-        (statistics + FIRST + 48, "<Q", 3, "for all channels than for each of them"),
+        (statistics + FIRST, "<Q", 31, "the summary states 31 messages, but the file has 30"),
+        (statistics + FIRST + 48, "<Q", 3, "do not add up to the total that it states"),
         (chunk + FIRST, "<Q", 5, "the chunk indexes of the summary differ from the chunks in the file, first at byte"),
         (chunk + FIRST + 16, "<Q", 5, "the chunk indexes of the summary differ from the chunks in the file, first at"),
         (len(MAGIC) + FIRST, "<I", 1000, "header or summary cannot be read"),

@@ -10,7 +10,7 @@ import dataclasses
 from typing import NamedTuple
 
 from telenano.settings import DeviceDriver
-from telenano.extend.laws import law_of
+from telenano.extend.laws import Law
 from telenano.extend import pass_through, virtual_impedance
 from telenano.extend.programs import Program
 from telenano.extend.samples import AfmSample, SampleModel
@@ -45,7 +45,7 @@ class LawConfig(virtual_impedance.ImpedanceConfig):
         return Params(self.impedance_params(period_s))
 
 LAW = dataclasses.replace(
-    law_of(virtual_impedance.__name__, LawConfig, slave=pass_through),
+    Law.of(virtual_impedance.__name__, LawConfig, slave=pass_through),
     name="law_config",
 )
 
@@ -123,7 +123,10 @@ def test_a_law_is_chosen_and_changed_by_its_key(said: dict[str, Any]) -> None:
 
 
 def test_what_is_wrong_with_such_a_section_is_named_by_its_key(said: dict[str, Any]) -> None:
-    assert "afm_node.doubts.stifness_n_per_m: unknown key, known are stiffness_n_per_m" in said["sample refused"]
+    assert (
+        "afm_node.doubts.stifness_n_per_m: unknown key, did you mean stiffness_n_per_m? Known are stiffness_n_per_m"
+        in said["sample refused"]
+    )
     assert "afm_node.package_doubts: unknown key" in said["attribute refused"]
     assert "controller.law_config.force_gain" in said["law refused"]
     assert "allowed is from 0 to 1e+09" in said["law refused"]

@@ -12,6 +12,10 @@ from typing import Any
 
 import msgpack
 import pytest
+from bus_page import ACCESS, HEADERS
+from bus_page import BusPage as Page
+from made_source import MadeSource
+from waiting import until
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
@@ -19,35 +23,14 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from services.viz_node import hub as hubs
-from services.viz_node import server
+from services.viz_node import page_hand, server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
-from services.viz_node.source import NoTransport
 from telenano.hand.operator_config import InteractiveConfig
-from telenano.serving.access import Access, Role
+from telenano.serving.access import Role
 from telenano.wire.errors import RigError
-
-ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
-HEADERS = {"origin": "http://testserver"}
-
-
-class Source(NoTransport):
-    """A rig of which each message is put in by hand."""
-
-    def __init__(self) -> None:
-        self.waiting: list[Seen] = []
-
-    def poll(self, *, watched: bool) -> list[Seen]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "test"}
-
-    def close(self) -> None:
-        pass
 
 
 class Commander:
@@ -96,7 +79,7 @@ class Hand:
 
 class Rig:
     def __init__(self) -> None:
-        self.source, self.commander = Source(), Commander()
+        self.source, self.commander = MadeSource(), Commander()
         self.hand: list[Any] = []
         self.hub = Hub(self.source, self.commander, lambda: {"laws": ["wave"]}, lambda: Hand(self.hand))
 
@@ -118,28 +101,6 @@ def page(tmp_path: Path) -> Path:
 def client(rig: Rig, page: Path) -> Iterator[TestClient]:
     with TestClient(server.make_app(rig.hub, ACCESS, page), client=("127.0.0.1", 5)) as found:
         yield found
-
-
-class Page:
-    """A page as far as its web socket goes."""
-
-    def __init__(self, stack: ExitStack, client: TestClient, token: str = ACCESS.operator_token, **hello: Any) -> None:
-        self.socket = stack.enter_context(client.websocket_connect("/bus", headers=HEADERS))
-        self.send({"k": "hello", "token": token, "protocol": 1, **hello})
-
-    def send(self, fields: Mapping[str, Any]) -> None:
-        self.socket.send_bytes(msgpack.packb(fields))
-
-    def take(self, kind: str) -> dict[str, Any]:
-        """Return the next frame of a kind."""
-        while True:
-            frame: dict[str, Any] = msgpack.unpackb(self.socket.receive_bytes())
-            if frame["k"] == kind:
-                return frame
-
-    def ask(self, **fields: Any) -> dict[str, Any]:
-        self.send({"id": "a-1", **fields})
-        return self.take("answer")
 
 
 @pytest.fixture
@@ -487,13 +448,6 @@ def push(page: Page, force_n: float, held: bool = True) -> None:
     page.send({"k": "hand", "force_n": force_n, "held": held})
 
 
-def until(condition: Any) -> None:
-    end = time.monotonic() + 5.0
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.002)
-    assert condition()
-
-
 def changes(rig: Rig) -> list[float]:
     """Return the forces at the haptic node without their repetitions."""
     return [force for force, _ in groupby(rig.hand)]
@@ -502,7 +456,7 @@ def changes(rig: Rig) -> list[float]:
 def test_one_page_holds_the_hand_until_it_lets_go(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    monkeypatch.setattr(page_hand, "HAND_FRESH_S", 60.0)
     first, second = Page(stack, client), Page(stack, client)
     push(first, 1.5)
     until(lambda: changes(rig) == [1.5])
@@ -517,7 +471,7 @@ def test_one_page_holds_the_hand_until_it_lets_go(
 def test_a_window_that_asks_gets_control_when_the_other_one_has_done_and_each_has_a_letter(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    monkeypatch.setattr(page_hand, "HAND_FRESH_S", 60.0)
     pages = [Page(stack, client) for _ in range(2)]
     snapshots = [page.take("snapshot") for page in pages]
     assert [each["window"] for each in snapshots] == ["A", "B"]
@@ -566,7 +520,7 @@ def test_what_is_read_of_a_page_that_has_left_gives_the_hand_to_nobody(rig: Rig,
 def test_a_page_that_pauses_for_a_moment_keeps_its_force(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
+    monkeypatch.setattr(page_hand, "HAND_FRESH_S", 60.0)
     push(Page(stack, client), 1.5)
     until(lambda: rig.hand[:4] == [1.5] * 4)
     # the haptic node lets go when it hears nothing for longer than two of these
@@ -579,7 +533,7 @@ def test_a_server_that_stood_still_does_not_take_that_for_silence_of_the_page(
     now_s = 50.0
     monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
     rig.hub._push(Session(server.Role.OPERATOR), HandRequest(1.5, True))
-    now_s += 20.0 * hubs.HAND_FADE_S
+    now_s += 20.0 * page_hand.HAND_FADE_S
     rig.hub.tick()
     assert changes(rig) == [1.5]
     for _ in range(20):
@@ -609,7 +563,7 @@ def test_the_force_of_a_silent_page_fades_and_comes_back_as_slowly(rig: Rig, mon
     go_on(51.3, frames=False)
     faded = [force for _, force in forces if force < 2.0]
     # Never more than what passes in a tick of the time in which it fades.
-    most = 2.0 * hubs.TICK_S / hubs.HAND_FADE_S + 1e-9
+    most = 2.0 * hubs.TICK_S / page_hand.HAND_FADE_S + 1e-9
     steps = [abs(after - before) for (_, before), (_, after) in pairwise(forces)]
     assert max(steps) <= most
     assert 0.0 < faded[-1] < 1.0
@@ -618,11 +572,11 @@ def test_the_force_of_a_silent_page_fades_and_comes_back_as_slowly(rig: Rig, mon
     assert max(steps) <= most
     assert forces[-1][1] == 2.0
     # It is nothing after the fresh time and the fading.
-    go_on(52.0 + hubs.HAND_FRESH_S + hubs.HAND_FADE_S + 2 * hubs.TICK_S, frames=False)
+    go_on(52.0 + page_hand.HAND_FRESH_S + page_hand.HAND_FADE_S + 2 * hubs.TICK_S, frames=False)
     assert forces[-1][1] == 0.0
     told = [msgpack.unpackb(frame) for frame in session._answers]
     late = [frame["late_s"] for frame in told if frame["k"] == "hand"]
-    assert [late_s > hubs.HAND_FRESH_S for late_s in late] == [True, False, True]
+    assert [late_s > page_hand.HAND_FRESH_S for late_s in late] == [True, False, True]
 
 
 def test_a_force_that_waited_or_was_overtaken_is_dropped_and_counted_and_a_hand_is_let_go_at_any_age(
@@ -635,7 +589,7 @@ def test_a_force_that_waited_or_was_overtaken_is_dropped_and_counted_and_a_hand_
     rig.hub._push(session, HandRequest(1.0, True, number=1, stamp_s=7.0))
     now_s = 50.2
     rig.hub._push(session, HandRequest(2.0, True, number=2, stamp_s=7.15))
-    assert rig.hand == [1.0, 2.0 * rig.hub._share]
+    assert rig.hand == [1.0, 2.0 * rig.hub.hand.share]
     pushed = len(rig.hand)
     rig.hub._push(session, HandRequest(3.0, True, number=3, stamp_s=7.05))
     rig.hub._push(session, HandRequest(4.0, True, number=2, stamp_s=7.2))
@@ -718,7 +672,7 @@ class ShortDocument:
 
 
 def test_who_only_looks_may_read_in_a_recording(page: Path, stack: ExitStack) -> None:
-    hub = Hub(Source(), document=ShortDocument())
+    hub = Hub(MadeSource(), document=ShortDocument())
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     observer = Page(stack, client, ACCESS.observer_token)
     assert observer.ask(k="document")["found"]["length_s"] == 10.0
@@ -727,18 +681,18 @@ def test_who_only_looks_may_read_in_a_recording(page: Path, stack: ExitStack) ->
 
 def test_a_running_rig_is_no_document(client: TestClient, stack: ExitStack) -> None:
     answer = Page(stack, client).ask(k="document")
-    assert (answer["ok"], "a running rig is no document" in answer["text"]) == (False, True)
+    assert (answer["ok"], "only a recording can be read in parts" in answer["text"]) == (False, True)
 
 
 def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack) -> None:
     document = ShortDocument()
-    hub = Hub(Source(), document=document)
+    hub = Hub(MadeSource(), document=document)
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     reader = Page(stack, client)
     document.held.clear()
     for number in range(hubs._MOST_READS + 1):
         reader.send({"k": "part", "id": f"a-{number}", "from_s": 0.0, "to_s": 1.0, "spans": 10})
     refused = reader.take("answer")
-    assert (refused["ok"], "are being read already" in refused["text"]) == (False, True)
+    assert (refused["ok"], "are already being read" in refused["text"]) == (False, True)
     document.held.set()
     assert all(reader.take("answer")["ok"] for _ in range(hubs._MOST_READS))

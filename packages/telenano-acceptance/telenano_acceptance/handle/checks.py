@@ -131,7 +131,7 @@ def _buzz(take: Take[Facts]) -> tuple[Result, str]:
         return "retake", "the step hold was too short"
     slow = np.convolve(places, np.ones(width) / width, mode="valid")
     found_m = float((places[width // 2 : width // 2 + len(slow)] - slow).std())
-    return passes(found_m <= BUZZ_M), f"{1e6 * found_m:.1f} um faster than some 15 Hz, one sigma"
+    return passes(found_m <= BUZZ_M), f"{1e6 * found_m:.1f} um of motion above about 15 Hz, standard deviation"
 
 
 def _limits(take: Take[Facts]) -> tuple[Result, str]:
@@ -181,7 +181,7 @@ _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
     ("sign of places", _place_sign, "growing towards the sample", ("push",)),
     ("following", _follows, f"within {100 * FOLLOW_SHARE:.0f} % of the motion", ("follow",)),
     ("limits of force", _limits, "no more than the drive may give", ("follow",)),
-    ("holding", _holds, "in place, but for what its servo yields", ("hold",)),
+    ("holding", _holds, "in place, apart from the give of its servo", ("hold",)),
     ("quiet hold", _buzz, f"{1e6 * BUZZ_M:.0f} um of buzz at most", ("hold",)),
     ("watchdog", _watchdog, "the drive is off while nothing is sent", ("silence",)),
     ("cable loss", _cable, "reported, and it comes back", ("cable",)),

@@ -53,7 +53,9 @@ def make_take(
     if driver is None or not takes_force(driver):
         others = (name for name, one in DRIVERS.all().found.items() if takes_force(one))
         names = ", ".join((SIMULATED_IMPEDANCE, *others))
-        raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {names}")
+        raise ConfigError(
+            f"haptic_node.driver = {config.driver} is not a device that takes a force; take one of {names}"
+        )
     link = ProcessLink(driver.name, driver.section(config).model_dump(mode="json"))
     # As run_ahead does for the other devices: a full collection would hold up the motion for a tenth of a second.
     gc.collect()

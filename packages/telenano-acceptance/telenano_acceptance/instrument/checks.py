@@ -121,7 +121,7 @@ def _range(take: Take[Facts]) -> tuple[Result, str]:
 def _surface(take: Take[Facts]) -> tuple[Result, str]:
     rows = take.of("contact")
     if not len(rows):
-        return "retake", take.facts.stopped or "it did not get there"
+        return "retake", take.facts.stopped or "the base did not reach the sample"
     return "pass", f"pressed by {1e9 * take.facts.press_n:.3g} nN with the base at {1e9 * rows['asked_m'].max():.4g} nm"
 
 
@@ -192,7 +192,7 @@ def _watchdog(take: Take[Facts]) -> tuple[Result, str]:
     facts = take.facts
     before, after = facts.retractions
     if not facts.heartbeat_s:
-        return "cannot say", "nothing is declared that retracts when this rig is silent: somebody has to stand by"
+        return "cannot say", "nothing retracts the tip when this rig is silent, as declared: a person has to stand by"
     if not facts.silent_s:
         return "retake", facts.stopped
     text = f"{1e3 * facts.silent_s:.0f} ms of silence, {1e3 * facts.heartbeat_s:.0f} ms are allowed"
@@ -204,11 +204,11 @@ def _watchdog(take: Take[Facts]) -> tuple[Result, str]:
 def _back(take: Take[Facts]) -> tuple[Result, str]:
     rows = take.of("back")
     if not len(rows):
-        return "retake", take.facts.stopped or "the motion did not get there"
+        return "retake", take.facts.stopped or "the motion ended before this step"
     lost = np.flatnonzero(rows["status"] == _LOST)
     there_s = float(rows["time_s"][lost[-1] + 1] - rows["time_s"][0]) if len(lost) and lost[-1] + 1 < len(rows) else 0.0
     if len(lost) and lost[-1] + 1 == len(rows):
-        return "fail", "it did not come back"
+        return "fail", "the instrument did not answer again"
     at_m, safe_m = float(rows["base_m"][-1]), take.facts.limits.retract_position_m
     good = there_s <= BACK_S and at_m <= safe_m + RANGE_M and rows["status"][-1] == _OK
     return passes(good), f"after {there_s:.2f} s, with the base at {1e9 * at_m:.4g} nm"

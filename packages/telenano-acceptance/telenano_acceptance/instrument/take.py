@@ -87,7 +87,7 @@ class Facts(NamedTuple):
         limits = values.pop("limits")._asdict()
         return [
             Table("What was declared", "", values),
-            Table("The limits of the guard", "The motion went through them.", limits),
+            Table("The limits of the guard", "The motion was kept within them.", limits),
         ]
 
 
@@ -185,7 +185,7 @@ class _Motion:
 
         self.records = False
         if not self._recorder.wanted(number, idle):
-            raise _StoppedError(f"the step {STEPS[number].name} was not wanted")
+            raise _StoppedError(f"the step {STEPS[number].name} was declined")
         self.records = True
         self._recorder.begin(number)
         return went[0]

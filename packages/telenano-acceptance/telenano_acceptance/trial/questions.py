@@ -50,7 +50,7 @@ class Questions:
         share = self._late / self._waits
         is_good = share <= _MOST_SHARE and self._worst_s <= _WORST_S
         text = f"{100.0 * share:.1f} % of the milliseconds late, by {1e3 * self._worst_s:.0f} ms at most"
-        advice = "" if is_good else ": what is found besides may be its fault; end what else runs on it"
+        advice = "" if is_good else ": end other programs and try again, as this may cause other faults"
         wanted = (
             f"at most {100.0 * _MOST_SHARE:.0f} % by {1e3 * _LATE_S:.0f} ms or more, none by {1e3 * _WORST_S:.0f} ms"
         )

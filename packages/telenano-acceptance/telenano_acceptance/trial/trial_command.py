@@ -122,7 +122,7 @@ def make_trial(driver: str, device: "Tried", guide: "Guide", computer: "Callable
     else:
         stopped = take.facts.stopped
         result: Result = "pass" if not stopped else "retake" if stopped.startswith(ENDED) else "fail"
-        ended = Verdict("whole motion", result, stopped or "made to its end", "each step made")
+        ended = Verdict("whole motion", result, stopped or "completed", "each step made")
         if ended.result == "fail":
             errors.append(Problem("motion", stopped))
         errors += [Problem("device", text) for text in getattr(take.facts, "device_messages", ())]

@@ -210,7 +210,7 @@ class ParticlesPanel {
       const next = open.find((one) => !isBlocked(one, one.target, this.known.filter((other) => other !== one)));
       if (!next) {
         const [lost, waits] = [this.known.filter((one) => one.isLost).length, open.length];
-        this.words = lost ? `${lost} particles are lost: scan again.` : waits ? `${waits} particles have others in their way: move these first.` : this.known.some((one) => one.target) ? "Every particle is at its target, as far as is known: scan to see." : "No particle has a target yet: drag one in the flat image.";
+        this.words = lost ? `${lost} particles are lost: scan again.` : waits ? `${waits} particles are blocked by others: move those out of the way first.` : this.known.some((one) => one.target) ? "Every particle is at its target, as far as is known: scan to see." : "No particle has a target yet: drag one in the flat image.";
         break;
       }
       if (!(await this.push(next))) break;

@@ -166,12 +166,12 @@ def _short(trials: int) -> str:
 def _little(level: float, low: float | None, high: float | None) -> str:
     """Say that a track tells little, where its interval is wide beside its threshold, or open."""
     if low is None or high is None:
-        return "this track tells little: the answers do not bound the threshold at both ends"
+        return "this track determines no interval: the answers do not bound the threshold at both ends; run more trials"
     share = 0.5 * (high - low) / abs(level) if level else math.inf
     if share <= _LITTLE_SHARE:
         return ""
     return (
-        f"this track tells little: its interval is the threshold within {100.0 * share:.0f} %; more trials, or QUEST+,"
+        f"the interval of this track is wide, the threshold within {100.0 * share:.0f} %; more trials, or QUEST+,"
         " make it narrower"
     )
 

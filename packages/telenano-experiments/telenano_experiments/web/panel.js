@@ -16,7 +16,7 @@ const STAGES = {
 /** What asks for a reason, and the button that is shown as pressed in a state. */
 const ACTIONS = [
   ["pause", "Pause", "The experiment stands still after this trial"],
-  ["resume", "Resume", "The experiment goes on"],
+  ["resume", "Resume", "The experiment continues"],
   ["disturbed", "Mark disturbed", "This trial was disturbed, and is repeated by the rule of the experiment"],
   ["skip", "Skip trial", "This trial is left out"],
   ["exclude", "Exclude", "The data of this participant do not count; give a reason"],

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from telenano.hand import ARMS, DeviceConfig, closed_loop_coefficients
+from telenano.hand import ARMS, HapticConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.settings import Settings, merge, nested, validate
 from telenano.wire import ConfigError, known_names
@@ -158,7 +158,7 @@ class LinearLoop:
         import control
 
         if self._direct is None or self.arm is not None:
-            what = "wave has no sampled form here" if self._direct is None else "an arm is not sampled"
+            what = "the law wave has no sampled form" if self._direct is None else "an arm is not sampled"
             raise ConfigError(f"{what}: take transfer_function(), or response() for the exact delay")
         loop = control.ss(sampled_loop(transfer_function(self._direct), self.period_s))
         count = int(self.round_trip_s / self.period_s + 1e-9)
@@ -235,7 +235,7 @@ class LinearLoop:
 
 
 def _device() -> Device:
-    return Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+    return Device(*HapticConfig().device.to_params().closed_loop_coefficients())
 
 
 def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_trip_s: float, hand: Hand) -> LinearLoop:

@@ -27,7 +27,7 @@ _BATCH = 8
 # A cluster without a worker for this time [s] is said to have none, and one without a result, where it has the work of
 # others, to be busy with that.
 _WORKER_S = 5.0
-_CONTINUES = "the journal keeps the finished cells, and the same command continues once one answers there"
+_CONTINUES = "finished cells are in the journal; start a scheduler there and repeat the command to continue"
 
 Progress = Callable[[int, int], None]
 
@@ -215,7 +215,7 @@ def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callab
             own = {future.key for future in futures}
             others = {key for keys in client.processing().values() for key in keys} - own
             if others:
-                busy = f"its workers have tasks of others, which come first: {len(others)} now"
+                busy = f"its workers first finish {len(others)} tasks of other programs"
                 warn(f"--scheduler {address}: {busy}")
         came = 0
         try:
@@ -227,5 +227,5 @@ def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callab
             raise ConfigError(f"--scheduler {address}: cells ended one worker after the other: {error}") from error
     # What a scheduler had is cancelled when it is lost, and comes no more.
     if came < len(batches):
-        lost = f"{len(batches) - came} of {len(batches)} batches of cells did not come"
+        lost = f"{len(batches) - came} of {len(batches)} batches of cells have no result"
         raise ConfigError(f"--scheduler {address}: the Dask scheduler was lost, {lost}: {_CONTINUES}")

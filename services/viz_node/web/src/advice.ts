@@ -45,7 +45,7 @@ function blockedText(ways: readonly (readonly unknown[])[]): string {
   const named = ways.flatMap(([, , , since], way) =>
     typeof since === "number" ? [`UDP is blocked ${WAY_NAMES[way]} since ${new Date(since / 1e6).toISOString().slice(11, 19)} UTC`] : [],
   );
-  return named.length ? `${named.join(", ")}: the link goes on over TCP. ` : "";
+  return named.length ? `${named.join(", ")}: the link continues over TCP. ` : "";
 }
 
 /** The state of the line between two sites in one row: queue [s], capacity [bit/s], what its receiver takes the other

@@ -44,5 +44,5 @@ export function ageText(parts: readonly AgePart[]): { short: string; long: strin
   const whole = parts.reduce((sum, part) => sum + part.seconds, 0);
   const largest = parts.reduce((best, part) => (part.seconds > best.seconds ? part : best));
   const named = parts.filter((part) => part.seconds > 5e-5).map((part) => `${part.name} ${ms(part.seconds)} ms`);
-  return { short: `Late most by ${largest.name}: ${ms(largest.seconds)} of ${ms(whole)} ms`, long: named.join(", ") };
+  return { short: `Largest part of the latency: ${largest.name}, ${ms(largest.seconds)} of ${ms(whole)} ms`, long: named.join(", ") };
 }

@@ -58,8 +58,8 @@ export class Pressing {
     if (isSilent || apart >= APART_MS) {
       // where they agree again for the moment, it is said how they did not
       const last = this.looks.findLast((look) => look.isApart) ?? { meant, pressed };
-      const hand = isSilent || Number.isNaN(last.pressed) ? "nothing is heard of the hand" : `the hand presses with ${last.pressed.toFixed(1)} N`;
-      this.shown = { text: `this page means ${last.meant.toFixed(1)} N, and ${hand}`, until: now + SHOWN_MS };
+      const hand = isSilent || Number.isNaN(last.pressed) ? "no data comes from the hand" : `the hand presses with ${last.pressed.toFixed(1)} N`;
+      this.shown = { text: `this page asks for ${last.meant.toFixed(1)} N, and ${hand}`, until: now + SHOWN_MS };
     } else if (this.shown && now > this.shown.until) this.shown = undefined;
     return this.shown?.text ?? "";
   }

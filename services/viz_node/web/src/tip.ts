@@ -49,7 +49,7 @@ export class Tip {
     while (this.wanted) {
       const [x, y] = this.wanted;
       this.wanted = undefined;
-      await this.commands.command(`tip to ${x.toFixed(2)}, ${y.toFixed(2)} nm`, "set", INSTRUMENT, place(x, y));
+      await this.commands.command(`move the tip to ${x.toFixed(2)}, ${y.toFixed(2)} nm`, "set", INSTRUMENT, place(x, y));
     }
     this.isSending = false;
   }

@@ -7,13 +7,13 @@ test("the parts are those of the loop, of the way to the page, of waiting for a 
   const parts = agesOf(LOOP, 0.061, 0.034, 0.016);
   expect(parts.map((part) => part.name)).toEqual(["law of the master", "link there, on purpose", "your network", QUEUE, FRAME]);
   expect(parts.reduce((sum, part) => sum + part.seconds, 0)).toBeCloseTo(0.115, 9);
-  expect(ageText(parts).short).toBe("Late most by your network: 61 of 115 ms");
+  expect(ageText(parts).short).toBe("Largest part of the latency: your network, 61 of 115 ms");
   expect(ageText(parts).long).toContain("link there, on purpose 20 ms");
 });
 
 test("the network is called what the browser says that it is, and is always that of who looks", () => {
   vi.stubGlobal("navigator", { connection: { type: "wifi" } });
-  expect(ageText(agesOf(LOOP, 0.061, NaN, 0.008)).short).toBe("Late most by your Wi-Fi: 61 of 90 ms");
+  expect(ageText(agesOf(LOOP, 0.061, NaN, 0.008)).short).toBe("Largest part of the latency: your Wi-Fi, 61 of 90 ms");
   vi.unstubAllGlobals();
   expect(networkName({ connection: { type: "cellular" } })).toBe("your mobile network");
   for (const silent of [undefined, {}, { connection: {} }, { connection: { type: "unknown" } }]) expect(networkName(silent)).toBe("your network");

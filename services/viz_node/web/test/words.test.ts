@@ -31,9 +31,9 @@ it("says in a row what the line between two sites does", () => {
   expect(lineText([[0.052, 1e6], [undefined, null, "full"]])).toMatch(/52 and \? ms, carries 1\.0 and \? Mbit\/s: the line is full/);
   const since = Date.UTC(2026, 10, 26, 12, 31, 5) * 1e6;
   expect(lineText([[0.001, 1e7, "free", null], [0, 1e6, "free", since]])).toBe(
-    "UDP is blocked from the slave to the master since 12:31:05 UTC: the link goes on over TCP. Line: queue 1 and 0 ms, carries 10 and 1.0 Mbit/s",
+    "UDP is blocked from the slave to the master since 12:31:05 UTC: the link continues over TCP. Line: queue 1 and 0 ms, carries 10 and 1.0 Mbit/s",
   );
-  expect(lineText([[null, null, "free", since], [null, null, "free", null]])).toBe("UDP is blocked from the master to the slave since 12:31:05 UTC: the link goes on over TCP.");
+  expect(lineText([[null, null, "free", since], [null, null, "free", null]])).toBe("UDP is blocked from the master to the slave since 12:31:05 UTC: the link continues over TCP.");
   // A delay that its sender does not take for a queue is none.
   expect(lineText([[0.052, 1e6, "free"], [0.03, 1e6, "shared"]])).toBe("Line: queue 52 and 30 ms, carries 1.0 and 1.0 Mbit/s");
 });
@@ -71,5 +71,5 @@ it("names pictures of another delay than the one in force", () => {
 });
 
 it("says where a motion gets its energy that swings although the loop makes none", () => {
-  expect([energyText(true), energyText(true, true), energyText(false, true), energyText(undefined, true)]).toEqual(["no energy made", "swings on the hand's energy", "has made energy", ""]);
+  expect([energyText(true), energyText(true, true), energyText(false, true), energyText(undefined, true)]).toEqual(["no energy made", "passive; the hand's energy keeps it swinging", "has made energy", ""]);
 });

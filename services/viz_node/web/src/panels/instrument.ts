@@ -88,7 +88,7 @@ export class InstrumentPanel implements Panel {
     const wrong = this.places.find((input) => input.value.trim() === "" || faultOf(input.value, -FARTHEST_NM, FARTHEST_NM, "nm"));
     for (const input of this.places) judge(input, this.fault, "");
     if (wrong) judge(wrong, this.fault, faultOf(wrong.value, -FARTHEST_NM, FARTHEST_NM, "nm") || `${wrong === x ? "x" : "y"} is missing`);
-    else void this.cockpit.commands.command(`tip to ${x.value}, ${y.value} nm`, "set", INSTRUMENT, place(Number(x.value), Number(y.value)));
+    else void this.cockpit.commands.command(`move the tip to ${x.value}, ${y.value} nm`, "set", INSTRUMENT, place(Number(x.value), Number(y.value)));
   }
 }
 

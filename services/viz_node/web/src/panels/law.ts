@@ -58,8 +58,8 @@ export class LawPanel implements Panel {
 /** What the account of the energy says, and of a motion that swings all the same where its energy comes from. */
 export function energyText(passive: unknown, swings = false): string {
   if (passive !== true) return passive === false ? "has made energy" : "";
-  return swings ? "swings on the hand's energy" : "no energy made";
+  return swings ? "passive; the hand's energy keeps it swinging" : "no energy made";
 }
 
 const ENERGY_ABOUT =
-  "By the account of the energy at its two ports the loop has given out no more than it took in. That says nothing of the motion, which a red OSCILLATES is about: hand, sample and delay can swing for long on what the hand puts in.";
+  "The loop has given out no more energy at its two ports than it took in. It can still swing: hand, sample and delay oscillate for long on the energy that the hand puts in, and a red OSCILLATES shows that.";

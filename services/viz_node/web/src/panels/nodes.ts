@@ -4,7 +4,7 @@ import type { Node } from "../store";
 
 const COLUMNS: readonly (readonly [string, string])[] = [
   ["node", "Name and site"],
-  ["state", "What it says of itself"],
+  ["state", "State that it reports"],
   ["Hz", "Messages that it published in a second"],
   ["late", "99th percentile of how late its steps begin [ms]"],
   ["judged", "Whether deadlines, losses and refusals are as they should be"],

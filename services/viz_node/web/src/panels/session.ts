@@ -19,13 +19,13 @@ export class SessionPanel implements Panel {
     const stop = button("stop", "Stop", () => commands.command("stop", "stop", "haptic_node"));
     this.armed = button("arm", "Arm", () => commands.arm());
     const couple = button("couple", "Couple", () => commands.couple());
-    couple.title = "Couple hand and tip anew (o): the tip is withdrawn, and comes back to where the hand is";
+    couple.title = "Couple hand and tip again (o): the tip is withdrawn, and comes back to where the hand is";
     this.mark = make("input", { id: "mark-text", type: "text", placeholder: "Text of a mark", "aria-label": "Text of the mark", maxlength: 200 });
     this.mark.addEventListener("keydown", (event) => event.key === "Enter" && void this.setMark());
     const mark = button("mark", "Mark", () => this.setMark());
     const split = button("split", "New file", () => commands.command("begin a new file", "set", "recorder", { "record.split": true }));
     this.buttons = [this.start, stop, couple, this.armed, mark, split];
-    const programme = make("div", { class: "segments", role: "group", "aria-label": "Programme of the operator" }, this.start, stop);
+    const programme = make("div", { class: "segments", role: "group", "aria-label": "Force profile of the operator" }, this.start, stop);
     root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple, this.armed), make("div", { class: "row tight" }, this.mark, mark, split));
   }
 

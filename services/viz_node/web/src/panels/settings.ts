@@ -70,7 +70,7 @@ export class SettingsPanel implements Panel {
     if (found.some((values, i) => forms[i] && !values)) return;
     const values = Object.assign({}, ...found) as Values;
     const { commands } = this.cockpit;
-    if (!Object.keys(values).length) commands.show(about, false, "nothing was typed: grey is what is in force");
+    if (!Object.keys(values).length) commands.show(about, false, "nothing was sent: type a value first (grey: the values in force)");
     else if (await commands.command(`${about}: ${Object.keys(values).join(", ")}`, "set", target, values)) forms.forEach((form) => form?.clear());
   }
 }
