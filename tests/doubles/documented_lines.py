@@ -89,7 +89,9 @@ def lines() -> tuple[Line, ...]:
         "packages/*/README.md",
         "proto/*.md",
     )
-    pages = sorted({path for place in places for path in ROOT.glob(place)})
+    found = {path for place in places for path in ROOT.glob(place)}
+    # A folder telenano-NAME at the root is a package that `telenano new` has made for the person who works here.
+    pages = sorted(path for path in found if not path.relative_to(ROOT).parts[0].startswith("telenano-"))
     return tuple(line for page in pages for line in _lines_of(page))
 
 
