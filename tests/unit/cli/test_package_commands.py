@@ -13,8 +13,11 @@ from typing import Any, get_args
 
 import pytest
 from stranger_package import said
+from typer.testing import CliRunner
 
+from telenano.cli.commands import new as new_command
 from telenano.cli.new_package import Kind, new_package
+from telenano.cli.root import app
 from telenano.extend.samples import AfmSample
 from telenano.wire.errors import ConfigError
 
@@ -284,6 +287,15 @@ def test_a_name_that_cannot_be_one_and_a_folder_that_is_there_are_refused(tmp_pa
     with pytest.raises(ConfigError, match="exists already"):
         new_package("law", "my_law", tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("absent", "option"), [((), "--no-build-isolation "), (("editables",), "")])
+def test_the_next_line_fetches_a_build_backend_only_where_it_is_absent(
+    absent: tuple[str, ...], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(new_command, "find_spec", lambda name: None if name in absent else name)
+    result = CliRunner().invoke(app, ["new", "law", "my_law", "--out", str(tmp_path / "p")])
+    assert result.stdout.splitlines()[-1] == f"next: pip install {option}-e {tmp_path / 'p'} && pytest {tmp_path / 'p'}"
 
 
 def test_the_command_beside_a_kind_of_driver_makes_a_package_with_one(tmp_path: Path) -> None:

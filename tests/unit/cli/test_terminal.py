@@ -11,7 +11,7 @@ from rich.console import Console
 from stranger_package import install
 
 from telenano.cli import output, terminal
-from telenano.cli.tables import rows_table
+from telenano.cli.tables import rows_table, summary_tables
 from telenano.files.printable import printable
 
 ROOT = Path(__file__).parents[3]
@@ -90,3 +90,17 @@ def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path) 
     assert "controller.law: hostile of the package hostile 1.2 cannot be used: its import ends the whole" in done.stderr
     done = run_apart("scenario", "check", "fig12", **environment)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_long_row_of_a_summary_is_drawn_upright_and_a_fact_by_its_text() -> None:
+    fact = {"kind": "arrived_late", "value": 0.38861, "text": "arrived late, 0.39 s after the hand stood still"}
+    hold = {f"key_{number}": 3.25944e-10 for number in range(12)} | {"facts": [fact]}
+    drawn = io.StringIO()
+    Console(file=drawn, width=100).print(
+        summary_tables({"holds": [hold, {**hold, "facts": []}], "drops": [{"count": 3}]}, "title")
+    )
+    lines = drawn.getvalue().splitlines()
+    assert sum(line.count("3.25944e-10") for line in lines) == 24
+    assert sum(fact["text"] in line for line in lines) == 1
+    assert "kind" not in drawn.getvalue()
+    assert any(line.split() == ["┃", "count", "┃"] for line in lines)
