@@ -27,7 +27,7 @@ from telenano.afm.config import AfmConfig
 from telenano.afm.section_config import ModbusConfig
 from telenano.devices.afm.instrument import modbus_driver
 from telenano.devices.afm.modbus_frames import Conversation, Operation
-from telenano.devices.hand.calibration import read_handle_calibration
+from telenano.devices.hand.calibration import HandleCalibration
 from telenano.devices.hand.serial_driver import SerialHandle
 from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.hand.config import LimitsConfig
@@ -93,7 +93,7 @@ def handle_figures(folder: Path, seconds: float, board: str) -> dict[str, Any]:
     )
     ages: list[float] = []
     try:
-        driver = SerialHandle(str(link), 1_000_000, read_handle_calibration(calibration), LimitsConfig())
+        driver = SerialHandle(str(link), 1_000_000, HandleCalibration.from_file(calibration), LimitsConfig())
 
         def tick() -> None:
             driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))

@@ -23,7 +23,7 @@ from pathlib import Path
 import zmq
 
 from telenano.console.command_client import send_control
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.commands import Command
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.signals import children
@@ -64,7 +64,7 @@ class Afm:
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]") -> None:
         self._socket = context.socket(zmq.SUB)
         self._socket.subscribe(b"afm/state")
-        self._socket.connect(load_site(DEFAULT_SITE_FILE).endpoint(AFM))
+        self._socket.connect(AddressBook.load(DEFAULT_SITE_FILE).endpoint(AFM))
 
     def wait_for(self, mode: bytes) -> int:
         """Wait for a state in a mode, as it is on the wire; return its t_ns. SystemExit when there is none."""

@@ -25,7 +25,7 @@ from wire_examples import ordinary_example
 
 from services.controller.master_half import MasterController
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.link_node import DelayNode
@@ -124,7 +124,7 @@ class LinkBench:
             inputs = Subscriber(self._context, self._clock, plan)
             bus = ZmqBus(to_master, [inputs], self._clock, inputs.descriptor)
             context = NodeContext("delay_node@master", self._clock, bus, StructuredLog("delay_node@master"))
-            node = kind(context, parse_settings(settings), to_slave, to_master, Path())
+            node = kind(context, LinkSettings.of(settings), to_slave, to_master, Path())
             self.loops[journalled] = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
             reader = Subscriber(self._context, self._clock, {endpoint: list(TOPICS) for endpoint in endpoints})
             self._readers.append(reader)

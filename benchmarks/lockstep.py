@@ -22,8 +22,8 @@ from telenano.afm.step import AfmInputs
 from telenano.afm.step import step as instrument_step
 from telenano.hand.step import HapticInputs
 from telenano.hand.step import step as haptic_step
-from telenano.lockstep.link import schedule_of
-from telenano.lockstep.lockstep import Rig, Trajectory, simulate
+from telenano.lockstep.link import Schedule
+from telenano.lockstep.lockstep import Rig, Trajectory
 from telenano.numerics.compiler import always_compiled
 
 AIM = 2000.0
@@ -70,7 +70,7 @@ def measure(cell: Cell, session_s: float, repeats: int) -> dict[str, Any]:
     link = symmetric_link(cell.round_trip_ms * 1e-3, 0.0, 0.0, 0)
 
     def whole() -> Trajectory:
-        return simulate(rig, schedule_of(link, ticks, rig.period_s), _SETTLE_TICKS)
+        return rig.run(Schedule.of(link, ticks, rig.period_s), _SETTLE_TICKS)
 
     course = whole()
     simulated_s = ticks * rig.period_s

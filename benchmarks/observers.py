@@ -47,12 +47,12 @@ OBSERVER = """
 import sys
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.runtime.wiring.observer import Observer
-from telenano.runtime.wiring.main import load_site
+from telenano.runtime import AddressBook
 from telenano.wire import TOPICS
 print("ready", flush=True)
 sys.stdin.readline()
 kind, settle_s, length_s, topics = sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4].split(",")
-observer = Observer(load_site(DEFAULT_SITE_FILE), topics if topics != [""] else TOPICS, shared=kind == "shared")
+observer = Observer(AddressBook.load(DEFAULT_SITE_FILE), topics if topics != [""] else TOPICS, shared=kind == "shared")
 for _ in observer.listen(settle_s):
     pass
 print(sum(1 for _ in observer.listen(length_s)), flush=True)

@@ -81,9 +81,8 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the force profile never ran."""
-        from telenano.analysis.report import summarise
-
-        return summarise(self._session, self._source)
+        summary: dict[str, Any] = self._session.summary(self._source)
+        return summary
 
     @cached_property
     def start_ns(self) -> int | None:
@@ -95,9 +94,9 @@ class RecordedSession:
 
     @cached_property
     def _session(self) -> Any:
-        from telenano.analysis.report import read_session
+        from telenano.analysis.report import Session
 
-        return read_session(self._source)
+        return Session.of(self._source)
 
     @cached_property
     def _timeline(self) -> Timeline:
@@ -205,14 +204,11 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
         ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
         RigError: No rig of the site file runs.
     """
-    from telenano.runtime.bus.address_book import load_site
-    from telenano.runtime.wiring.observer import Observer, require_rig
+    from telenano.runtime.wiring.observer import Observer
     from telenano.settings.included import DEFAULT_SITE_FILE
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
-    book = load_site(path)
-    require_rig(book, path)
-    with closing(Observer(book)) as observer:
+    with closing(Observer.of_rig(path)) as observer:
         yield LiveRig(observer)
 
 

@@ -5,7 +5,6 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
-from telenano.extend.laws import changed_in_contact as changed_in_contact
 from telenano.extend.laws import longest_pause_periods as longest_pause_periods
 from telenano.extend.laws import paced as paced
 from telenano.extend.programs import Inputs, Instrument, Program, ProgramSettings

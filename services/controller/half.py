@@ -11,7 +11,6 @@ from telenano.extend.laws import (
     Law,
     PortSignal,
     SlaveReference,
-    changed_in_contact,
     port_signal,
 )
 from telenano.laws import energy
@@ -156,7 +155,7 @@ class ControllerHalf(Node):
             raise RefusedError("lateral.mode=direct cannot be returned to: the tip would jump to the place of the hand")
         switched = changed.law != self.config.law
         before = self.config.law_config()
-        if not switched and self.touches and (text := changed_in_contact(self.law, before, changed.law_config())):
+        if not switched and self.touches and (text := self.law.changed_in_contact(before, changed.law_config())):
             raise RefusedError(text)
         if not switched and self.law_state is not None:
             self.law_state = self.retuned(self.params, changed.params())

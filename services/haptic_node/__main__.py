@@ -31,10 +31,10 @@ def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevi
         return DisturbedHaptic(
             config.to_simulated_params(), config.device.start_position_m, config.disturbances, declared
         )
-    from telenano.devices.hand.calibration import read_handle_calibration
+    from telenano.devices.hand.calibration import HandleCalibration
     from telenano.devices.hand.serial_driver import SerialHandle
 
-    calibration = read_handle_calibration(Path(config.serial.calibration))
+    calibration = HandleCalibration.from_file(Path(config.serial.calibration))
     return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits, period_s=period_s)
 
 

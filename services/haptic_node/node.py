@@ -15,7 +15,7 @@ from telenano.extend.hands import (
 )
 from telenano.hand import safety
 from telenano.hand.config import DRIVERS, HapticConfig, changed_operator
-from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
+from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, Gate
 from telenano.hand.disturbances import DisturbedHaptic
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
@@ -307,7 +307,7 @@ class HapticNode(DeviceNode):
         """Return why an impedance device is not to be driven now, empty if it may be."""
         if self._memory.let_go_ticks:
             return _LAW_CHANGES
-        return "" if self._memory.gate in (GATE_ACTIVE, GATE_READY) else GATES[self._memory.gate]
+        return "" if self._memory.gate in (GATE_ACTIVE, GATE_READY) else Gate(self._memory.gate).text
 
 
 def _device_limited(reading: DeviceReading) -> bool:

@@ -18,7 +18,7 @@ from telenano.extend.hands import (
 )
 from telenano.hand import safety
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import FAULTS, GATE_ACTIVE
+from telenano.hand.coupling import GATE_ACTIVE, Gate
 from telenano.hand.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
@@ -38,7 +38,7 @@ class HapticMemory(msgspec.Struct, array_like=True):
     The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
     [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
     holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
-    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law; the force of
+    device gives no force, of `coupling.Gate`; ticks for which it is let go of, after a change of law; the force of
     that operator across [N], and the simulated hand there.
     """
 
@@ -137,7 +137,7 @@ class SpatialDevice(TickPart):
             tick.added_fields["orientation"] = spatial.orientation
         if self._has_buttons:
             tick.added_fields["buttons"] = spatial.buttons
-        if memory.gate in FAULTS:
+        if Gate(memory.gate).is_fault:
             # What cannot be believed until a person arms is no hand, simulated or not.
             tick.added_fields["device"] = "lost"
 

@@ -14,9 +14,9 @@ from telenano.recording.channel_filter import Selection
 from telenano.recording.indexed import open_indexed
 from telenano.recording.messages import RecordedChannel
 from telenano.recording.multi_file import RecordingSource
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.realtime import on_time, shallow_idle
-from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RecordingError, RigError
@@ -63,7 +63,7 @@ def run_replay(
     """
     # By its index an hour plays at once. Messages that stand behind later ones are put in order by their times.
     recording = open_indexed(request.files)
-    book = load_site(request.site_file)
+    book = AddressBook.load(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
     plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes))
@@ -77,7 +77,7 @@ def run_replay(
     signals, messages = StopSignals(), list[str]()
     # As fast as possible is nothing to be in time for, and would keep others from their processors.
     scheduling = on_time() if request.settings.rate > 0.0 else contextlib.nullcontext()
-    with scheduling, open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
+    with scheduling, Participant.open(PLAYER, book, signals.descriptor) as participant, shallow_idle():
         publisher = participant.bind(PLAYER)
         publishers = {node: ReplayPublisher(participant.bind(node, zmq.XPUB)) for node in plan.nodes}
         sources = book.sources(PLAYER, PlayerNode.inputs)
@@ -93,7 +93,7 @@ def run_replay(
         player = PlayerNode(
             participant.context(bus), playback, plan, publishers, request.settings, observe=watch, warnings=warnings
         )
-        run_loop(player, bus, signals)
+        signals.run(player, bus)
     if player.sent and not any(publisher.was_read for publisher in publishers.values()):
         raise RigError(f"{player.sent} messages of {', '.join(plan.nodes)} were played, and no node read them: {_RIG}")
     return Replayed(plan.nodes, player.sent, playback.time_s, warnings)

@@ -10,9 +10,9 @@ from services.recorder.intake import begin_recording
 from services.recorder.node import RecorderBus, RecorderNode
 from telenano.console.live_recording import connect
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import NullPublisher
-from telenano.runtime.wiring.participant import OBSERVER, StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSignals
 from telenano.wire.nodes import site_of
 
 
@@ -44,8 +44,8 @@ def run_record(
 
     The process has no endpoint: it sends nothing, and no site file lists it. `observe` is called at each flush.
     """
-    book, signals = load_site(site_file), StopSignals()
-    with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
+    book, signals = AddressBook.load(site_file), StopSignals()
+    with Participant.observing(book, signals.descriptor) as participant:
         clock = participant.clock
         listeners = connect(
             participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)), unknown=True
@@ -61,7 +61,7 @@ def run_record(
                 node.context.request_stop()
 
         node = RecorderNode(participant.context(bus), config, intake, on_flush)
-        run_loop(node, bus, signals)
+        signals.run(node, bus)
     return Recorded(
         path=node.path,
         files=0 if intake.rotation is None else intake.rotation.count,

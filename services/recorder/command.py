@@ -13,7 +13,7 @@ from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
 from telenano.settings.config import validate
 from telenano.settings.included import DEFAULT_SITE_FILE
@@ -71,7 +71,7 @@ def record(
         config = validate(
             RecorderConfig, {**given, **place, "topics": topics or (), "exclude": exclude or ()}, "telenano record"
         )
-        reason = "no rig of this site file runs on this machine" if runs_no_node(load_site(site_file)) else ""
+        reason = "no rig of this site file runs on this machine" if runs_no_node(AddressBook.load(site_file)) else ""
         if reason and not as_json:
             # A rig may be started after its recorder.
             typer.echo(f"telenano: {reason} yet; waiting for one", err=True)

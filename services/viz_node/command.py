@@ -24,12 +24,12 @@ from telenano.cli.output import report_errors
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.indexed import open_indexed
 from telenano.recording.multi_file import RecordingSource
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.loop.realtime import behind_others
 from telenano.runtime.wiring.main import EXIT_DIED
 from telenano.runtime.wiring.observer import runs_no_node
-from telenano.runtime.wiring.participant import StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.serving.access import Access
 from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Listener
@@ -110,8 +110,8 @@ def view(
         recordings = open_indexed(files) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
-            LiveSource(load_site(site_file), "").close()
-        idle = recordings is None and runs_no_node(load_site(site_file))
+            LiveSource(AddressBook.load(site_file), "").close()
+        idle = recordings is None and runs_no_node(AddressBook.load(site_file))
         signals = StopSignals()
         with config.bind() as bound:
             page = Served(access, tls, bound, signals)
@@ -178,9 +178,9 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: S
 
 def _serve_rig(site_file: Path, page: Served) -> None:
     """Run the node that `telenano up` starts beside a rig in this process."""
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     # A machine that may only observe has no other key, and a page on no network needs none.
     is_public = PAGE in book.nodes and book.network_endpoint(PAGE) is not None
-    with open_participant(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
+    with Participant.open(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
         node, bus = page_of_rig(participant, site_file, page.bound, page.access, page.tls)
-        run_loop(node, bus, page.signals, freeze=False)
+        page.signals.run(node, bus, freeze=False)

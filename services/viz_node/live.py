@@ -7,7 +7,7 @@ from typing import Any
 from services.viz_node.feed import Seen, seen
 from services.viz_node.source import AGE_TOPICS, LOOP_TOPICS, NoTransport, is_shown
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.wire.nodes import site_of
 
 # This number of batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
@@ -25,7 +25,7 @@ class LiveSource(NoTransport):
         """Connect as the machine that this process runs on; ConfigError when it lacks a key that the rig demands."""
         self._name = name
         self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
         self.subscribers = participant.observe(lambda topic, node: is_shown(topic) or topic in AGE_TOPICS)
         self._watched = True

@@ -5,35 +5,17 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.afm.cantilever import deflection_m as deflection_m
-    from telenano.afm.cantilever import equilibrium as equilibrium
-    from telenano.afm.cantilever import initial_state as initial_state
-    from telenano.afm.cantilever import volts_per_m as volts_per_m
     from telenano.afm.config import DRIVERS as DRIVERS
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
-    from telenano.afm.contact.capillary import meniscus_force as meniscus_force
-    from telenano.afm.contact.capillary import meniscus_radius_m as meniscus_radius_m
     from telenano.afm.contact.capillary import printed_meniscus_force as printed_meniscus_force
-    from telenano.afm.contact.contact_table import table_force as table_force
-    from telenano.afm.contact.lennard_jones import contact_distance_m as contact_distance_m
-    from telenano.afm.contact.lennard_jones import lennard_jones_force as lennard_jones_force
-    from telenano.afm.contact.lennard_jones import minimum_distance_m as minimum_distance_m
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
-    from telenano.afm.contact.maugis_dugdale import indentation_m as indentation_m
-    from telenano.afm.contact.maugis_dugdale import maugis_dugdale as maugis_dugdale
-    from telenano.afm.contact.maugis_dugdale import pull_off as pull_off
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
-    from telenano.afm.contact.tip_sample import branch_force as branch_force
-    from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbed import noisy_params as noisy_params
-    from telenano.afm.dynamic import NO_NOISE as NO_NOISE
-    from telenano.afm.dynamic import advance as advance
     from telenano.afm.dynamic import damping_at as damping_at
-    from telenano.afm.dynamic import steady_state as steady_state
-    from telenano.afm.dynamic_sim import require_steps as require_steps
+    from telenano.afm.dynamic_sim import settled_tip as settled_tip
     from telenano.afm.felt import ChannelName as ChannelName
     from telenano.afm.layers import Ground as Ground
     from telenano.afm.layers import Height as Height
@@ -55,19 +37,12 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.sample.surface import Surface as Surface
-    from telenano.afm.sample.surface import dilated as dilated
     from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
-    from telenano.afm.section_config import CantileverConfig as CantileverConfig
-    from telenano.afm.section_config import SafetyConfig as SafetyConfig
-    from telenano.afm.section_config import TipSampleConfig as TipSampleConfig
     from telenano.afm.sim import SimulatedInstrument as SimulatedInstrument
     from telenano.afm.sim import simulated_afm as simulated_afm
-    from telenano.afm.spring import spring_params as spring_params
-    from telenano.afm.step import AfmParams as AfmParams
-    from telenano.afm.step import initial_afm_state as initial_afm_state
     from telenano.afm.tip_guard import TipGuard as TipGuard
 else:
     __getattr__, __dir__ = face(__name__)

@@ -58,6 +58,14 @@ class Plant(NamedTuple):
     lowest_force_n: float  # a bound from below on F over all branches
     branches: npt.NDArray[np.float64]
 
+    def at_rest(self, base_m: float) -> "PlantState":
+        """Return the equilibrium at a base position [m] of a tip that came from far away."""
+        return initial_state(self, base_m)
+
+    def settled(self, state: "PlantState", base_m: float) -> "PlantState":
+        """Return the stable equilibrium that the tip reaches from a state when the base goes to base_m [m]."""
+        return equilibrium(self, state, base_m)
+
 
 class _Spring(NamedTuple):
     """Numbers of one equilibrium: k [N/m], L [m], x_s [m], bound on F [N]; without arrays it is free to hand around."""

@@ -20,7 +20,7 @@ from telenano.afm.layers import Ground, Height
 from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
-from telenano.afm.sample.surface import PLANE, Surface, dilated
+from telenano.afm.sample.surface import PLANE, Surface
 from telenano.afm.sample_maps import over_map
 from telenano.afm.sample_models import checked_sample
 from telenano.afm.section_config import (
@@ -301,7 +301,7 @@ class _OwnSections(Settings):
         if self.sample is None or self.sample.map is not None:
             return None
         try:
-            return dilated(self.sample.build(), self.tip_sample.tip_radius_m)
+            return self.sample.build().dilated(self.tip_sample.tip_radius_m)
         except ValueError as error:
             raise ConfigError(f"afm_node.sample: {error}") from error
 

@@ -7,6 +7,7 @@ that is driven amplitude and phase, are the mean of. Thermal noise are impulses 
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from telenano.afm.cantilever import Plant, initial_state
 from telenano.afm.contact.electrostatic import electrostatic_strength_n_m2
-from telenano.afm.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m, lag_rad
+from telenano.afm.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m, lag_rad, steady_state
 from telenano.afm.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
 from telenano.afm.part import Motion, Part, register_part
 from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
@@ -88,6 +89,24 @@ def require_steps(plant: DynamicPlant) -> None:
             f"{steps} steps a period, the shortest that there are, are too few for a cantilever of"
             f" {plant.stiffness_n_per_m:g} N/m, which the sample makes swing faster: {least} or more would be needed"
         )
+
+
+def settled_tip(plant: DynamicPlant, begin_m: float, settle: int) -> Callable[[float], float]:
+    """Return what measures the mean deflection [m] of a tip that has settled for a number of steps at a base [m].
+
+    Raises:
+        ValueError: The shortest parts of a step are too long for a tip in contact.
+    """
+    require_steps(plant)
+    state = steady_state(plant, begin_m, 0.0)
+
+    def measure(base_m: float) -> float:
+        nonlocal state
+        state, _ = advance(plant, state, base_m, 0.0, 0.0, settle, NO_NOISE)
+        state, reading = advance(plant, state, base_m, 0.0, 0.0, plant.drive.shape[0], NO_NOISE)
+        return reading.mean_deflection_m
+
+    return measure
 
 
 def resting_steps(driven: DynamicPlant) -> int:

@@ -5,29 +5,14 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.analysis.conditions import described as described
-    from telenano.analysis.fig12 import SessionSeries as SessionSeries
-    from telenano.analysis.figure_style import COLUMN_IN as COLUMN_IN
-    from telenano.analysis.figure_style import ON_SCREEN as ON_SCREEN
-    from telenano.analysis.figure_style import REFERENCE as REFERENCE
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
-    from telenano.analysis.figure_style import drawn as drawn
-    from telenano.analysis.figure_style import figure_options as figure_options
-    from telenano.analysis.figure_style import lettered as lettered
-    from telenano.analysis.figure_style import styled as styled
     from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
-    from telenano.analysis.holds import FactKind as FactKind
-    from telenano.analysis.holds import judge_holds as judge_holds
-    from telenano.analysis.holds import lacks_of as lacks_of
     from telenano.analysis.intervals import DEVIATIONS as DEVIATIONS
     from telenano.analysis.intervals import half_width as half_width
     from telenano.analysis.intervals import wilson as wilson
     from telenano.analysis.mean_interval import mean_half_width as mean_half_width
     from telenano.analysis.report import Session as Session
-    from telenano.analysis.report import read_session as read_session
     from telenano.analysis.report import scenario_in as scenario_in
-    from telenano.analysis.report import split_age as split_age
-    from telenano.analysis.report import summarise as summarise
     from telenano.analysis.report import write_files as write_files
 else:
     __getattr__, __dir__ = face(__name__)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from telenano.afm.disturbances import instrument_name
 from telenano.analysis.plugins import recorded_plugins, require_installed
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import EVEN, LinkSettings, network_name
+from telenano.link.config import EVEN, LinkSettings
 from telenano.recording.arrays import columns
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
@@ -67,7 +67,7 @@ def conditions(
         "link_round_trip_ms": None if trips_ms is None else round(float(np.median(trips_ms)), 3),
         "link_round_trip_range_ms": None if trips_ms is None else _range(trips_ms),
         "loop_round_trip_ms": loop_ms,
-        "link_profile": network_name(link),
+        "link_profile": link.network_name,
         "link_seed": link.seed,
         "instrument": instrument_name(scenario.instrument, scenario.afm_node),
         "plugins": plugins,

@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.figure_style import (
-    COLUMN_IN,
-    HAND,
-    ON_SCREEN,
-    REFERENCE,
-    TIP,
-    FigureOptions,
-    drawn,
-    lettered,
-    styled,
-)
+from telenano.analysis.figure_style import HAND, ON_SCREEN, REFERENCE, TIP, FigureOptions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -126,14 +116,14 @@ def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SC
     from matplotlib.figure import Figure
 
     paper = options.style == "paper"
-    with styled(options):
-        figure = Figure(figsize=(COLUMN_IN, 6.2) if paper else (7.2, 9.0), layout="constrained")
+    with options.styled():
+        figure = Figure(figsize=(FigureOptions.COLUMN_IN, 6.2) if paper else (7.2, 9.0), layout="constrained")
         FigureCanvasAgg(figure)
         panels = figure.subplots(3, 1)
         _draw_forces(panels[0], series)
         _draw_positions(panels[1], series)
         _draw_path(panels[2], series)
-        lettered(list(panels), options)
+        options.lettered(list(panels))
         if not paper:
             figure.suptitle("\n".join(fill(line, _TITLE_WIDTH) for line in title.splitlines()), fontsize=11)
         _mark_states(panels[2], series.tip_path())
@@ -144,7 +134,7 @@ def fig12_files(
     series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN, origin: str = ""
 ) -> dict[str, bytes]:
     """Return the figure in its formats, by file name; each has in it what it was made from, in words."""
-    return drawn(draw_fig12(series, title, options), "fig12", options, origin)
+    return options.drawn(draw_fig12(series, title, options), "fig12", origin)
 
 
 def _draw_forces(axes: "Axes", series: SessionSeries) -> None:

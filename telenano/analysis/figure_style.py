@@ -7,7 +7,8 @@ and in grey: what matters differs in lightness as well, and lines differ in thei
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from telenano.wire.errors import ConfigError
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "pdf", "svg")
 STYLES = ("screen", "paper")
-# This is one column of most journals of the field [inch].
-COLUMN_IN = 3.5
 # print needs 600 for lines; text and lines of PDF and SVG have no resolution
 _DOTS_PER_INCH = {"screen": 130, "paper": 600}
 _PAPER: Mapping[str, Any] = {
@@ -41,62 +40,63 @@ TIP = "#d55e00"
 REFERENCE = "#9a9a9a"
 
 
-class FigureOptions(NamedTuple):
+@dataclass(frozen=True)
+class FigureOptions:
     """In which formats figures are written, and for where."""
 
     formats: tuple[str, ...] = ("png",)
     style: str = "screen"
 
+    # This is one column of most journals of the field [inch].
+    COLUMN_IN: ClassVar[float] = 3.5
+
+    @classmethod
+    def of(cls, formats: str = "png", style: str = "screen") -> Self:
+        """Read `png,pdf,svg` and a style; ConfigError names what is known."""
+        chosen = tuple(dict.fromkeys(part.strip().lower() for part in formats.split(",") if part.strip()))
+        for name in chosen:
+            if name not in FORMATS:
+                raise ConfigError(f"--format {name}: is not one of {', '.join(FORMATS)}")
+        if not chosen:
+            raise ConfigError(f"--format: name at least one of {', '.join(FORMATS)}")
+        if style not in STYLES:
+            raise ConfigError(f"--style {style}: is not one of {', '.join(STYLES)}")
+        return cls(chosen, style)
+
+    @contextmanager
+    def styled(self) -> Iterator[None]:
+        """Draw in this style while the block runs."""
+        import matplotlib
+
+        settings: Any = {**_EVERYWHERE, **(_PAPER if self.style == "paper" else {})}
+        with matplotlib.rc_context(settings):
+            yield
+
+    def lettered(self, panels: "Sequence[Axes]") -> None:
+        """Write (a), (b), (c) … above the left corner of each panel; a figure of one has none."""
+        if len(panels) < 2:
+            return
+        for number, panel in enumerate(panels):
+            panel.set_title(f"({chr(ord('a') + number)})", loc="left", fontsize=8 if self.style == "paper" else 10)
+
+    def drawn(self, figure: "Figure", stem: str, origin: str = "") -> dict[str, bytes]:
+        """Return a figure as the content of its files, by name; each has in it what it was made from.
+
+        Parameters: origin, in words: the Description of PNG and SVG, the Subject of PDF.
+        """
+        files = {}
+        for name in self.formats:
+            buffer = io.BytesIO()
+            # no time of making: the same session gives the same bytes
+            metadata = {
+                "png": {"Description": origin},
+                "pdf": {"Subject": origin, "CreationDate": None},
+                "svg": {"Description": origin, "Date": None},
+            }[name]
+            with self.styled():
+                figure.savefig(buffer, format=name, dpi=_DOTS_PER_INCH[self.style], metadata=metadata)
+            files[f"{stem}.{name}"] = buffer.getvalue()
+        return files
+
 
 ON_SCREEN = FigureOptions()
-
-
-def figure_options(formats: str = "png", style: str = "screen") -> FigureOptions:
-    """Read `png,pdf,svg` and a style; ConfigError names what is known."""
-    chosen = tuple(dict.fromkeys(part.strip().lower() for part in formats.split(",") if part.strip()))
-    for name in chosen:
-        if name not in FORMATS:
-            raise ConfigError(f"--format {name}: is not one of {', '.join(FORMATS)}")
-    if not chosen:
-        raise ConfigError(f"--format: name at least one of {', '.join(FORMATS)}")
-    if style not in STYLES:
-        raise ConfigError(f"--style {style}: is not one of {', '.join(STYLES)}")
-    return FigureOptions(chosen, style)
-
-
-@contextmanager
-def styled(options: FigureOptions) -> Iterator[None]:
-    """Draw in a style while the block runs."""
-    import matplotlib
-
-    settings: Any = {**_EVERYWHERE, **(_PAPER if options.style == "paper" else {})}
-    with matplotlib.rc_context(settings):
-        yield
-
-
-def drawn(figure: "Figure", stem: str, options: FigureOptions, origin: str = "") -> dict[str, bytes]:
-    """Return a figure as the content of its files, by name; each has in it what it was made from.
-
-    Parameters: origin, in words: the Description of PNG and SVG, the Subject of PDF.
-    """
-    files = {}
-    for name in options.formats:
-        buffer = io.BytesIO()
-        # no time of making: the same session gives the same bytes
-        metadata = {
-            "png": {"Description": origin},
-            "pdf": {"Subject": origin, "CreationDate": None},
-            "svg": {"Description": origin, "Date": None},
-        }[name]
-        with styled(options):
-            figure.savefig(buffer, format=name, dpi=_DOTS_PER_INCH[options.style], metadata=metadata)
-        files[f"{stem}.{name}"] = buffer.getvalue()
-    return files
-
-
-def lettered(panels: "Sequence[Axes]", options: FigureOptions) -> None:
-    """Write (a), (b), (c) … above the left corner of each panel; a figure of one has none."""
-    if len(panels) < 2:
-        return
-    for number, panel in enumerate(panels):
-        panel.set_title(f"({chr(ord('a') + number)})", loc="left", fontsize=8 if options.style == "paper" else 10)

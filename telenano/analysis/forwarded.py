@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.recording.tolerance import Tolerances
 from telenano.wire import WireError
 from telenano.wire.codec import decode_header
 
@@ -110,7 +110,7 @@ def _alike(message: Forwarded, recorded: Forwarded) -> bool:
 def _difference(message: Forwarded, recorded: Forwarded) -> tuple[str, str]:
     """Return the field in which two messages of one name differ, and what differs in words."""
     if message.name == recorded.name:
-        difference = first_difference(_fields(message), _fields(recorded), Tolerances())
+        difference = Tolerances().first_difference(_fields(message), _fields(recorded))
         if difference is not None:
             return difference.field, f"re-run {difference.text} recorded"
         different = sum(left != right for left, right in zip(message.payload, recorded.payload, strict=False))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from telenano.analysis.phases import contacts_of, moments_of, phases_of
-from telenano.analysis.report import Session, read_session, summarise
+from telenano.analysis.report import Session
 from telenano.analysis.swings import swings_of
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
@@ -27,8 +27,8 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     start_ns = recording.span_ns[0]
     document: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
     try:
-        session = read_session(recording)
-        summary = summarise(session, recording)
+        session = Session.of(recording)
+        summary = session.summary(recording)
     except RecordingError as error:
         return {**document, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
     moments = _events(recording, start_ns, session.timeline)

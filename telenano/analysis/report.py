@@ -28,6 +28,7 @@ from telenano.analysis.holds import (
     Hold,
     Incident,
     Instrument,
+    Lack,
     Late,
     Limits,
     SessionContext,
@@ -145,6 +146,123 @@ class Session:
             ),
         )
 
+    @classmethod
+    def of(cls, recording: RecordingSource) -> "Session":
+        """Read the last session that a recording holds; RecordingError when the operator's force profile never ran.
+
+        The slave's stamps are put on the master's clock where the clocks are shown to differ
+        (`telenano.recording.site_clock`). Where they may, by more than a period of the loop, the session has both
+        readings.
+        """
+        timeline = Timeline(recording)
+        session = _read_session(recording, timeline)
+        clock = timeline.clock
+        if clock is None or clock.applied or abs(clock.offset_s) < _LOOP_PERIOD_S:
+            return session
+        other = _read_session(recording, timeline.with_clock(clock._replace(applied=True)))
+        return replace(session, otherwise=other)
+
+    @property
+    def origin(self) -> str:
+        """The conditions of the session in words, for the inside of a file."""
+        return described(self.scenario, self.conditions)
+
+    def lacks(self, span_s: tuple[float, float]) -> list[Lack]:
+        """Return what a hold from a start to an end [s] lacks so much of that there is no telling what became of it."""
+        series = self.series()
+        return lacks_of(series.hand_time_s, series.tip_time_s, span_s, self.context.answered_s)
+
+    def summary(
+        self, recording: RecordingSource, missing: Sequence[str] = (), left_out: LeftOut | None = None
+    ) -> dict[str, Any]:
+        """Return the summary of the session, with the keys of `Summary`; what the session does not show is null.
+
+        All messages of its recording are read once. `missing` has sentences on what is known to be missing besides;
+        `left_out` is given where the summary has to name what could not be read of the session.
+        """
+        info, sent, overruns = _counted(self, recording, recording.left_out if left_out is None else left_out)
+        series, holds, judged = _judged(self)
+        interruptions = self.context.interruptions
+        unread = () if left_out is None else left_out.sentences()
+        missing = [*self.missing, *_lacking(self, series, holds), *missing, *unread]
+        last_s = self.duration_s - RELEASE_WINDOW_S
+        samples = {
+            "hold_ratio": _hold_ratios(self, holds),
+            "contact_x_cm": 100.0 * series.reference_m[series.reference_time_s >= last_s],
+            "release_force_nn": 1e9 * series.tip_force_n[series.tip_time_s >= last_s],
+        }
+        ages_ms = _loop_ages_ms(self)
+        summary = {
+            "scenario": self.scenario,
+            **self.conditions,
+            "duration_s": round(self.duration_s, 3),
+            **judged,
+            "contact_x_cm": _mean(samples["contact_x_cm"]),
+            "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
+            "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
+            "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
+            "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
+            "processes_ended": sum(one.kind == "process_ended" for one in interruptions),
+            "interruptions": [one._asdict() for one in interruptions],
+            "hand_cycles": cycles_of(series.hand_force_n),
+            "loop_age_ms": _loop_age_ms(ages_ms),
+            **_loop_age_parts(self.split_age(recording)),
+            "intervals": _intervals(samples, ages_ms),
+            "overruns": overruns,
+            "rate_hz": {name: round(count / self.duration_s, 3) for name, count in sent.items()},
+            "completeness": _completeness(sent, self.duration_s, 1.0 / scenario_in(recording).period_s),
+            "seq_gaps": _gaps(info),
+            "contact_known": self.knows_contact,
+            "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
+            "clocks": _clocks(self),
+            "recording": recording_facts(info, self.start_ns, missing),
+        }
+        return Summary.model_validate(summary).model_dump(exclude_unset=True)
+
+    def split_age(self, recording: RecordingSource) -> dict[str, Series]:
+        """Return the parts of the age of each sample of the hand that an answer came to [s], by name; none of too few.
+
+        A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on
+        the way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks
+        leave open makes one way longer and the other one shorter, and nothing of the sum.
+
+        Args:
+            recording: The master's recording of the session.
+        """
+        # A topic is followed at its publisher, or else as the link brought it.
+        channel_of = {
+            each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)
+        }
+        topics = [topic for topic in loop_age.STAGES if topic in channel_of]
+        if not topics or "link/delay" not in channel_of:
+            return {}
+        hand = columns(recording, "haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
+        ways = []
+        for topic in topics:
+            sent = columns(recording, channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
+            at_ns = self.timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
+            ways.append(_first(sent["hand_t_ns"], at_ns))
+        ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
+        keys = reduce(np.intersect1d, [own for own, _ in ways])
+        keys = keys[(keys >= max(self.start_ns, 1)) & (keys <= self.end_ns)]
+        if keys.size < _LEAST_FOLLOWED:
+            return {}
+        passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
+        series = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+        delays, datagrams = {}, _datagrams(recording, self.timeline)
+        for way in loop_age.WAYS:
+            # The newest delay that was said of a sample counts from that sample on.
+            of_way = {name: values[series["direction"] == way][::-1] for name, values in series.items()}
+            from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
+            at = np.searchsorted(from_ns, keys, side="right")
+            added_ns, line_ns = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
+            if way in datagrams and (sender := f"teleop/{way}") in topics:
+                due_ns = passed_ns[:, topics.index(sender) + 1] + added_ns
+                line_ns = np.maximum(line_ns, loop_age.took_from(due_ns, *datagrams[way]))
+            delays[way] = loop_age.Delay(added_ns, line_ns)
+        device_s = dict(zip(hand["t_ns"].tolist(), np.nan_to_num(hand["sample_age_s"]).tolist(), strict=True))
+        return loop_age.split(passed_ns, topics, delays, np.array([device_s.get(key, 0.0) for key in keys.tolist()]))
+
     def _time_s(self, series: Mapping[str, Series]) -> npt.NDArray[np.float64]:
         return np.asarray((series["t_ns"] - self.start_ns) * 1e-9, dtype=np.float64)
 
@@ -177,53 +295,41 @@ def write_report(
     # What is missing is found by reading the whole; the session by the index, which takes half of the time.
     recording, indexed = open_recordings(paths), open_indexed(paths)
     show("1 of 3: reading the session")
-    session = read_session(indexed)
+    session = Session.of(indexed)
     show(f"2 of 3: reading all messages of its {session.duration_s:.0f} s, and judging")
-    summary = summarise(session, recording, missing, indexed.left_out)
+    summary = session.summary(recording, missing, indexed.left_out)
     show("3 of 3: drawing the figure")
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
-    origin = described(session.scenario, session.conditions)
     text = json.dumps(summary, indent=2) + "\n"
     figures: dict[str, bytes] = {}
     undrawn = ""
     try:
-        figures = fig12_files(session.series(gaps_s), _title(session, summary), options, origin)
+        figures = fig12_files(session.series(gaps_s), _title(session, summary), options, session.origin)
     except ModuleNotFoundError as error:
         undrawn = f"{out / 'summary.json'} is written, and no figure is drawn: {extras.missing(error.name or '')}"
-    try:
-        write_files(out, {**figures, "summary.json": text.encode()})
-    except OSError as error:
-        raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", summary) from error
+    write_files(out, {**figures, "summary.json": text.encode()}, summary)
     if undrawn:
         raise ReportError(undrawn, summary)
     return summary
 
 
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write all files of a folder or none of them; OSError names the first that cannot be written."""
-    with whole_results(folder) as part:
-        for name, data in files.items():
-            # An error of a full disk does not name its file.
-            try:
-                (part / name).write_bytes(data)
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(folder / name)) from error
+def write_files(folder: Path, files: Mapping[str, bytes], summary: Mapping[str, Any] | None = None) -> None:
+    """Write all files of a folder or none of them.
 
-
-def read_session(recording: RecordingSource) -> Session:
-    """Read the last session that a recording holds; RecordingError when the operator's force profile never ran.
-
-    The slave's stamps are put on the master's clock where the clocks are shown to differ
-    (`telenano.recording.site_clock`). Where they may, by more than a period of the loop, the session has both readings.
+    Raises:
+        ReportError: One cannot be written; the message names it, and the error has the summary.
     """
-    timeline = Timeline(recording)
-    session = _read_session(recording, timeline)
-    clock = timeline.clock
-    if clock is None or clock.applied or abs(clock.offset_s) < _LOOP_PERIOD_S:
-        return session
-    other = _read_session(recording, timeline.with_clock(clock._replace(applied=True)))
-    return replace(session, otherwise=other)
+    try:
+        with whole_results(folder) as part:
+            for name, data in files.items():
+                # An error of a full disk does not name its file.
+                try:
+                    (part / name).write_bytes(data)
+                except OSError as error:
+                    raise OSError(error.errno, error.strerror, str(folder / name)) from error
+    except OSError as error:
+        raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", dict(summary or {})) from error
 
 
 def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
@@ -436,54 +542,6 @@ def _interruptions(
     return sorted(interruptions, key=lambda one: one.start_s)
 
 
-def summarise(
-    session: Session, recording: RecordingSource, missing: Sequence[str] = (), left_out: LeftOut | None = None
-) -> dict[str, Any]:
-    """Return the summary of a session, with the keys of `Summary`; what the session does not show is null.
-
-    All messages of its recording are read once. `missing` has sentences on what is known to be missing besides;
-    `left_out` is given where the summary has to name what could not be read of the session.
-    """
-    info, sent, overruns = _counted(session, recording, recording.left_out if left_out is None else left_out)
-    series, holds, judged = _judged(session)
-    interruptions = session.context.interruptions
-    unread = () if left_out is None else left_out.sentences()
-    missing = [*session.missing, *_lacking(session, series, holds), *missing, *unread]
-    last_s = session.duration_s - RELEASE_WINDOW_S
-    samples = {
-        "hold_ratio": _hold_ratios(session, holds),
-        "contact_x_cm": 100.0 * series.reference_m[series.reference_time_s >= last_s],
-        "release_force_nn": 1e9 * series.tip_force_n[series.tip_time_s >= last_s],
-    }
-    ages_ms = _loop_ages_ms(session)
-    summary = {
-        "scenario": session.scenario,
-        **session.conditions,
-        "duration_s": round(session.duration_s, 3),
-        **judged,
-        "contact_x_cm": _mean(samples["contact_x_cm"]),
-        "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
-        "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
-        "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
-        "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
-        "processes_ended": sum(one.kind == "process_ended" for one in interruptions),
-        "interruptions": [one._asdict() for one in interruptions],
-        "hand_cycles": cycles_of(series.hand_force_n),
-        "loop_age_ms": _loop_age_ms(ages_ms),
-        **_loop_age_parts(split_age(recording, session.timeline, session.start_ns, session.end_ns)),
-        "intervals": _intervals(samples, ages_ms),
-        "overruns": overruns,
-        "rate_hz": {name: round(count / session.duration_s, 3) for name, count in sent.items()},
-        "completeness": _completeness(sent, session.duration_s, 1.0 / scenario_in(recording).period_s),
-        "seq_gaps": _gaps(info),
-        "contact_known": session.knows_contact,
-        "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
-        "clocks": _clocks(session),
-        "recording": recording_facts(info, session.start_ns, missing),
-    }
-    return Summary.model_validate(summary).model_dump(exclude_unset=True)
-
-
 def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
     """Return whether the tip had been placed by then: what it meets before it is there is no contact of the hand.
 
@@ -650,54 +708,6 @@ def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: floa
             rate_hz = loop_rate_hz if topic.rate_hz == _DECLARED_LOOP_HZ else topic.rate_hz
             shares[name] = min(1.0, round(count / (rate_hz * duration_s), 5))
     return shares
-
-
-def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> dict[str, Series]:
-    """Return the parts of the age of each sample of the hand that an answer came to [s], by name; none of too few.
-
-    A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on the
-    way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks leave open
-    makes one way longer and the other one shorter, and nothing of the sum.
-
-    Args:
-        recording: The master's recording of a session.
-        timeline: What puts its stamps on the master's clock.
-        start_ns: When the session began, on the master's clock [ns].
-        end_ns: When it ended.
-    """
-    # A topic is followed at its publisher, or else as the link brought it.
-    channel_of = {
-        each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)
-    }
-    topics = [topic for topic in loop_age.STAGES if topic in channel_of]
-    if not topics or "link/delay" not in channel_of:
-        return {}
-    hand = columns(recording, "haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
-    ways = []
-    for topic in topics:
-        sent = columns(recording, channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
-        at_ns = timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
-        ways.append(_first(sent["hand_t_ns"], at_ns))
-    ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
-    keys = reduce(np.intersect1d, [own for own, _ in ways])
-    keys = keys[(keys >= max(start_ns, 1)) & (keys <= end_ns)]
-    if keys.size < _LEAST_FOLLOWED:
-        return {}
-    passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
-    series = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
-    delays, datagrams = {}, _datagrams(recording, timeline)
-    for way in loop_age.WAYS:
-        # The newest delay that was said of a sample counts from that sample on.
-        of_way = {name: values[series["direction"] == way][::-1] for name, values in series.items()}
-        from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
-        at = np.searchsorted(from_ns, keys, side="right")
-        added_ns, line_ns = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
-        if way in datagrams and (sender := f"teleop/{way}") in topics:
-            due_ns = passed_ns[:, topics.index(sender) + 1] + added_ns
-            line_ns = np.maximum(line_ns, loop_age.took_from(due_ns, *datagrams[way]))
-        delays[way] = loop_age.Delay(added_ns, line_ns)
-    device_s = dict(zip(hand["t_ns"].tolist(), np.nan_to_num(hand["sample_age_s"]).tolist(), strict=True))
-    return loop_age.split(passed_ns, topics, delays, np.array([device_s.get(key, 0.0) for key in keys.tolist()]))
 
 
 def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:

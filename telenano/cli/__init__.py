@@ -34,6 +34,5 @@ if TYPE_CHECKING:
     from telenano.cli.output import results_folder as results_folder
     from telenano.cli.output import results_in as results_in
     from telenano.cli.progress_bar import progress as progress
-    from telenano.cli.tables import rows_table as rows_table
 else:
     __getattr__, __dir__ = face(__name__)

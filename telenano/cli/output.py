@@ -16,7 +16,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 from telenano.analysis.intervals import with_error
-from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
+from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE, EXIT_INTERRUPTED
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
 from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
@@ -44,14 +44,18 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         code = (
             EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError | ExistsError) else EXIT_FAILED
         )
-        fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
+        fail(str(error), interrupts.exit_code() or code, as_json=as_json)
     except BrokenPipeError:
         raise  # its reader has what it wanted, which `telenano.cli.app` says by the code 0
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
     except KeyboardInterrupt as error:
         # The notes say of each result that was begun whether there is anything of it.
-        fail("; ".join([interrupted, *getattr(error, "__notes__", ())]), interrupts.exit_code(), as_json=as_json)
+        fail(
+            "; ".join([interrupted, *getattr(error, "__notes__", ())]),
+            interrupts.exit_code() or EXIT_INTERRUPTED,
+            as_json=as_json,
+        )
 
 
 def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:
@@ -266,6 +270,6 @@ def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoRet
     fail(f"{error}{also}", as_json=as_json, summary=error.summary)
 
 
-def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+def print_rows(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> None:
     """Print rows that have the same keys as a table."""
-    console().print(rows_table(rows))
+    console().print(rows_table(rows, title=title))

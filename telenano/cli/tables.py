@@ -12,6 +12,8 @@ from telenano.files.printable import printable
 # A value other than zero in these columns is a loss.
 _ALARMING = ("missing", "lost", "damage", "skipped_bytes")
 _SENTENCES = ("missing", "damage")
+# A list of a summary with more keys is drawn upright: its cells would be narrower than a number.
+_MOST_COLUMNS = 10
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 
@@ -63,8 +65,16 @@ def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
         topics = sorted({topic for values in by_topic.values() for topic in values})
         rows = [{"topic": topic} | {key: values.get(topic) for key, values in by_topic.items()} for topic in topics]
         parts.append(rows_table(rows))
-    parts += [rows_table(rows, title=key) for key, rows in lists.items()]
+    parts += [rows_table(_upright(rows), title=key) for key, rows in lists.items()]
     return Group(*parts)
+
+
+def _upright(rows: Sequence[Mapping[str, Any]]) -> Sequence[Mapping[str, Any]]:
+    """Return rows of many keys with a column for each row, where that leaves wider cells."""
+    keys = rows[0].keys()
+    if len(keys) <= _MOST_COLUMNS or len(rows) >= len(keys):
+        return rows
+    return [{"quantity": key} | {str(number): row.get(key) for number, row in enumerate(rows, 1)} for key in keys]
 
 
 def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
@@ -125,5 +135,8 @@ def _value_text(value: Any) -> Text:
 
 
 def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        # A fact of a hold has a text for a person.
+        return printable(str(value.get("text") or counts_text(value)))
     # 0.0 is added because it makes 0 of -0
     return f"{value + 0.0:.6g}" if isinstance(value, float) else printable(str(value))

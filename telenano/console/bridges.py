@@ -9,7 +9,7 @@ import typer
 
 from telenano.console.live_recording import LiveRecording
 from telenano.recording.messages import RecordedMessage
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
 from telenano.wire.errors import RigError
 
@@ -54,7 +54,7 @@ class Rate:
 
 def live_rig(site_file: Path, topics: Collection[str] | None = None) -> LiveRecording:
     """Return a context with the messages of the rig of a site file; ConfigError where that cannot be used."""
-    return LiveRecording(load_site(site_file), topics)
+    return LiveRecording(AddressBook.load(site_file), topics)
 
 
 def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> None:

@@ -12,13 +12,13 @@ import zmq
 
 from telenano.console.lease import FREE_COMMANDS, MOST_LETTERS
 from telenano.console.lease_register import NAME_VARIABLE, Hold, acting
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher, publish_end
 from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 from telenano.runtime.wiring.observer import RIG_HINT, require_rig
-from telenano.runtime.wiring.participant import Participant, open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.messages import Message, NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
@@ -108,7 +108,7 @@ def arm_devices(
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
     """Arm hand and tip, as far as this site reaches them, and wait until the tip is placed; as `send_controls`."""
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     steps = [step for step in ARM if site == "master" or set(step.expected) <= set(addressed(book, "*", site))]
     return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
 
@@ -130,7 +130,7 @@ def send_control(
         ConfigError: No node is meant, or this site has no console.
         RigError, EndpointError, RefusedError: As of `send_controls`.
     """
-    meant = addressed(load_site(site_file), command.target, site)
+    meant = addressed(AddressBook.load(site_file), command.target, site)
     wanted = replace(command, expected=() if is_pattern(command.target) else tuple(meant))
     return send_controls([wanted], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, retry_ns=retry_ns, by=by)
 
@@ -191,14 +191,14 @@ def _exchange(
     retry_ns: int,
 ) -> dict[str, SessionEvent]:
     """Bind the console, send commands until all are answered, and return the answers; the rest as `send_controls`."""
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     try:
         console = console_of(book, site)
     except ConfigError as error:
         raise ConfigError(f"{site_file}: {error}") from error
     require_rig(book, site_file)
     answers: dict[str, SessionEvent] = {}
-    with open_participant(console, book) as participant:
+    with Participant.open(console, book) as participant:
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
         client = CommandClient(participant.clock, publisher.publish, commands, retry_ns=retry_ns, issued_ns=issued_ns)

@@ -16,10 +16,9 @@ from typing import Any, Protocol
 
 from telenano.console.command_client import send_control
 from telenano.numerics.frames import to_paper_axis
-from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.loop.arming import ARM_TIP
 from telenano.runtime.loop.commands import Command
-from telenano.runtime.wiring.observer import RIG_HINT, Observer, require_rig
+from telenano.runtime.wiring.observer import RIG_HINT, Observer
 from telenano.wire.errors import RigError
 from telenano.wire.messages import AfmState, HapticState, TeleopBackward
 from telenano.wire.nodes import TIP, name_of
@@ -104,9 +103,7 @@ def recouple(
         RigError: It is refused, and nothing has moved; or it was not completed, and the tip stays withdrawn.
         ConfigError: The site file cannot be used.
     """
-    book = load_site(site_file)
-    require_rig(book, site_file)
-    with closing(Observer(book, TOPICS)) as observer:
+    with closing(Observer.of_rig(site_file, TOPICS)) as observer:
         return couple(_Console(site_file, observer, is_wanted, issued_ns, by))
 
 

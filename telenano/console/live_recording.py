@@ -11,7 +11,7 @@ from telenano.console.listener import Listener
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.writer import channel_topic
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.wiring.participant import OBSERVER, SITES, Participant, open_participant
+from telenano.runtime.wiring.participant import SITES, Participant
 from telenano.wire import TOPICS
 from telenano.wire.nodes import is_visitor, site_of
 
@@ -52,7 +52,7 @@ class LiveRecording:
     def __init__(self, book: AddressBook, topics: Collection[str] | None = None) -> None:
         """Listen for some topics, or all, as this machine; ConfigError when it lacks a key that the rig demands."""
         self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
         self.book = book
         # The time of a reception is so far ahead of the monotonic clock [ns].

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from telenano.numerics.frames import to_site_frame
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import publish_end
-from telenano.runtime.wiring.participant import open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import Message
 from telenano.wire.nodes import VIEW
@@ -23,7 +23,7 @@ class RigHand:
     def __init__(self, site_file: Path) -> None:
         """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
         self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(VIEW, load_site(site_file)))
+        participant = self._open.enter_context(Participant.open(VIEW, AddressBook.load(site_file)))
         self._clock = participant.clock
         try:
             self._publisher = participant.bind(VIEW)

@@ -5,14 +5,10 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.devices.afm.capabilities import TABLE as TABLE
     from telenano.devices.afm.capabilities import AfmCapabilities as AfmCapabilities
-    from telenano.devices.afm.capabilities import capabilities_of as capabilities_of
     from telenano.devices.afm.converter_calibration import CantileverCalibration as CantileverCalibration
     from telenano.devices.afm.converter_calibration import InstrumentCalibration as InstrumentCalibration
     from telenano.devices.afm.converter_calibration import Readings as Readings
-    from telenano.devices.afm.converter_calibration import read_controller as read_controller
-    from telenano.devices.afm.converter_calibration import read_stage_calibration as read_stage_calibration
     from telenano.devices.afm.guarded import Step as Step
     from telenano.devices.afm.guarded import line_fields as line_fields
     from telenano.devices.afm.instrument import calibration_of_file as calibration_of_file
@@ -22,15 +18,11 @@ if TYPE_CHECKING:
     from telenano.devices.afm.modbus_frames import FeedbackAnswer as FeedbackAnswer
     from telenano.devices.afm.modbus_frames import FeedbackRequest as FeedbackRequest
     from telenano.devices.afm.modbus_frames import Operation as Operation
-    from telenano.devices.afm.modbus_line import LOST_NS as LOST_NS
-    from telenano.devices.afm.modbus_line import STEP_NS as STEP_NS
     from telenano.devices.afm.modbus_line import Line as Line
     from telenano.devices.afm.register_map import read_map as read_map
-    from telenano.devices.afm.tcp_driver import STALE_CYCLES as STALE_CYCLES
     from telenano.devices.afm.tcp_driver import TcpDriver as TcpDriver
     from telenano.devices.afm.virtual_instrument import VirtualInstrument as VirtualInstrument
     from telenano.devices.hand.calibration import HandleCalibration as HandleCalibration
-    from telenano.devices.hand.calibration import read_handle_calibration as read_handle_calibration
     from telenano.devices.hand.serial_driver import SerialHandle as SerialHandle
     from telenano.devices.hand.wire import HandleAbility as HandleAbility
     from telenano.devices.hand.wire import HandleFlag as HandleFlag

@@ -88,7 +88,7 @@ class SpatialReading(NamedTuple):
 
     lateral_operator_force_n: estimate of the hand's force; lateral_force_n: what the device sent. orientation: of the
     handle, w x y z. buttons: bit 0 is the first that the device names. gate: why there is no force, of
-    `coupling.GATES`. The energies are the accounts of `coupling.CouplingState`.
+    `telenano.hand.coupling.Gate`. The energies are the accounts of `coupling.CouplingState`.
     """
 
     lateral_m: Pair = (0.0, 0.0)

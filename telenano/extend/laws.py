@@ -243,34 +243,48 @@ class Law:
     fixed_in_contact: tuple[str, ...] = ()
     slave_retune: Steps = kept
 
+    def changed_in_contact(self, before: BaseModel, after: BaseModel) -> str:
+        """Return why a change of the settings has to wait until the tip is off the sample; empty where it has not."""
+        keys = [key for key in self.all_fixed_in_contact() if getattr(before, key) != getattr(after, key)]
+        if not keys:
+            return ""
+        return (
+            f"{self.name}.{' and '.join(keys)} cannot be changed while the tip touches: force and stored energy at"
+            " the hand are stated in it and would jump; take the tip off the sample first"
+        )
+
+    def all_fixed_in_contact(self) -> tuple[str, ...]:
+        """Return the settings that stay while the tip touches: both scales, and what the law names."""
+        return (*_SCALES, *self.fixed_in_contact)
+
+    @classmethod
+    def of(cls, module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **given: Any) -> "Law":
+        """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
+
+        Args:
+            module: The `__name__` of the module, which calls this below its last step.
+            config: The model of the law's section.
+            slave: The module with the steps of the slave half, if that is another one.
+            given: What the law says of itself by the fields of `Law` that have defaults, and steps that the module does
+                not write down itself.
+
+        Raises:
+            AttributeError: A step is missing; the message names it.
+        """
+        own = sys.modules[module]
+        values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
+        values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
+        values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
+        if hasattr(slave or own, "slave_retune"):
+            values["slave_retune"] = (slave or own).slave_retune
+        values |= given
+        return cls(name=module.rpartition(".")[2], config=config, **values)
+
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
 _SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
 _OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force", "sample_drift")
 _SCALES = ("position_scale", "force_scale")
-
-
-def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **given: Any) -> Law:
-    """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
-
-    Args:
-        module: The `__name__` of the module, which calls this below its last step.
-        config: The model of the law's section.
-        slave: The module with the steps of the slave half, if that is another one.
-        given: What the law says of itself by the fields of `Law` that have defaults, and steps that the module does not
-            write down itself.
-
-    Raises:
-        AttributeError: A step is missing; the message names it.
-    """
-    own = sys.modules[module]
-    values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
-    values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
-    values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
-    if hasattr(slave or own, "slave_retune"):
-        values["slave_retune"] = (slave or own).slave_retune
-    values |= given
-    return Law(name=module.rpartition(".")[2], config=config, **values)
 
 
 def checked_law(name: str, value: Any) -> Law:
@@ -292,22 +306,6 @@ def checked_law(name: str, value: Any) -> Law:
 
 # Every section of a law has these fields, so code that does not know the law may use them.
 _SHARED_FIELDS = ("position_scale", "force_scale", "silence_limit_s")
-
-
-def fixed_in_contact(law: Law) -> tuple[str, ...]:
-    """Return the settings of a law that stay while the tip touches: both scales, and what the law names."""
-    return (*_SCALES, *law.fixed_in_contact)
-
-
-def changed_in_contact(law: Law, before: BaseModel, after: BaseModel) -> str:
-    """Return why a change of a law's settings has to wait until the tip is off the sample; empty where it has not."""
-    keys = [key for key in fixed_in_contact(law) if getattr(before, key) != getattr(after, key)]
-    if not keys:
-        return ""
-    return (
-        f"{law.name}.{' and '.join(keys)} cannot be changed while the tip touches: force and stored energy at the hand"
-        " are stated in it and would jump; take the tip off the sample first"
-    )
 
 
 # the most periods of one step of the slave half: its force is that of the beginning

@@ -8,6 +8,7 @@ no state of its own: plan and state are NamedTuples of plain values, which the j
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, get_args, get_origin
 
 import numpy as np
@@ -112,43 +113,55 @@ class Inputs(NamedTuple):
     own: OwnLine | None = None
 
 
-# the phases of the way to the surface; those of a program itself come after
-RISE, TRAVEL, APPROACH, ARRIVED = range(4)
-WAY_TEXTS = ("the tip rises", "the stage moves to the first point", "approach")
-
-
-class Way(NamedTuple):
+@dataclass(frozen=True)
+class Way:
     """A step towards the surface: phase, time in it [s], and where base [m] and stage are to go."""
+
+    # the phases of the way; those of a program itself come after
+    RISE: ClassVar[int] = 0
+    TRAVEL: ClassVar[int] = 1
+    APPROACH: ClassVar[int] = 2
+    ARRIVED: ClassVar[int] = 3
+    # what is done in each of them, in words
+    TEXTS: ClassVar[tuple[str, ...]] = ("the tip rises", "the stage moves to the first point", "approach")
 
     phase: int
     elapsed_s: float
     base_m: float
     place: Place
 
+    @classmethod
+    def to_surface(
+        cls,
+        phase: int,
+        elapsed_s: float,
+        inputs: Inputs,
+        first: Place,
+        clear_m: float,
+        step_m: float,
+        touches: bool,
+        dt: float,
+    ) -> "Way":
+        """Take the tip up, above the first point, and down until it touches; then the phase is ARRIVED.
 
-def way_to_surface(
-    phase: int, elapsed_s: float, inputs: Inputs, first: Place, clear_m: float, step_m: float, touches: bool, dt: float
-) -> Way:
-    """Take the tip up, above the first point, and down until it touches; then the phase is ARRIVED.
-
-    Args:
-        phase: RISE, TRAVEL or APPROACH.
-        elapsed_s: Time in the phase [s].
-        inputs: What was measured at the last step.
-        first: The first point.
-        clear_m: Base above every point [m].
-        step_m: How far the base approaches in dt [m].
-        touches: Whether the tip feels what it approaches for.
-        dt: Time of the step [s].
-    """
-    if phase == RISE:
-        return Way(TRAVEL if inputs.base_m <= clear_m else RISE, 0.0, clear_m, inputs.place)
-    if phase == TRAVEL:
-        return Way(APPROACH if inputs.place == first else TRAVEL, 0.0, clear_m, first)
-    if touches:
-        # the base continues from where it is
-        return Way(ARRIVED, 0.0, inputs.base_m, first)
-    return Way(APPROACH, elapsed_s + dt, inputs.base_m + step_m, first)
+        Args:
+            phase: RISE, TRAVEL or APPROACH.
+            elapsed_s: Time in the phase [s].
+            inputs: What was measured at the last step.
+            first: The first point.
+            clear_m: Base above every point [m].
+            step_m: How far the base approaches in dt [m].
+            touches: Whether the tip feels what it approaches for.
+            dt: Time of the step [s].
+        """
+        if phase == cls.RISE:
+            return cls(cls.TRAVEL if inputs.base_m <= clear_m else cls.RISE, 0.0, clear_m, inputs.place)
+        if phase == cls.TRAVEL:
+            return cls(cls.APPROACH if inputs.place == first else cls.TRAVEL, 0.0, clear_m, first)
+        if touches:
+            # the base continues from where it is
+            return cls(cls.ARRIVED, 0.0, inputs.base_m, first)
+        return cls(cls.APPROACH, elapsed_s + dt, inputs.base_m + step_m, first)
 
 
 class FinishedLine(NamedTuple):

@@ -9,11 +9,9 @@ the loop gain (K_f + 1) alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s + K_v), and
 
 from typing import NamedTuple
 
-from pydantic import Field
-
 from telenano.extend import pass_through
-from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
-from telenano.extend.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
+from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
 from telenano.numerics.compiler import compiled
 from telenano.numerics.discretisation import Discretisation, exact_discretisation
@@ -34,10 +32,10 @@ class VirtualImpedanceParams(NamedTuple):
 class ImpedanceConfig(ScaledConfig):
     """A virtual impedance; the defaults are the paper's values in SI units (E8)."""
 
-    mass_kg: MassKg = Field(default=10.0, description="Virtual mass M_v [kg]")
-    damping_n_s_per_m: DampingOrNoneNSPerM = Field(default=2000.0, description="Virtual damping B_v [N s/m]")
-    stiffness_n_per_m: StiffnessOrNoneNPerM = Field(default=0.0, description="Virtual stiffness K_v [N/m]")
-    force_gain: Gain = Field(default=20.0, description="Gain of the force error K_f")
+    mass_kg: float = parameter(10.0, "kg", "Virtual mass M_v [kg]")
+    damping_n_s_per_m: float = parameter(2000.0, "N s/m", "Virtual damping B_v [N s/m]", zero=True)
+    stiffness_n_per_m: float = parameter(0.0, "N/m", "Virtual stiffness K_v [N/m]", zero=True)
+    force_gain: float = parameter(20.0, "1", "Gain of the force error K_f")
 
     def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
         """Return the constants of the impedance for a period [s] of the hand."""
@@ -132,4 +130,4 @@ def rest_force(params: VirtualImpedanceParams, force_n: float) -> float:
     return gain / (1.0 + gain) * force_n if abs(params.impedance.phi_xx - 1.0) < 1e-12 else float("nan")
 
 
-VIRTUAL_IMPEDANCE = law_of(__name__, VirtualImpedanceConfig, slave=pass_through)
+VIRTUAL_IMPEDANCE = Law.of(__name__, VirtualImpedanceConfig, slave=pass_through)

@@ -13,10 +13,8 @@ exact energy.
 import math
 from typing import Any, NamedTuple
 
-from pydantic import Field
-
 from telenano.extend.laws import HandSample, PortSignal, TipMeasurement
-from telenano.extend.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
+from telenano.extend.ranges import parameter
 from telenano.numerics.compiler import compiled
 from telenano.numerics.discretisation import exact_discretisation
 from telenano.settings.config import Settings, filled
@@ -75,21 +73,34 @@ class HandPort(NamedTuple):
 class ScaledConfig(Settings):
     """The parameters that every law has."""
 
-    position_scale: PositionScale = Field(
-        default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand"
+    position_scale: float = parameter(1.5e-6, "m/m", "alpha_p, metres at the tip per metre at the hand")
+    force_scale: float = parameter(1e8, "N/N", "alpha_f, newtons at the hand per newton at the tip")
+    silence_limit_s: float = parameter(
+        deadline_of("teleop/backward"),
+        "s",
+        "Time without a signal from the other half after which the hand is let go [s]",
     )
-    force_scale: ForceScale = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip")
-    silence_limit_s: TimeS = Field(
-        default=deadline_of("teleop/backward"),
-        description="Time without a signal from the other half after which the hand is let go [s]",
-    )
+
+    def limit_of_damper(self, damping_n_s_per_m: float, period_s: float, most_periods: int = 1) -> float:
+        """Return the stiffest sample K [N/m] for a base that goes against the measured force through a damper.
+
+        The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
+        1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond
+        more.
+
+        Args:
+            damping_n_s_per_m: The damping B at the hand's scale [N s/m].
+            period_s: The period Ts [s].
+            most_periods: The longest step n [periods].
+        """
+        return 2.0 * damping_n_s_per_m / (self.force_scale * self.position_scale * most_periods * period_s)
 
 
 class MassConfig(ScaledConfig):
     """The virtual mass; the defaults move in free space like the paper's impedance divided by its force gain of 20."""
 
-    mass_kg: MassKg = Field(default=0.5, description="Virtual mass M_v [kg]")
-    damping_n_s_per_m: DampingNSPerM = Field(default=100.0, description="Virtual damping B_v [N s/m]")
+    mass_kg: float = parameter(0.5, "kg", "Virtual mass M_v [kg]")
+    damping_n_s_per_m: float = parameter(100.0, "N s/m", "Virtual damping B_v [N s/m]")
 
     def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
         """Return the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
@@ -104,23 +115,6 @@ class MassConfig(ScaledConfig):
             gamma_x_m_per_n=step.gamma_x,
             gamma_v_m_per_n_s=step.gamma_v,
         )
-
-
-def stiffness_limit_n_per_m(
-    config: ScaledConfig, damping_n_s_per_m: float, period_s: float, most_periods: int = 1
-) -> float:
-    """Return the stiffest sample K [N/m] that a base tolerates which goes against the measured force through a damper.
-
-    The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
-    1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond more.
-
-    Args:
-        config: The section of the law, which has the scales.
-        damping_n_s_per_m: The damping B at the hand's scale [N s/m].
-        period_s: The period Ts [s].
-        most_periods: The longest step n [periods].
-    """
-    return 2.0 * damping_n_s_per_m / (config.force_scale * config.position_scale * most_periods * period_s)
 
 
 @compiled

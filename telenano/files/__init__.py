@@ -13,18 +13,14 @@ if TYPE_CHECKING:
     from telenano.files.atomic_files import whole_results as whole_results
     from telenano.files.atomic_files import write_whole as write_whole
     from telenano.files.limited_child import Limits as Limits
-    from telenano.files.limited_child import limits_for as limits_for
     from telenano.files.limited_child import read_in_child as read_in_child
     from telenano.files.regular_files import is_own as is_own
-    from telenano.files.regular_files import is_own_path as is_own_path
     from telenano.files.regular_files import open_regular as open_regular
     from telenano.files.regular_files import read_regular as read_regular
     from telenano.files.text_tables import Column as Column
     from telenano.files.text_tables import TextTable as TextTable
     from telenano.files.text_tables import as_number as as_number
     from telenano.files.text_tables import decoded as decoded
-    from telenano.files.text_tables import parse_table as parse_table
-    from telenano.files.text_tables import read_table as read_table
     from telenano.files.units import unit_of as unit_of
 else:
     __getattr__, __dir__ = face(__name__)

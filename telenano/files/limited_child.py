@@ -52,18 +52,18 @@ class Limits(NamedTuple):
     cpu_s: int
     wall_s: float
 
+    @classmethod
+    def of_size(cls, size_bytes: int) -> "Limits":
+        """Return what reading a file of that size may take."""
+        cpu_s = round(_CPU_S + _CPU_S_PER_BYTE * size_bytes)
+        return Limits(_MEMORY_BYTES + _MEMORY_PER_BYTE * size_bytes, cpu_s, _WALL_FACTOR * cpu_s)
+
 
 class Answer(NamedTuple):
     """What was read: plain values by name, and arrays of numbers."""
 
     facts: dict[str, Any]
     arrays: list[npt.NDArray[Any]]
-
-
-def limits_for(size_bytes: int) -> Limits:
-    """Return what reading a file of that size may take."""
-    cpu_s = round(_CPU_S + _CPU_S_PER_BYTE * size_bytes)
-    return Limits(_MEMORY_BYTES + _MEMORY_PER_BYTE * size_bytes, cpu_s, _WALL_FACTOR * cpu_s)
 
 
 def read_in_child(
@@ -91,7 +91,7 @@ def read_in_child(
     size = path.stat().st_size
     if size > LARGEST_FILE_BYTES:
         raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
-    limits = limits or limits_for(size)
+    limits = limits or Limits.of_size(size)
     command = [sys.executable, "-m", __name__, function]
     orders = [limits, os.fspath(path), *arguments]
     # A single thread is used, because each thread of a linear algebra library reserves memory.

@@ -52,9 +52,18 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
     return content
 
 
-def is_own(status: os.stat_result) -> bool:
+def _is_own(status: os.stat_result) -> bool:
     """Return whether a file belongs to this user and no other user can write it, so that what is in it may be run."""
     return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+
+
+def is_own(path: Path) -> bool:
+    """Return whether no other user can write or replace a file or folder, so that what is in it may be run.
+
+    Raises:
+        OSError: It cannot be looked at.
+    """
+    return is_own_path(path) and (not path.exists() or _is_own(path.stat()))
 
 
 def is_own_path(path: Path) -> bool:

@@ -135,87 +135,91 @@ class TextTable(NamedTuple):
         }
         return {word for word in words_of_head if (unit := unit_of(word)) and unit.powers in kinds}
 
+    @classmethod
+    def read(cls, path: Path) -> "TextTable":
+        """Return the table in a text file.
 
-def read_table(path: Path) -> TextTable:
-    """Return the table in a text file.
+        Raises:
+            ConfigError: The file cannot be read or holds no table; the message names it, and the line.
+        """
+        try:
+            content = read_regular(path, LARGEST_BYTES)
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return cls.parse(content, str(path))
 
-    Raises:
-        ConfigError: The file cannot be read or holds no table; the message names it, and the line.
-    """
-    try:
-        content = read_regular(path, LARGEST_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return parse_table(content, str(path))
-
-
-def parse_table(content: bytes, name: str) -> TextTable:
-    """Return the table in the bytes of a text file, which is called by this name; ConfigError as `read_table`."""
-    text, remarks = decoded(content, name), []
-    rows = text.splitlines()
-    if not any(map(str.strip, rows)):
-        raise ConfigError(f"{name}: is empty")
-    first, separator = _first_row(rows, name)
-    fold = _Folding(separator)
-    ends_whole = text.endswith(("\n", "\r"))
-    # as most of the rows have
-    counts = [len(cells) for row in rows[first : first + 50] if row.strip() and _is_data(cells := fold.split(row))]
-    width = max(set(counts), key=lambda count: (counts.count(count), count), default=0)
-    # rows of numbers with another width, such as a count of points, belong to the head
-    while width and len(fold.split(rows[first])) != width:
-        first += 1
-    width = width or len(fold.split(rows[first]))
-    head, titles = titles_of(rows[:first], width, separator)
-    columns = [array("d") for _ in range(width)]
-    lines = array("q")
-    bad: dict[int, tuple[int, str]] = {}
-    for number, row in enumerate(rows[first:], start=first + 1):
-        if not row.strip() or (COMMENT.match(row) and not fold.is_numeric(row)):
-            continue
-        cells = fold.split(row)
-        count, numbers = len(cells), [fold.number(cell, number) for cell in cells]
-        if (count < width or None in numbers) and number == len(rows) and not ends_whole:
-            remarks.append("its last line has no end and is no whole row; it is left out")
-            continue
-        if all(value is None or math.isnan(value) for value in numbers) and None in numbers:
-            raise ConfigError(f"{name}, line {number}: is no line of numbers, after {len(lines)} that are")
-        if count > width or (count < width and not separator):
-            raise ConfigError(f"{name}, line {number}: has {count} columns, where the others have {width}")
-        for place, value in enumerate([*numbers, *[math.nan] * (width - count)]):
-            if value is None:
-                bad.setdefault(place, (number, cells[place]))
-                value = math.nan
-            columns[place].append(value)
-        lines.append(number)
-    if fold.commas and fold.points:
-        raise ConfigError(
-            f"{name}: line {fold.commas} has a decimal comma and line {fold.points} a point; write one of them, and"
-            " nothing between thousands"
-        )
-    # a sentence above the table names no column
-    last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
-    names = len(split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
-    # no program writes 05 for a whole number: it is behind a decimal comma
-    if separator == "," and not fold.points and (0 < 2 * names == width or (not names and (fold.zeros or width == 4))):
-        raise ConfigError(
-            f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the commas are"
-            " decimal ones, separate the columns by semicolons or tabs"
-        )
-    if fold.commas:
-        remarks.append("its commas are decimal ones")
-    found = [
-        Column(title, *named(title, unit), line, np.frombuffer(values, np.float64), bad.get(place))
-        for place, ((title, unit, line), values) in enumerate(zip(titles, columns, strict=True))
-    ]
-    while len(found) > 1 and not found[-1].title and np.isnan(found[-1].values).all():
-        found.pop()
-    missing = sum(int(np.isnan(column.values).sum()) for column in found if not column.bad)
-    if missing:
-        remarks.append(f"{missing} of {len(found) * len(lines)} cells have no number")
-    return TextTable(
-        name, tuple(found), np.frombuffer(lines, np.int64), tuple(head), separator, bool(fold.commas), tuple(remarks),
-        ends_whole,
-    )  # fmt: skip
+    @classmethod
+    def parse(cls, content: bytes, name: str) -> "TextTable":
+        """Return the table in the bytes of a text file, which is called by this name; ConfigError as `read`."""
+        text, remarks = decoded(content, name), []
+        rows = text.splitlines()
+        if not any(map(str.strip, rows)):
+            raise ConfigError(f"{name}: is empty")
+        first, separator = _first_row(rows, name)
+        fold = _Folding(separator)
+        ends_whole = text.endswith(("\n", "\r"))
+        # as most of the rows have
+        counts = [len(cells) for row in rows[first : first + 50] if row.strip() and _is_data(cells := fold.split(row))]
+        width = max(set(counts), key=lambda count: (counts.count(count), count), default=0)
+        # rows of numbers with another width, such as a count of points, belong to the head
+        while width and len(fold.split(rows[first])) != width:
+            first += 1
+        width = width or len(fold.split(rows[first]))
+        head, titles = titles_of(rows[:first], width, separator)
+        columns = [array("d") for _ in range(width)]
+        lines = array("q")
+        bad: dict[int, tuple[int, str]] = {}
+        for number, row in enumerate(rows[first:], start=first + 1):
+            if not row.strip() or (COMMENT.match(row) and not fold.is_numeric(row)):
+                continue
+            cells = fold.split(row)
+            count, numbers = len(cells), [fold.number(cell, number) for cell in cells]
+            if (count < width or None in numbers) and number == len(rows) and not ends_whole:
+                remarks.append("its last line has no end and is no whole row; it is left out")
+                continue
+            if all(value is None or math.isnan(value) for value in numbers) and None in numbers:
+                raise ConfigError(f"{name}, line {number}: is no line of numbers, after {len(lines)} that are")
+            if count > width or (count < width and not separator):
+                raise ConfigError(f"{name}, line {number}: has {count} columns, where the others have {width}")
+            for place, value in enumerate([*numbers, *[math.nan] * (width - count)]):
+                if value is None:
+                    bad.setdefault(place, (number, cells[place]))
+                    value = math.nan
+                columns[place].append(value)
+            lines.append(number)
+        if fold.commas and fold.points:
+            raise ConfigError(
+                f"{name}: line {fold.commas} has a decimal comma and line {fold.points} a point; write one of them, and"
+                " nothing between thousands"
+            )
+        # a sentence above the table names no column
+        last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
+        names = len(split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
+        # no program writes 05 for a whole number: it is behind a decimal comma
+        if (
+            separator == ","
+            and not fold.points
+            and (0 < 2 * names == width or (not names and (fold.zeros or width == 4)))
+        ):
+            raise ConfigError(
+                f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the"
+                " commas are decimal ones, separate the columns by semicolons or tabs"
+            )
+        if fold.commas:
+            remarks.append("its commas are decimal ones")
+        found = [
+            Column(title, *named(title, unit), line, np.frombuffer(values, np.float64), bad.get(place))
+            for place, ((title, unit, line), values) in enumerate(zip(titles, columns, strict=True))
+        ]
+        while len(found) > 1 and not found[-1].title and np.isnan(found[-1].values).all():
+            found.pop()
+        missing = sum(int(np.isnan(column.values).sum()) for column in found if not column.bad)
+        if missing:
+            remarks.append(f"{missing} of {len(found) * len(lines)} cells have no number")
+        return TextTable(
+            name, tuple(found), np.frombuffer(lines, np.int64), tuple(head), separator, bool(fold.commas),
+            tuple(remarks), ends_whole,
+        )  # fmt: skip
 
 
 def as_number(cell: str) -> float | None:

@@ -7,24 +7,14 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.hand.config import DRIVERS as DRIVERS
     from telenano.hand.config import SIMULATED_IMPEDANCE as SIMULATED_IMPEDANCE
-    from telenano.hand.config import DeviceConfig as DeviceConfig
     from telenano.hand.config import HapticConfig as HapticConfig
     from telenano.hand.config import LimitsConfig as LimitsConfig
     from telenano.hand.coupled import arm_step as arm_step
-    from telenano.hand.coupling import FAULTS as FAULTS
-    from telenano.hand.coupling import GATE_ACTIVE as GATE_ACTIVE
-    from telenano.hand.coupling import GATE_DEADMAN as GATE_DEADMAN
-    from telenano.hand.coupling import GATE_FROZEN as GATE_FROZEN
-    from telenano.hand.coupling import GATE_JUMP as GATE_JUMP
-    from telenano.hand.coupling import GATE_NOT_A_NUMBER as GATE_NOT_A_NUMBER
-    from telenano.hand.coupling import GATE_REST as GATE_REST
-    from telenano.hand.coupling import GATE_RUNAWAY as GATE_RUNAWAY
-    from telenano.hand.coupling import GATES as GATES
-    from telenano.hand.coupling import STABLE_MARGIN as STABLE_MARGIN
     from telenano.hand.coupling import ZERO as ZERO
     from telenano.hand.coupling import CouplingReading as CouplingReading
     from telenano.hand.coupling import CouplingReference as CouplingReference
     from telenano.hand.coupling import CouplingSettings as CouplingSettings
+    from telenano.hand.coupling import Gate as Gate
     from telenano.hand.coupling import Vector as Vector
     from telenano.hand.coupling import coupling_at_start as coupling_at_start
     from telenano.hand.coupling import coupling_step as coupling_step
@@ -33,7 +23,6 @@ if TYPE_CHECKING:
     from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.motor import MotorState as MotorState
-    from telenano.hand.motor import closed_loop_coefficients as closed_loop_coefficients
     from telenano.hand.operator_config import ARMS as ARMS
     from telenano.hand.operator_models import operator_at_rest as operator_at_rest
     from telenano.hand.operator_models import operator_step as operator_step

@@ -12,7 +12,7 @@ from telenano.hand.coupled import CoupledParams
 from telenano.hand.disturbances import HandDisturbanceConfig, disturbed_plant_params
 from telenano.hand.impedance_config import CouplingConfig, SimulatedImpedanceConfig
 from telenano.hand.lateral_hand import LateralHandConfig
-from telenano.hand.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
+from telenano.hand.motor import SUBSTEP_S, MotorParams
 from telenano.hand.operator_config import ForceProfileConfig, OperatorConfig
 from telenano.hand.safety import SafetyParams
 from telenano.settings.config import Settings, filled, validate
@@ -87,7 +87,7 @@ class DeviceConfig(Settings):
                 f"torque_limit_n_m = {self.torque_limit_n_m} N m must exceed friction_torque_n_m ="
                 f" {self.friction_torque_n_m} N m, or the motor never moves"
             )
-        a2, _ = closed_loop_coefficients(self.to_params())
+        a2, _ = self.to_params().closed_loop_coefficients()
         if not math.sqrt(a2) * SUBSTEP_S < math.pi:
             raise ValueError(
                 f"servo_gain_v_per_m = {self.to_params().servo_gain_v_per_m} V/m with this motor rings at"

@@ -16,14 +16,15 @@ Two bounds on K, for a sample time T, a delay D of the drive, a physical damping
              and m >= `least_mass_kg`, because what B does is late as well
 
 The step runs in the servo of the device, where T and D are known, and so do the rules that take the force away: see
-GATES. The force goes to zero at once, and comes back from zero at no more than the slew. A reading that cannot be
+`Gate`. The force goes to zero at once, and comes back from zero at no more than the slew. A reading that cannot be
 believed (no number, a jump, a place that stands still under a force that changes) is refused until a person arms it.
 
 Vectors are in the master frame of the messages: z away from the sample, so pushing is -z.
 """
 
 import math
-from typing import NamedTuple
+from enum import IntEnum
+from typing import NamedTuple, Self
 
 from telenano.numerics.compiler import compiled
 
@@ -35,24 +36,49 @@ STABLE_MARGIN = 4.0
 # A hand is no faster than this [m/s]; what the place changes by beyond it is compared with `jump_m`.
 _FASTEST_M_PER_S = 2.0
 
-GATE_ACTIVE, GATE_READY, GATE_RELEASED, GATE_REST, GATE_SILENT, GATE_DEADMAN, GATE_REFERENCE = range(7)
-GATE_DEVICE_SILENT, GATE_NOT_A_NUMBER, GATE_JUMP, GATE_FROZEN, GATE_RUNAWAY = range(7, 12)
-GATES: dict[int, str] = {
-    GATE_ACTIVE: "the device follows the law",
-    GATE_READY: "the device gives no force until the law engages it",
-    GATE_RELEASED: "the device gives no force until the law has let go of it once",
-    GATE_REST: "the device gives no force until the hand has been at rest",
-    GATE_SILENT: "the device gives no force: its servo has heard nothing from the node within its deadline",
-    GATE_DEADMAN: "the device gives no force: its dead-man button is not held, or its grip is asleep",
-    GATE_REFERENCE: "the device gives no force: the reference is not a finite number",
-    GATE_DEVICE_SILENT: "the device gives no force: it has sent no sample within the deadline",
-    GATE_NOT_A_NUMBER: "the device is refused until armed: its position was not a finite number",
-    GATE_JUMP: "the device is refused until armed: its position jumped, as that of a lost encoder does",
-    GATE_FROZEN: "the device is refused until armed: its position stood still while the force on it changed",
-    GATE_RUNAWAY: "the device is refused until armed: it ran against its force, as one whose sign is wrong does",
-}
-# These are refused until armed; the node takes the device as lost.
-FAULTS = (GATE_NOT_A_NUMBER, GATE_JUMP, GATE_FROZEN, GATE_RUNAWAY)
+
+class Gate(IntEnum):
+    """Why an impedance device gives no force; a fault is refused until armed, and the node takes the device as lost."""
+
+    text: str
+
+    def __new__(cls, number: int, text: str = "") -> Self:
+        gate = int.__new__(cls, number)
+        gate._value_, gate.text = number, text
+        return gate
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether a person has to arm the device again."""
+        return self >= Gate.NOT_A_NUMBER
+
+    ACTIVE = 0, "the device follows the law"
+    READY = 1, "the device gives no force until the law engages it"
+    RELEASED = 2, "the device gives no force until the law has let go of it once"
+    REST = 3, "the device gives no force until the hand has been at rest"
+    SILENT = 4, "the device gives no force: its servo has heard nothing from the node within its deadline"
+    DEADMAN = 5, "the device gives no force: its dead-man button is not held, or its grip is asleep"
+    REFERENCE = 6, "the device gives no force: the reference is not a finite number"
+    DEVICE_SILENT = 7, "the device gives no force: it has sent no sample within the deadline"
+    NOT_A_NUMBER = 8, "the device is refused until armed: its position was not a finite number"
+    JUMP = 9, "the device is refused until armed: its position jumped, as that of a lost encoder does"
+    FROZEN = 10, "the device is refused until armed: its position stood still while the force on it changed"
+    RUNAWAY = 11, "the device is refused until armed: it ran against its force, as one whose sign is wrong does"
+
+
+# The compiled steps have them as integers.
+GATE_ACTIVE = 0
+GATE_READY = 1
+GATE_RELEASED = 2
+GATE_REST = 3
+GATE_SILENT = 4
+GATE_DEADMAN = 5
+GATE_REFERENCE = 6
+GATE_DEVICE_SILENT = 7
+GATE_NOT_A_NUMBER = 8
+GATE_JUMP = 9
+GATE_FROZEN = 10
+GATE_RUNAWAY = 11
 
 
 class CouplingSettings(NamedTuple):
@@ -110,7 +136,7 @@ class CouplingReading(NamedTuple):
 class CouplingState(NamedTuple):
     """What the coupling remembers.
 
-    gate: one of GATES; limited: clamp or slew acts. force_n: sent last; own_force_n: the same without f_ref.
+    gate: one of `Gate`; limited: clamp or slew acts. force_n: sent last; own_force_n: the same without f_ref.
     position_m, reference_m: at the last step. rate_m_per_s: w after its filter. started: there was a place.
     rest_place_m, rest_s: where the hand has been, and for how long. still_force_n: the force when the place last
     changed; still_s: how long it has been the same while the force was another. arm_count: the newest obeyed.

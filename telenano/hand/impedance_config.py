@@ -163,7 +163,7 @@ class CouplingConfig(Settings):
         return bounds_of(self.to_settings(device), device, self.margin)
 
 
-def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float) -> Bounds:
+def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float = STABLE_MARGIN) -> Bounds:
     """Return a coupling along the paper's axis beside its bounds at a device; margin: of the stable one."""
     k, b = settings.stiffness_n_per_m[2], settings.damping_n_s_per_m[2]
     timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s

@@ -44,6 +44,11 @@ class MotorParams(NamedTuple):
     position_min_m: float
     position_max_m: float
 
+    def closed_loop_coefficients(self) -> tuple[float, float]:
+        """Return (a2_per_s2, b_per_s) of M(s) = a^2 / (s^2 + b s + a^2), Eq. 2."""
+        b = 1.0 / self.time_constant_s
+        return self.servo_gain_v_per_m * self.speed_gain_rad_per_s_v * self.screw_m_per_rad * b, b
+
 
 class MotorState(NamedTuple):
     """Arm position and velocity along x, towards the sample."""
@@ -84,12 +89,6 @@ class _Servo(NamedTuple):
     friction: float  # V_f [V]
     max_voltage: float  # [V]
     max_drop: float  # largest voltage across the armature resistance: torque limit times R Km [V]
-
-
-def closed_loop_coefficients(params: MotorParams) -> tuple[float, float]:
-    """Return (a2_per_s2, b_per_s) of M(s) = a^2 / (s^2 + b s + a^2), Eq. 2."""
-    b = 1.0 / params.time_constant_s
-    return params.servo_gain_v_per_m * params.speed_gain_rad_per_s_v * params.screw_m_per_rad * b, b
 
 
 @compiled

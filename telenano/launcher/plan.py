@@ -15,9 +15,9 @@ from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.link.config import EVEN, LinkSettings, changes_text, network_name
+from telenano.link.config import EVEN, LinkSettings, changes_text
 from telenano.link.pipeline import read_files
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
@@ -32,7 +32,7 @@ from telenano.settings.included import (
 from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.option import Option
-from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document, scenario_of
+from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
 from telenano.wire.errors import ConfigError, RigError, known_names
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.nodes import (
@@ -173,7 +173,7 @@ class Plan:
         afm = self.loaded.section("afm_node", AfmConfig)
         controller = self.loaded.section("controller", ControllerConfig)
         stiffness, latency_s = (afm.stiffest_n_per_m, 0.0) if afm.simulated else _declared(afm, self.scenario.period_s)
-        even = not self.book.spans_machines and network_name(self.loaded.section(LINK, LinkSettings)) in EVEN
+        even = not self.book.spans_machines and self.loaded.section(LINK, LinkSettings).network_name in EVEN
         return controller.stiffness_doubts(stiffness, latency_s, even=even) if stiffness is not None else ""
 
     @property
@@ -266,7 +266,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     """Read and check everything that a rig needs; ConfigError names the file and key at fault."""
     request.check()
     site_file = (request.site_file or (DEFAULT_SITE_FILE if request.site is None else TWO_SITES_FILE)).resolve()
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     own = own_nodes(book, request)
     check_book(book, site_file, request)
     out = (request.out or default_out).absolute()
@@ -381,7 +381,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         # Both halves refuse a law that is asked for later by the same words as a plan does.
         flags["controller"] = {"refused_laws": refused}
     document = merge(document, flags)
-    return scenario_of(document, origin)
+    return LoadedScenario.of(document, origin)
 
 
 def refused_laws(driver: str) -> dict[str, str]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from telenano.files.atomic_files import write_whole
 from telenano.files.optional_modules import optional_module
 from telenano.launcher import processors
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
 from telenano.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
@@ -84,7 +84,7 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
             name, lock = _named(plan, show)
             stack.callback(_leave, name, site_of(plan.launcher), lock)
             # Its path is longer than that of the first rig, which was checked with the site file.
-            load_site(plan.site_file)
+            AddressBook.load(plan.site_file)
             held = lock.descriptors
             _remove_stale_folders(name, plan.launcher)
         claimed, behind = _claim(plan, show, lock_folder or processors.shared_folder())

@@ -31,7 +31,7 @@ from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import shallow_idle
-from telenano.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 
@@ -122,7 +122,7 @@ def run_rig(
     beside = {**(beside or {}), **_end_of_relay(plan)}
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
-        participant = stack.enter_context(open_participant(plan.launcher, plan.book, signals.descriptor))
+        participant = stack.enter_context(Participant.open(plan.launcher, plan.book, signals.descriptor))
         # The endpoint is bound first: if another process has it, a rig runs already, whose files must not be touched.
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         plan.prepare_folder()
@@ -211,7 +211,7 @@ def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
     with shallow_idle():
         try:
             rig.launch()
-            run_loop(rig, bus, signals, freeze=False)
+            signals.run(rig, bus, freeze=False)
         except OSError as error:
             raise RigError(f"the rig could not be run: {error}") from error
         finally:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from telenano.extend.laws import PortSignal, SlaveReference, TipMeasurement
-from telenano.extend.ranges import DampingNSPerM, ForceOrNoneN
+from telenano.extend.ranges import parameter
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 
@@ -36,12 +36,10 @@ class ClampConfig(Settings):
     enabled: bool | None = Field(
         default=None, description="Whether the slave presses no harder than the hand; none: as the law has it"
     )
-    force_margin_n: ForceOrNoneN = Field(
-        default=0.1, description="Force by which the tip may press harder than the hand, at the hand's scale F_0 [N]"
+    force_margin_n: float = parameter(
+        0.1, "N", "Force by which the tip may press harder than the hand, at the hand's scale F_0 [N]"
     )
-    damping_n_s_per_m: DampingNSPerM = Field(
-        default=30.0, description="Damper B_g of the clamp, at the hand's scale [N s/m]"
-    )
+    damping_n_s_per_m: float = parameter(30.0, "N s/m", "Damper B_g of the clamp, at the hand's scale [N s/m]")
 
     def applied_to(self, params: Any) -> Any:
         """Return the constants of a law with its own clamp switched; others unchanged."""

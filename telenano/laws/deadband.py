@@ -18,7 +18,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from telenano.extend.laws import PortSignal
-from telenano.extend.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
+from telenano.extend.ranges import parameter
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import Settings
 
@@ -42,10 +42,12 @@ class DeadbandConfig(Settings):
     weber_fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
         default=0.1, description="Least perceptible relative change w; [0, 1)"
     )
-    position_resolution_m: PositionOrNoneM = Field(default=5e-11, description="Least change of a position sent [m]")
-    velocity_floor_m_per_s: VelocityOrNoneMPerS = Field(default=1e-10, description="Least change of a velocity [m/s]")
-    force_floor_n: ForceOrNoneN = Field(default=1e-10, description="Least change of a force [N]")
-    wave_floor_sqrt_w: WaveOrNoneSqrtW = Field(default=1e-3, description="Least change of a wave [sqrt(W)]")
+    position_resolution_m: float = Field(
+        default=5e-11, ge=0.0, le=10.0, description="Least change of a position sent [m]"
+    )
+    velocity_floor_m_per_s: float = parameter(1e-10, "m/s", "Least change of a velocity [m/s]", zero=True)
+    force_floor_n: float = parameter(1e-10, "N", "Least change of a force [N]")
+    wave_floor_sqrt_w: float = parameter(1e-3, "sqrt(W)", "Least change of a wave [sqrt(W)]")
     keep_alive_s: Annotated[float, Field(gt=0.0, le=0.04)] = Field(
         default=0.02, description="Longest time without a signal [s]; (0, 0.04], for the devices take 0.05 as silence"
     )

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement
 from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
@@ -255,7 +255,7 @@ def _retunes(name: str) -> Iterator[str]:
     settings = bench.law.config.model_validate({})
     for key, schema in bench.law.config.model_json_schema()["properties"].items():
         value = getattr(settings, key)
-        if key in fixed_in_contact(bench.law) or schema.get("type") not in ("number", "integer") or not value:
+        if key in bench.law.all_fixed_in_contact() or schema.get("type") not in ("number", "integer") or not value:
             continue
         for factor in _RETUNED_BY:
             other = bench.retuned(**{key: min(max(factor * value, schema["minimum"]), schema["maximum"])})

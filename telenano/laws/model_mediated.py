@@ -37,32 +37,20 @@ round trip.
 
 from typing import NamedTuple
 
-from pydantic import Field
-
 from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
 )
 from telenano.extend.pass_through import slave_send as slave_send
-from telenano.extend.ranges import (
-    ContactNPerM15,
-    DampingNSPerM,
-    EnergyJ,
-    EnergyOrNoneJ,
-    ForceOrNoneN,
-    ForceRateNPerS,
-    LengthM,
-    StiffnessNPerM,
-    TimeS,
-)
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     HandPort,
     Mass,
@@ -81,7 +69,6 @@ from telenano.extend.virtual_mass import (
     port_at,
     rescaled,
     resumed,
-    stiffness_limit_n_per_m,
     tip_reference,
     worked,
 )
@@ -129,34 +116,28 @@ class ModelMediatedParams(NamedTuple):
 class ModelMediatedConfig(MassConfig):
     """Section `controller.model_mediated`."""
 
-    cantilever_stiffness_n_per_m: StiffnessNPerM = Field(
-        default=40.0, description="Spring constant k of the cantilever [N/m]"
+    cantilever_stiffness_n_per_m: float = parameter(40.0, "N/m", "Spring constant k of the cantilever [N/m]")
+    contact_stiffness_n_per_m1_5: float = parameter(
+        5.75e5, "N/m^1.5", "First estimate of kappa = 4/3 E* sqrt(R) [N/m^1.5]; Table 2 has 5.75e5"
     )
-    contact_stiffness_n_per_m1_5: ContactNPerM15 = Field(
-        default=5.75e5, description="First estimate of kappa = 4/3 E* sqrt(R) [N/m^1.5]; Table 2 has 5.75e5"
+    adhesion_range_m: float = parameter(2e-9, "m", "Range l over which the pull fades outside [m]")
+    fit_resolution_m: float = parameter(1e-10, "m", "Width of the 32 bins of position that the fit remembers [m]")
+    update_s: float = parameter(0.05, "s", "Time constant with which the model follows the fit [s]")
+    update_force_n_per_s: float = parameter(10.0, "N/s", "Fastest change of the force at the hand by an update [N/s]")
+    energy_cap_j: float = parameter(
+        5e-3, "J", "Most energy kept from the damper for updates, at the hand's scale [J]", zero=True
     )
-    adhesion_range_m: LengthM = Field(default=2e-9, description="Range l over which the pull fades outside [m]")
-    fit_resolution_m: LengthM = Field(
-        default=1e-10, description="Width of the 32 bins of position that the fit remembers [m]"
+    start_energy_j: float = parameter(
+        2e-4, "J", "Energy that the tip may take at each arming before the hand has worked E_0 [J]"
     )
-    update_s: TimeS = Field(default=0.05, description="Time constant with which the model follows the fit [s]")
-    update_force_n_per_s: ForceRateNPerS = Field(
-        default=10.0, description="Fastest change of the force at the hand by an update [N/s]"
+    tip_energy_cap_j: float = parameter(
+        5e-2, "J", "Most energy kept of the hand's work for the tip, at the hand's scale [J]"
     )
-    energy_cap_j: EnergyOrNoneJ = Field(
-        default=5e-3, description="Most energy kept from the damper for updates, at the hand's scale [J]"
+    guard_damping_n_s_per_m: float = parameter(
+        30.0, "N s/m", "Damper B_g of the slave's force guard, at the hand's scale [N s/m]"
     )
-    start_energy_j: EnergyJ = Field(
-        default=2e-4, description="Energy that the tip may take at each arming before the hand has worked E_0 [J]"
-    )
-    tip_energy_cap_j: EnergyJ = Field(
-        default=5e-2, description="Most energy kept of the hand's work for the tip, at the hand's scale [J]"
-    )
-    guard_damping_n_s_per_m: DampingNSPerM = Field(
-        default=30.0, description="Damper B_g of the slave's force guard, at the hand's scale [N s/m]"
-    )
-    force_margin_n: ForceOrNoneN = Field(
-        default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
+    force_margin_n: float = parameter(
+        0.0, "N", "Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
     )
 
     def to_params(self, period_s: float) -> ModelMediatedParams:
@@ -184,7 +165,7 @@ class ModelMediatedConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the guard of the slave tolerates."""
-        return stiffness_limit_n_per_m(self, self.guard_damping_n_s_per_m, period_s)
+        return self.limit_of_damper(self.guard_damping_n_s_per_m, period_s)
 
 
 class MasterState(NamedTuple):
@@ -496,7 +477,7 @@ def sample_drift(params: ModelMediatedParams, state: MasterState) -> tuple[float
     return state.drift.speed * NANO, error_of(state.drift) * NANO
 
 
-MODEL_MEDIATED = law_of(
+MODEL_MEDIATED = Law.of(
     __name__,
     ModelMediatedConfig,
     uses_energy=True,

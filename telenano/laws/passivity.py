@@ -67,29 +67,19 @@ and the coupling continues against the force that the instrument measures.
 import math
 from typing import NamedTuple
 
-from pydantic import Field
-
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
 )
-from telenano.extend.ranges import (
-    DampingNSPerM,
-    EnergyJ,
-    EnergyOrNoneJ,
-    ForceOrNoneN,
-    SpeedMPerS,
-    StiffnessNPerM,
-    TimeS,
-)
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     HandPort,
     Mass,
@@ -149,32 +139,30 @@ class PassivityParams(NamedTuple):
 class PassivityConfig(MassConfig):
     """Section `controller.passivity`; energies, stiffness and damping at the hand's scale."""
 
-    silence_limit_s: TimeS = Field(
-        default=0.5,
-        description="Time without a signal from the other half after which the hand is let go [s]: what has not arrived"
+    silence_limit_s: float = parameter(
+        0.5,
+        "s",
+        "Time without a signal from the other half after which the hand is let go [s]: what has not arrived"
         " cannot be spent, and each time that hand and tip are joined again their positions differ by what they moved",
     )
-    coupling_stiffness_n_per_m: StiffnessNPerM = Field(default=1500.0, description="Spring of the coupling K_c [N/m]")
-    coupling_damping_n_s_per_m: DampingNSPerM = Field(default=60.0, description="Damper of the base B_c [N s/m]")
-    speed_limit_m_per_s: SpeedMPerS = Field(
-        default=0.05, description="Fastest motion of the slave's reference, at the hand's scale [m/s]"
+    coupling_stiffness_n_per_m: float = parameter(1500.0, "N/m", "Spring of the coupling K_c [N/m]")
+    coupling_damping_n_s_per_m: float = parameter(60.0, "N s/m", "Damper of the base B_c [N s/m]")
+    speed_limit_m_per_s: float = parameter(
+        0.05, "m/s", "Fastest motion of the slave's reference, at the hand's scale [m/s]"
     )
-    force_margin_n: ForceOrNoneN = Field(
-        default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
+    force_margin_n: float = parameter(
+        0.0, "N", "Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
     )
-    clamp_release_s: TimeS = Field(
-        default=4.0, description="Time constant with which the clamp follows a hand that presses less tau_c [s]"
+    clamp_release_s: float = parameter(
+        4.0, "s", "Time constant with which the clamp follows a hand that presses less tau_c [s]"
     )
-    start_energy_j: EnergyOrNoneJ = Field(
-        default=1e-3, description="Energy that each side may spend at the start E_0 [J]"
+    start_energy_j: float = parameter(1e-3, "J", "Energy that each side may spend at the start E_0 [J]", zero=True)
+    energy_cap_j: float = parameter(5e-3, "J", "Most energy that a side keeps to spend [J]")
+    refill_damping_n_s_per_m: float = parameter(
+        460.0, "N s/m", "Damper that the hand feels while the master's store is empty, less as it nears E_0 B_t [N s/m]"
     )
-    energy_cap_j: EnergyJ = Field(default=5e-3, description="Most energy that a side keeps to spend [J]")
-    refill_damping_n_s_per_m: DampingNSPerM = Field(
-        default=460.0,
-        description="Damper that the hand feels while the master's store is empty, less as it nears E_0 B_t [N s/m]",
-    )
-    exchange_s: TimeS = Field(
-        default=0.15, description="Time constant with which each side sends its store to the other tau_e [s]"
+    exchange_s: float = parameter(
+        0.15, "s", "Time constant with which each side sends its store to the other tau_e [s]"
     )
 
     def to_params(self, period_s: float) -> PassivityParams:
@@ -562,6 +550,6 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = law_of(
+PASSIVITY = Law.of(
     __name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True, rest_force=the_hands_force
 )

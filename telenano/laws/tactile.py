@@ -21,17 +21,17 @@ from pydantic import Field
 
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     tip_signal,
 )
 from telenano.extend.pass_through import SlaveState
 from telenano.extend.pass_through import slave_start as slave_start
-from telenano.extend.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import FARTHEST_M, ScaledConfig, bounded
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import filled
@@ -68,11 +68,11 @@ class TactileParams(NamedTuple):
 class TactileConfig(ScaledConfig):
     """Section `controller.tactile`."""
 
-    position_scale: PositionScale = Field(
-        default=1e-6, description="alpha_p, metres at the tip per metre at the hand; 1e-6 is the 0.1 cm/nm of Fig. 10"
+    position_scale: float = parameter(
+        1e-6, "m/m", "alpha_p, metres at the tip per metre at the hand; 1e-6 is the 0.1 cm/nm of Fig. 10"
     )
-    cantilever_stiffness_n_per_m: StiffnessNPerM = Field(
-        default=40.0, description="Stiffness k of the cantilever [N/m], as the instrument has it"
+    cantilever_stiffness_n_per_m: float = parameter(
+        40.0, "N/m", "Stiffness k of the cantilever [N/m], as the instrument has it"
     )
     scaling: Literal["linear", "impedance"] = Field(
         default="linear", description="How the force is scaled for the hand: Eq. 12, or Eq. 13 with the three below"
@@ -80,9 +80,9 @@ class TactileConfig(ScaledConfig):
     impedance_scale: float = Field(
         default=1e4, ge=1.0, le=1e6, description="alpha of Eq. 13: length at the hand for a length at the tip"
     )
-    cantilever_mass_kg: MassKg = Field(default=1e-6, description="Mass of the cantilever in Eq. 13, m_c [kg]")
-    cantilever_damping_n_s_per_m: DampingOrNoneNSPerM = Field(
-        default=0.0, description="Damping of the cantilever in Eq. 13, b_c [N s/m]"
+    cantilever_mass_kg: float = parameter(1e-6, "kg", "Mass of the cantilever in Eq. 13, m_c [kg]")
+    cantilever_damping_n_s_per_m: float = parameter(
+        0.0, "N s/m", "Damping of the cantilever in Eq. 13, b_c [N s/m]", zero=True
     )
 
     def to_params(self, period_s: float) -> TactileParams:
@@ -193,4 +193,4 @@ def retune(old: TactileParams, new: TactileParams, state: MasterState) -> Master
     return state
 
 
-TACTILE = law_of(__name__, TactileConfig, link_loop=False, must_know=("cantilever_stiffness_n_per_m",))
+TACTILE = Law.of(__name__, TactileConfig, link_loop=False, must_know=("cantilever_stiffness_n_per_m",))

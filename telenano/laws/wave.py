@@ -48,22 +48,20 @@ waves that follow.
 import math
 from typing import NamedTuple
 
-from pydantic import Field
-
 from telenano.extend.laws import (
     MOST_PERIODS_A_STEP,
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
 )
-from telenano.extend.ranges import DampingNSPerM, TimeOrNoneS, TimeS
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     HandPort,
     Mass,
@@ -82,7 +80,6 @@ from telenano.extend.virtual_mass import (
     put_in,
     rescaled,
     resumed,
-    stiffness_limit_n_per_m,
     tip_reference,
     worked,
 )
@@ -105,14 +102,15 @@ class WaveParams(NamedTuple):
 class WaveConfig(MassConfig):
     """Section `controller.wave`."""
 
-    impedance_n_s_per_m: DampingNSPerM = Field(default=100.0, description="Impedance of the line b [N s/m]")
-    silence_limit_s: TimeS = Field(
-        default=0.5,
-        description="Time without a signal from the other half after which the hand is let go [s]: waves die out"
+    impedance_n_s_per_m: float = parameter(100.0, "N s/m", "Impedance of the line b [N s/m]")
+    silence_limit_s: float = parameter(
+        0.5,
+        "s",
+        "Time without a signal from the other half after which the hand is let go [s]: waves die out"
         " with filter_s by themselves, and a line that comes back has lost what was in transit",
     )
-    filter_s: TimeOrNoneS = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
-    fade_s: TimeS = Field(default=1.0, description="Time in which a force that the line begins under fades tau_0 [s]")
+    filter_s: float = parameter(0.02, "s", "Time constant of the wave filter tau_f [s]; 0 = none", zero=True)
+    fade_s: float = parameter(1.0, "s", "Time in which a force that the line begins under fades tau_0 [s]")
 
     def to_params(self, period_s: float) -> WaveParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -131,7 +129,7 @@ class WaveConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the slave half tolerates, which makes long steps after late signals."""
-        return stiffness_limit_n_per_m(self, self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
+        return self.limit_of_damper(self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
 
 
 class Inbox(NamedTuple):
@@ -496,7 +494,7 @@ def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
-WAVE = law_of(
+WAVE = Law.of(
     __name__,
     WaveConfig,
     uses_waves=True,

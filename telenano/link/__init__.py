@@ -5,25 +5,15 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.link.config import DirectionSettings as DirectionSettings
     from telenano.link.config import Jitter as Jitter
     from telenano.link.config import LinkSettings as LinkSettings
-    from telenano.link.config import Outage as Outage
-    from telenano.link.config import changed as changed
-    from telenano.link.config import flattened as flattened
-    from telenano.link.config import network_name as network_name
-    from telenano.link.config import parse_settings as parse_settings
+    from telenano.link.direction import DirectionEngine as DirectionEngine
     from telenano.link.engine import fates_of as fates_of
     from telenano.link.fate import Direction as Direction
     from telenano.link.fate import Fate as Fate
     from telenano.link.fate import Release as Release
-    from telenano.link.models.jitter import DRAWS_IN_CORRELATION_TIME as DRAWS_IN_CORRELATION_TIME
-    from telenano.link.models.jitter import LONGEST_WALK as LONGEST_WALK
     from telenano.link.models.outages import Outages as Outages
-    from telenano.link.pipeline import Files as Files
-    from telenano.link.pipeline import Pipeline as Pipeline
     from telenano.link.profiles import profile_named as profile_named
-    from telenano.link.random_streams import SMALLEST as SMALLEST
     from telenano.link.random_streams import stream as stream
 else:
     __getattr__, __dir__ = face(__name__)

@@ -7,7 +7,7 @@ inherits the others from its direction, so relations between keys are checked on
 
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -52,6 +52,11 @@ def _pairs(value: object) -> object:
 
 class Jitter(Settings):
     """Random part of the delay: scale_s times a standardised random number."""
+
+    # What lasts in time is drawn this number of times in its correlation time.
+    DRAWS_IN_CORRELATION_TIME: ClassVar[int] = 8
+    # A pause of more draws than these is jumped over.
+    LONGEST_WALK: ClassVar[int] = 10_000
 
     scale_s: Seconds = Field(
         default=0.0,
@@ -412,7 +417,7 @@ class LinkSettings(Settings):
     @model_validator(mode="after")
     def _reportable(self) -> "LinkSettings":
         # The settings are reported ten times a second, so they have to fit.
-        settings = flattened(self, only_set=True)
+        settings = self.flattened(only_set=True)
         for way in ("forward", "backward"):
             texts = [f"{key}{value}".encode() for key, value in settings.items() if key.startswith(f"{way}.")]
             if len(texts) > MAX_KEYS or sum(map(len, texts)) > _MOST_BYTES:
@@ -422,35 +427,60 @@ class LinkSettings(Settings):
                 )
         return self
 
+    def changed(self, flat: Mapping[str, Setting]) -> "LinkSettings":
+        """Return the settings with dotted keys changed, as a run-time request carries them.
 
-def parse_settings(tree: Mapping[str, Any], origin: str = "link settings") -> LinkSettings:
-    """Validate a nested mapping, such as the section `delay_node` of a scenario.
+        `profile` drops everything but the seed and starts from the named profile; the other keys of the same request
+        are laid over it. The text `none` represents a missing value. `forward.topics.afm/state.delay_s` addresses a
+        topic.
 
-    Raises:
-        ConfigError: Keys are wrong; the message has a line for each, with origin, dotted key, what is wrong, and the
-            value given.
-    """
-    return validate(LinkSettings, tree, origin)
+        Raises:
+            ConfigError: A key is wrong, which the message names; the settings given stay as they were.
+        """
+        kept: dict[str, Any] = {"seed": self.seed} if "profile" in flat else self.model_dump(exclude_unset=True)
+        change = nested({key: None if value == "none" else value for key, value in flat.items()}, "session/control")
+        return LinkSettings.of(merge(kept, change), "session/control")
 
+    def flattened(self, *, only_set: bool = False) -> dict[str, Setting]:
+        """Return the settings as dotted keys, in the form that `changed` takes; `only_set` leaves defaults out."""
+        tree = self.model_dump(exclude_unset=only_set)
+        for name in ("forward", "backward"):
+            direction: DirectionSettings = getattr(self, name)
+            # An override names only what differs: its defaults are the direction's values, not the model's.
+            overrides = {pattern: block.model_dump(exclude_unset=True) for pattern, block in direction.topics.items()}
+            if name in tree and overrides:
+                tree[name]["topics"] = overrides
+        return {key: _as_setting(value) for key, value in flatten(tree).items()}
 
-def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings:
-    """Return the settings with dotted keys changed, as a run-time request carries them.
+    @property
+    def network_name(self) -> str:
+        """Return the name of the network in force: that of the profile, or what given keys made of it.
 
-    `profile` drops everything but the seed and starts from the named profile; the other keys of the same request are
-    laid over it. The text `none` represents a missing value. `forward.topics.afm/state.delay_s` addresses a topic.
+        `clean` with a constant delay and nothing else is `constant delay`, with other keys `custom`; of another profile
+        the name says that it is changed, as in `lte, changed`. The seed changes no network.
+        """
+        named = LinkSettings(profile=self.profile, seed=self.seed).flattened()
+        differing = {key for key, value in self.flattened().items() if named.get(key) != value}
+        if not differing or self.profile != "clean":
+            return f"{self.profile}, changed" if differing else self.profile
+        return CONSTANT_DELAY if differing <= {"forward.delay_s", "backward.delay_s"} else "custom"
 
-    Raises:
-        ConfigError: A key is wrong, which the message names; the settings given stay as they were.
-    """
-    kept: dict[str, Any] = {"seed": settings.seed} if "profile" in flat else settings.model_dump(exclude_unset=True)
-    change = nested({key: None if value == "none" else value for key, value in flat.items()}, "session/control")
-    return parse_settings(merge(kept, change), "session/control")
+    @classmethod
+    def of(cls, tree: Mapping[str, Any], origin: str = "link settings") -> "LinkSettings":
+        """Validate a nested mapping, such as the section `delay_node` of a scenario.
+
+        Raises:
+            ConfigError: Keys are wrong; the message has a line for each, with origin, dotted key, what is wrong, and
+            the
+                value given.
+        """
+        return validate(cls, tree, origin)
 
 
 def profile_changes(settings: LinkSettings) -> dict[str, tuple[Setting, Setting]]:
     """Return what given keys replace in the profile: dotted key -> value of the profile, value in force."""
     of_profile = {key: _as_setting(value) for key, value in flatten(PROFILES[settings.profile].settings).items()}
-    in_force = flattened(settings)
+    in_force = settings.flattened()
     return {key: (value, in_force[key]) for key, value in of_profile.items() if in_force[key] != value}
 
 
@@ -458,31 +488,6 @@ def changes_text(settings: LinkSettings) -> str:
     """Return in words what given keys replace in the profile, empty where they replace nothing."""
     changed_keys = [f"{key} is {actual}, not {named}" for key, (named, actual) in profile_changes(settings).items()]
     return f"the profile {settings.profile} is changed: {', '.join(changed_keys)}" if changed_keys else ""
-
-
-def network_name(settings: LinkSettings) -> str:
-    """Return the name of the network in force: that of the profile, or what given keys made of it.
-
-    `clean` with a constant delay and nothing else is `constant delay`, with other keys `custom`; of another profile the
-    name says that it is changed, as in `lte, changed`. The seed changes no network.
-    """
-    named = flattened(LinkSettings(profile=settings.profile, seed=settings.seed))
-    differing = {key for key, value in flattened(settings).items() if named.get(key) != value}
-    if not differing or settings.profile != "clean":
-        return f"{settings.profile}, changed" if differing else settings.profile
-    return CONSTANT_DELAY if differing <= {"forward.delay_s", "backward.delay_s"} else "custom"
-
-
-def flattened(settings: LinkSettings, *, only_set: bool = False) -> dict[str, Setting]:
-    """Return the settings as dotted keys, in the form that `changed` takes; `only_set` leaves defaults out."""
-    tree = settings.model_dump(exclude_unset=only_set)
-    for name in ("forward", "backward"):
-        direction: DirectionSettings = getattr(settings, name)
-        # An override names only what differs: its defaults are the direction's values, not the model's.
-        overrides = {pattern: block.model_dump(exclude_unset=True) for pattern, block in direction.topics.items()}
-        if name in tree and overrides:
-            tree[name]["topics"] = overrides
-    return {key: _as_setting(value) for key, value in flatten(tree).items()}
 
 
 def _as_setting(value: Any) -> Setting:

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.link.config import LinkSettings, parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine, DirectionState
 from telenano.link.fate import Direction, Fate
 from telenano.wire.node_state import FindInput
@@ -63,7 +63,7 @@ class LinkEngine:
         """
         self._changed_settings = state.settings
         if self._changed_settings is not None:
-            self.settings = parse_settings(self._changed_settings, "the settings in the journal")
+            self.settings = LinkSettings.of(self._changed_settings, "the settings in the journal")
         self.forward.restore(state.forward, self.settings, find)
         self.backward.restore(state.backward, self.settings, find)
 

@@ -30,6 +30,10 @@ class RandomStream:
         self.drawn += 1
         return self._draw()
 
+    def positive(self) -> float:
+        """Return the next number, which is never 0."""
+        return self() or SMALLEST
+
     def advance_to(self, drawn: int) -> None:
         """Draw until this number of numbers have been drawn in all; ValueError if more have been already."""
         if drawn < self.drawn:

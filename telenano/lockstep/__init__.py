@@ -7,19 +7,12 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.lockstep.across import steering_force_n as steering_force_n
     from telenano.lockstep.link import Schedule as Schedule
-    from telenano.lockstep.link import fresh as fresh
-    from telenano.lockstep.link import schedule_of as schedule_of
-    from telenano.lockstep.link import schedule_over as schedule_over
     from telenano.lockstep.lockstep import Rig as Rig
     from telenano.lockstep.lockstep import Series as Series
     from telenano.lockstep.lockstep import Trajectory as Trajectory
-    from telenano.lockstep.lockstep import build_rig as build_rig
-    from telenano.lockstep.lockstep import simulate as simulate
     from telenano.lockstep.lockstep import time_to_place_s as time_to_place_s
-    from telenano.lockstep.simulation import context_of as context_of
-    from telenano.lockstep.simulation import instrument_of as instrument_of
+    from telenano.lockstep.simulation import holds_of as holds_of
     from telenano.lockstep.simulation import instrument_params as instrument_params
-    from telenano.lockstep.simulation import known_of as known_of
     from telenano.lockstep.simulation import simulate_document as simulate_document
     from telenano.lockstep.steering import HandSteps as HandSteps
 else:

@@ -46,56 +46,56 @@ class Schedule(NamedTuple):
     ticks: int
     window: int
 
+    @classmethod
+    def of(
+        cls, settings: LinkSettings, ticks: int, period_s: float, folder: Path = Path(), *, play_out: bool = False
+    ) -> "Schedule":
+        """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it.
 
-def schedule_of(
-    settings: LinkSettings, ticks: int, period_s: float, folder: Path = Path(), *, play_out: bool = False
-) -> Schedule:
-    """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it.
+        Args:
+            settings: The settings of the link.
+            ticks: The number of samples.
+            period_s: The time between two samples [s].
+            folder: The folder of the files that the settings name.
+            play_out: Whether each direction ends in a buffer that keeps the delay nearly constant.
+        """
+        period_ns = round(period_s * 1e9)
+        return cls.over(
+            lambda sent_ns: _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out),
+            lambda sent_ns: _arrivals(settings, "backward", BACKWARD_TOPIC, sent_ns, folder, play_out=play_out),
+            ticks,
+            period_ns,
+        )
 
-    Args:
-        settings: The settings of the link.
-        ticks: The number of samples.
-        period_s: The time between two samples [s].
-        folder: The folder of the files that the settings name.
-        play_out: Whether each direction ends in a buffer that keeps the delay nearly constant.
-    """
-    period_ns = round(period_s * 1e9)
-    return schedule_over(
-        lambda sent_ns: _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out),
-        lambda sent_ns: _arrivals(settings, "backward", BACKWARD_TOPIC, sent_ns, folder, play_out=play_out),
-        ticks,
-        period_ns,
-    )
+    @staticmethod
+    def over(forward: Crossing, backward: Crossing, ticks: int, period_ns: int) -> "Schedule":
+        """Return the arrivals of a run of `ticks` samples, one every period_ns [ns], over two directions.
 
+        Each direction is called once, with the times at which its messages are sent [ns], and returns when those that a
+        reader takes arrive, in the order of time [ns], and which message each one is: its place among those sent.
 
-def schedule_over(forward: Crossing, backward: Crossing, ticks: int, period_ns: int) -> Schedule:
-    """Return the arrivals of a run of `ticks` samples, one every period_ns [ns], over two directions.
+        Args:
+            forward: The direction of the signals of the hand.
+            backward: The direction of the answers, of which there is one to all that come together.
+            ticks: The number of samples.
+            period_ns: The time between two samples [ns].
+        """
+        forward_ns, forward_of = forward(np.arange(ticks, dtype=np.int64) * period_ns)
+        answered = last_together(forward_ns)
+        backward_ns, answer = backward(forward_ns[answered])
+        return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
 
-    Each direction is called once, with the times at which its messages are sent [ns], and returns when those that a
-    reader takes arrive, in the order of time [ns], and which message each one is: its place among those sent.
-
-    Args:
-        forward: The direction of the signals of the hand.
-        backward: The direction of the answers, of which there is one to all that come together.
-        ticks: The number of samples.
-        period_ns: The time between two samples [ns].
-    """
-    forward_ns, forward_of = forward(np.arange(ticks, dtype=np.int64) * period_ns)
-    answered = last_together(forward_ns)
-    backward_ns, answer = backward(forward_ns[answered])
-    return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
+    @staticmethod
+    def newest(times_ns: Times, numbers: Times) -> tuple[Times, Times]:
+        """Return the arrivals, in the order of time, that a reader of the newest takes: none late and none twice."""
+        newest_before = np.maximum.accumulate(np.concatenate([[-1], numbers]))[:-1]
+        kept = numbers > newest_before
+        return times_ns[kept], numbers[kept]
 
 
 def last_together(times_ns: Times) -> Times:
     """Return the places of the arrivals that no other one comes together with later in the order [ns]."""
     return np.flatnonzero(np.diff(times_ns, append=-1))
-
-
-def fresh(times_ns: Times, numbers: Times) -> tuple[Times, Times]:
-    """Return the arrivals, in the order of time, that a reader of the newest takes: none late and none twice."""
-    newest_before = np.maximum.accumulate(np.concatenate([[-1], numbers]))[:-1]
-    kept = numbers > newest_before
-    return times_ns[kept], numbers[kept]
 
 
 def schedule_from(
@@ -142,4 +142,4 @@ def _arrivals(
         released = [(buffer.release_ns(int(sent_ns[seq]), at_ns), seq) for at_ns, seq in released]
         released.sort()
     pairs = np.array(released, dtype=np.int64).reshape(-1, 2)
-    return fresh(pairs[:, 0], pairs[:, 1])
+    return Schedule.newest(pairs[:, 0], pairs[:, 1])

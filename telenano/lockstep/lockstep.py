@@ -23,8 +23,8 @@ The session begins when the tip is placed, as the instrument says on the bus (`t
 import logging
 import math
 from collections import Counter
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -111,7 +111,7 @@ _plain_ticks: Counter[tuple[Any, ...]] = Counter()
 
 @dataclass(frozen=True)
 class Rig:
-    """What is coupled, ready to run: constants of halves, haptic site and instrument; made by `build_rig`."""
+    """What is coupled, ready to run: constants of halves, haptic site and instrument; made by `Rig.of`."""
 
     halves: Halves
     haptic: HapticParams
@@ -119,35 +119,92 @@ class Rig:
     instrument: AfmParams
     instrument_start: Any
 
+    @classmethod
+    def of(
+        cls, controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams, duration_s: float = 0.0
+    ) -> Self:
+        """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted.
+
+        Args:
+            controller: The configuration of both halves of the law.
+            haptic: The configuration of the haptic site.
+            instrument: The constants of the instrument.
+            duration_s: The length of the run [s], for which what disturbs the hand is drawn; 0 leaves that out.
+        """
+        halves = Halves(
+            law=controller.params(),
+            force_scale=controller.law_config().force_scale,
+            band=controller.deadband.to_params(),
+            clamp=controller.clamp_params(),
+            master=controller.master_timing(),
+            slave=controller.slave_timing(),
+            period_s=controller.period_s,
+        )
+        site = haptic.to_params(math.ceil(duration_s / controller.period_s), controller.period_s)
+        start = haptic_at_start(site.plant, haptic.device.start_position_m)
+        return cls(halves, site, start, instrument, initial_afm_state(instrument))
+
+    def over(self, plant: Any) -> Self:
+        """Return the same rig with another plant in its instrument, which is retracted."""
+        instrument = self.instrument._replace(plant=plant)
+        return replace(self, instrument=instrument, instrument_start=initial_afm_state(instrument))
+
     @property
     def period_s(self) -> float:
         """Return the period of the hand [s]."""
         return self.halves.period_s
 
+    def run(
+        self,
+        schedule: Schedule,
+        session_tick: int,
+        hand: Any = None,
+        path: AcrossPath | None = None,
+        *,
+        at_once: bool = True,
+    ) -> "Trajectory":
+        """Run the rig over a link, compiled or as plain Python, with the same bits.
 
-def build_rig(
-    controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams, duration_s: float = 0.0
-) -> Rig:
-    """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted.
+        Args:
+            schedule: The arrivals of `Schedule.of`, whose number of ticks is the length of the run.
+            session_tick: The tick at which the operator's program starts (`time_to_place_s`), or later, when the tip is
+                placed.
+            hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
+                without a path the run ends when it is done.
+            path: The lateral path of the controller, by which a path or `hand` moves the tip; the run continues to its
+                end.
+            at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
+                where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.
 
-    Args:
-        controller: The configuration of both halves of the law.
-        haptic: The configuration of the haptic site.
-        instrument: The constants of the instrument.
-        duration_s: The length of the run [s], for which what disturbs the hand is drawn; 0 leaves that out.
-    """
-    halves = Halves(
-        law=controller.params(),
-        force_scale=controller.law_config().force_scale,
-        band=controller.deadband.to_params(),
-        clamp=controller.clamp_params(),
-        master=controller.master_timing(),
-        slave=controller.slave_timing(),
-        period_s=controller.period_s,
-    )
-    site = haptic.to_params(math.ceil(duration_s / controller.period_s), controller.period_s)
-    start = haptic_at_start(site.plant, haptic.device.start_position_m)
-    return Rig(halves, site, start, instrument, initial_afm_state(instrument))
+        Raises:
+            ValueError: No tick is left for the session.
+            RigError: The tip was not placed in all of these ticks.
+            ConfigError: A model cannot be compiled; no tick has run.
+        """
+        if not 0 <= session_tick < schedule.ticks:
+            raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
+        rows = np.empty((len(COLUMNS), schedule.ticks))
+        states = self.haptic_start, self.instrument_start
+        arguments = (self.halves, self.haptic, self.instrument, *states, schedule, session_tick, rows, hand, path)
+        start, done = compiled_call(_run, arguments) if at_once else _run_as_it_pays(self, arguments)
+        if start < 0:
+            limits, newest = self.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
+            why = (
+                f"its base is at {1e9 * newest['base_position_m']:.4g} nm, from"
+                f" {1e9 * limits.retract_position_m:.4g} nm at no more than {1e9 * limits.base_speed_m_per_s:.4g} nm/s"
+            )
+            if math.isfinite(newest["withdrawn_s"]):
+                why = f"its guard has withdrawn it ({REASON_NAMES[int(newest['instrument_reason'])]})"
+            raise RigError(f"the tip was not placed within {schedule.ticks * self.period_s:.3g} s of arming: {why}")
+        columns: dict[str, Any] = dict(zip(COLUMNS, rows[:, start:done], strict=True))
+        for name in ("in_contact", "hand_following"):
+            columns[name] = columns[name].astype(bool)
+        for name in ("instrument_mode", "instrument_reason"):
+            columns[name] = columns[name].astype(np.int64)
+        columns["withdrawn_s"] = columns["withdrawn_s"] - start * self.period_s
+        columns["begins_s"] = start * self.period_s
+        columns["across"] = None if path is None else path.rows[start:done]
+        return Trajectory(**columns)
 
 
 def time_to_place_s(limits: SafetyParams, round_trip_s: float, reference_m: float = 0.0) -> float:
@@ -188,59 +245,6 @@ class Trajectory:
     withdrawn_s: Series
     across: Series | None = None
     begins_s: float = 0.0
-
-
-def simulate(
-    rig: Rig,
-    schedule: Schedule,
-    session_tick: int,
-    hand: Any = None,
-    path: AcrossPath | None = None,
-    *,
-    at_once: bool = True,
-) -> Trajectory:
-    """Run the rig over a link, compiled or as plain Python, with the same bits.
-
-    Args:
-        rig: The rig.
-        schedule: The arrivals of `link.schedule_of`, whose number of ticks is the length of the run.
-        session_tick: The tick at which the operator's program starts (`time_to_place_s`), or later, when the tip is
-            placed.
-        hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
-            without a path the run ends when it is done.
-        path: The lateral path of the controller, by which a path or `hand` moves the tip; the run continues to its end.
-        at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
-            where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.
-
-    Raises:
-        ValueError: No tick is left for the session.
-        RigError: The tip was not placed in all of these ticks.
-        ConfigError: A model cannot be compiled; no tick has run.
-    """
-    if not 0 <= session_tick < schedule.ticks:
-        raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
-    rows = np.empty((len(COLUMNS), schedule.ticks))
-    states = rig.haptic_start, rig.instrument_start
-    arguments = (rig.halves, rig.haptic, rig.instrument, *states, schedule, session_tick, rows, hand, path)
-    start, done = compiled_call(_run, arguments) if at_once else _run_as_it_pays(rig, arguments)
-    if start < 0:
-        limits, newest = rig.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
-        why = (
-            f"its base is at {1e9 * newest['base_position_m']:.4g} nm, from {1e9 * limits.retract_position_m:.4g} nm at"
-            f" no more than {1e9 * limits.base_speed_m_per_s:.4g} nm/s"
-        )
-        if math.isfinite(newest["withdrawn_s"]):
-            why = f"its guard has withdrawn it ({REASON_NAMES[int(newest['instrument_reason'])]})"
-        raise RigError(f"the tip was not placed within {schedule.ticks * rig.period_s:.3g} s of arming: {why}")
-    columns: dict[str, Any] = dict(zip(COLUMNS, rows[:, start:done], strict=True))
-    for name in ("in_contact", "hand_following"):
-        columns[name] = columns[name].astype(bool)
-    for name in ("instrument_mode", "instrument_reason"):
-        columns[name] = columns[name].astype(np.int64)
-    columns["withdrawn_s"] = columns["withdrawn_s"] - start * rig.period_s
-    columns["begins_s"] = start * rig.period_s
-    columns["across"] = None if path is None else path.rows[start:done]
-    return Trajectory(**columns)
 
 
 def _run_as_it_pays(rig: Rig, arguments: tuple[Any, ...]) -> tuple[int, int]:
@@ -298,7 +302,7 @@ def _run(
     Returns:
         The tick at which the session began, -1 if it never did, and how many rows were filled.
     """
-    # `simulate` keeps all arrays until the end, so that no call in here need count references to them.
+    # `Rig.run` keeps all arrays until the end, so that no call in here need count references to them.
     halves, haptic, instrument = borrowed((halves, haptic, instrument))
     haptic_state, instrument_state = borrowed((haptic_state, instrument_state))
     schedule, rows = borrowed((schedule, rows))

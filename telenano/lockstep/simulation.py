@@ -8,7 +8,7 @@ jitter, is not in it.
 import functools
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
@@ -37,16 +37,16 @@ from telenano.analysis.interruptions import ModeReport, in_words, interruptions_
 from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.link.config import EVEN, LinkSettings, network_name
+from telenano.link.config import EVEN, LinkSettings
 from telenano.lockstep import across
-from telenano.lockstep.link import Schedule, schedule_of
-from telenano.lockstep.lockstep import Trajectory, build_rig, simulate, time_to_place_s
+from telenano.lockstep.link import Schedule
+from telenano.lockstep.lockstep import Rig, Trajectory, time_to_place_s
 from telenano.lockstep.steering import columns_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
 from telenano.settings.named_instruments import IDEAL
-from telenano.settings.scenario import scenario_of
+from telenano.settings.scenario import LoadedScenario
 from telenano.wire.errors import ConfigError
 
 _COLUMNS = {
@@ -243,6 +243,32 @@ def context_of(course: Trajectory, safety: SafetyParams | None, context: Session
     return context._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
 
 
+def holds_of(
+    course: Trajectory,
+    controller: ControllerConfig,
+    transit_s: float,
+    deadlines_s: Sequence[float],
+    spans: Sequence[tuple[float, float, float]],
+    *,
+    knows_contact: bool = True,
+) -> list[Hold]:
+    """Return what became of the holds of a course, each judged.
+
+    Args:
+        course: The course.
+        controller: The configuration of the law that ran.
+        transit_s: How long a command is in transit in the loop [s].
+        deadlines_s: The deadlines for commands of both devices [s].
+        spans: Begin and end of each hold [s], with the force of the hand in it [N].
+        knows_contact: Whether the instrument measures contact.
+    """
+    section = controller.law_config()
+    tip = instrument_of(course, section.position_scale, knows_contact=knows_contact)
+    context = context_of(course, None, known_of(controller, transit_s, *deadlines_s))
+    tip_n = section.force_scale * course.tip_force_n
+    return judge_holds(course.time_s, course.hand_force_n, course.time_s, tip_n, tip, context, spans)
+
+
 def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> SessionContext:
     """Return what a law and a link tell of a session: what the law rests at, how long a command is in transit [s]."""
     rest_force = KNOWN_LAWS[controller.law].rest_force
@@ -314,11 +340,11 @@ def simulate_document(
         document: The scenario.
         origin: What an error names.
         steers: Makes a hand that steers the tip across the sample, in mode rate.
-        at_once: Whether to compile for the first session, as in `telenano.lockstep.lockstep.simulate`.
+        at_once: Whether to compile for the first session, as in `Rig.run`.
     """
     from telenano.analysis.report import planned_holds
 
-    loaded = scenario_of(document, origin)
+    loaded = LoadedScenario.of(document, origin)
     controller = loaded.section("controller", ControllerConfig)
     haptic = loaded.section("haptic_node", HapticConfig)
     afm = loaded.section("afm_node", AfmConfig)
@@ -340,17 +366,17 @@ def simulate_document(
     settle = math.ceil(time_to_place_s(afm.to_guard(), trip_s, reference_m) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
     length_s = ticks * period_s
-    rig = build_rig(controller, haptic, instrument_params(afm, origin, length_s), length_s)
-    schedule, path = schedule_of(link, ticks, period_s), None
+    rig = Rig.of(controller, haptic, instrument_params(afm, origin, length_s), length_s)
+    schedule, path = Schedule.of(link, ticks, period_s), None
     hand = None if steers is None else steers(period_s)
     if haptic.lateral is not None and controller.lateral.mode != "direct":
         path = across.across_path(controller, haptic.lateral, schedule, len(columns_of(hand)))
     if steers is not None and (path is None or controller.lateral.mode != "rate"):
         text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
         raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
-    if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=network_name(link) in EVEN):
+    if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=link.network_name in EVEN):
         warnings.warn(text, stacklevel=3)
-    course = simulate(rig, schedule, settle, hand, path, at_once=at_once)
+    course = rig.run(schedule, settle, hand, path, at_once=at_once)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
@@ -358,7 +384,7 @@ def simulate_document(
         parameters=section.model_dump(mode="json"),
         environment=afm.environment,
         round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
-        link_profile=network_name(link),
+        link_profile=link.network_name,
         link_seed=link.seed,
         instrument=instrument_name(loaded.scenario.instrument, loaded.scenario.afm_node),
     )

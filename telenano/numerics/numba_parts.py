@@ -18,7 +18,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.registry import CPUDispatcher
 from numba.extending import lower_builtin, type_callable
 
-from telenano.files.regular_files import is_own, is_own_path
+from telenano.files.regular_files import is_own
 from telenano.numerics.digests import cache_folder, digest_covers, stamp
 from telenano.signals import interrupts
 
@@ -136,7 +136,7 @@ def _is_safe() -> bool:
     folder = cache_folder()
     try:
         # Where it is absent somebody else may still make it, if the folder above lets them.
-        safe = is_own_path(folder) and (not folder.exists() or is_own(folder.stat()))
+        safe = is_own(folder)
     except OSError:
         safe = False
     if not safe:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from telenano.recording.tables import typed_columns as typed_columns
     from telenano.recording.tables import uniform as uniform
     from telenano.recording.tolerance import Tolerances as Tolerances
-    from telenano.recording.tolerance import first_difference as first_difference
     from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
 else:

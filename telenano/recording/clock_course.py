@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
-from telenano.timing.clock_line import Bound, ClockLine, are_apart, fitted
+from telenano.timing.clock_line import Bound, ClockLine, are_apart
 
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.
@@ -54,10 +54,10 @@ def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
     """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits."""
     found_stretches: list[Stretch] = []
     upper, lower = list(pieces[0].upper), list(pieces[0].lower)
-    line = fitted(upper, lower)
+    line = ClockLine.through(upper, lower)
     for piece in pieces[1:]:
-        both = fitted(upper + piece.upper, lower + piece.lower, line.drift)
-        alone = fitted(piece.upper, piece.lower, line.drift)
+        both = ClockLine.through(upper + piece.upper, lower + piece.lower, line.drift)
+        alone = ClockLine.through(piece.upper, piece.lower, line.drift)
         if are_apart(both, line, alone) or piece.upper[0][0] - upper[0][0] > _LONGEST_NS:
             found_stretches.append(_stretch(upper, lower, line))
             upper, lower, line = list(piece.upper), list(piece.lower), alone

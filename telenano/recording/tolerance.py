@@ -46,6 +46,21 @@ class Tolerances:
         limits = [limit for name, limit in self._limits.items() if fnmatchcase(field, name) or name == stem]
         return max(limits, default=0.0)
 
+    def first_difference(
+        self, left: Mapping[str, Any], right: Mapping[str, Any], ignore: Iterable[str] = ()
+    ) -> "FieldDifference | None":
+        """Return the first field in which two messages differ by more than its tolerance; None when they agree.
+
+        Fields are plain values as `RecordedMessage.fields` returns them. `ignore` names top-level keys to skip.
+        """
+        skipped = frozenset(ignore)
+        for key in (*left, *(key for key in right if key not in left)):
+            if key not in skipped:
+                difference = _difference(key, left.get(key, _ABSENT), right.get(key, _ABSENT), self)
+                if difference is not None:
+                    return difference
+        return None
+
 
 class FieldDifference(NamedTuple):
     """A field that differs: its dotted name and both values."""
@@ -57,22 +72,6 @@ class FieldDifference(NamedTuple):
     @property
     def text(self) -> str:
         return f"{self.field}: {self.left!r} against {self.right!r}"
-
-
-def first_difference(
-    left: Mapping[str, Any], right: Mapping[str, Any], tolerances: Tolerances, ignore: Iterable[str] = ()
-) -> FieldDifference | None:
-    """Return the first field in which two messages differ by more than its tolerance; None when they agree.
-
-    Fields are plain values as `RecordedMessage.fields` returns them. `ignore` names top-level keys to skip.
-    """
-    skipped = frozenset(ignore)
-    for key in (*left, *(key for key in right if key not in left)):
-        if key not in skipped:
-            difference = _difference(key, left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
-            if difference is not None:
-                return difference
-    return None
 
 
 class _Absent:

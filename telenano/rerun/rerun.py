@@ -29,7 +29,7 @@ from telenano.runtime.wiring.main import Wiring, node_kind
 from telenano.runtime.wiring.participant import LinkEnds
 from telenano.settings.config import flag_overrides, merge, parse_yaml
 from telenano.settings.named_instruments import on_instrument
-from telenano.settings.scenario import scenario_of
+from telenano.settings.scenario import LoadedScenario
 from telenano.timing.clock import TurnClock
 from telenano.wire import Message
 from telenano.wire.errors import ConfigError, RecordingError, TelenanoError, known_names
@@ -238,7 +238,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
     document = merge(
         parse_yaml(attached, origin), on_instrument(settings_set) if "instrument" in settings_set else settings_set
     )
-    loaded = scenario_of(document, origin, is_whole=True)
+    loaded = LoadedScenario.of(document, origin, is_whole=True)
     kind = node_kind(name_of(key))
     config = loaded.section(kind.name, kind.config)
     if not getattr(config, "simulated", True):

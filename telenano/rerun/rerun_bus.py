@@ -7,7 +7,7 @@ import msgspec
 
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
 from telenano.recording.messages import RecordedMessage
-from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
 from telenano.runtime.bus.publisher import version_of
 from telenano.timing.clock import TurnClock
@@ -107,7 +107,7 @@ class RerunBus:
         if payload == recorded.payload:
             return
         topic, published, kept = recorded.topic, fields_of(message), fields_of(recorded.decode())
-        difference = first_difference(published, kept, self._tolerances.on(topic), _keys_added_since(message, kept))
+        difference = self._tolerances.on(topic).first_difference(published, kept, _keys_added_since(message, kept))
         if difference is not None:
             text = f"re-run {difference.text} recorded"
             raise self._difference(topic, message.seq, recorded.publish_ns, difference.field, text)

@@ -6,7 +6,6 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
-    from telenano.runtime.bus.address_book import load_site as load_site
     from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
     from telenano.runtime.bus.bus import Subscriber as Subscriber
     from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
@@ -34,13 +33,9 @@ if TYPE_CHECKING:
     from telenano.runtime.wiring.observer import RIG_HINT as RIG_HINT
     from telenano.runtime.wiring.observer import Observer as Observer
     from telenano.runtime.wiring.observer import known_name as known_name
-    from telenano.runtime.wiring.observer import require_rig as require_rig
-    from telenano.runtime.wiring.participant import OBSERVER as OBSERVER
     from telenano.runtime.wiring.participant import LinkEnds as LinkEnds
     from telenano.runtime.wiring.participant import Participant as Participant
     from telenano.runtime.wiring.participant import StopSignals as StopSignals
-    from telenano.runtime.wiring.participant import open_participant as open_participant
-    from telenano.runtime.wiring.participant import run_loop as run_loop
     from telenano.runtime.wiring.transport import Transport as Transport
 else:
     __getattr__, __dir__ = face(__name__)

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
-from telenano.link.config import LinkSettings, Setting, changed, flattened, network_name
+from telenano.link.config import LinkSettings, Setting
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine, LinkState
@@ -14,7 +14,7 @@ from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
-from telenano.timing.clock_offset import Exchange, OffsetFilter, OffsetState, clock_report
+from telenano.timing.clock_offset import Exchange, OffsetFilter, OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import ClockPong, LinkDirection, LinkFate, Message, SessionControl
@@ -116,7 +116,7 @@ class DelayNode(Node):
         super().__init__(context)
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder)
         # The settings that were named last, and what they were named; a restored link has others than it began with.
-        self._named = settings, network_name(settings)
+        self._named = settings, settings.network_name
         self._forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
         self._backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
         self._ways = (self._forward, self._backward)
@@ -221,7 +221,7 @@ class DelayNode(Node):
         if not control.parameters:
             raise RefusedError("set needs link settings, such as forward.delay_s=0.02 or profile=satellite")
         try:
-            self.engine.reconfigure(changed(self.engine.settings, control.parameters), self.clock.now_ns())
+            self.engine.reconfigure(self.engine.settings.changed(control.parameters), self.clock.now_ns())
         except ConfigError as error:
             raise RefusedError(f"the link keeps its settings: {error}") from error
         text = "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
@@ -273,13 +273,13 @@ class DelayNode(Node):
 
     def _publish_status(self) -> None:
         if self._named[0] is not self.engine.settings:
-            self._named = self.engine.settings, network_name(self.engine.settings)
-        settings, network = flattened(self.engine.settings, only_set=True), self._named[1]
+            self._named = self.engine.settings, self.engine.settings.network_name
+        settings, network = self.engine.settings.flattened(only_set=True), self._named[1]
         self.publish(
             "link/status",
             forward=_direction(self._forward, settings, network),
             backward=_direction(self._backward, settings, network),
-            clock=clock_report(self._offset.estimate()),
+            clock=self._offset.report(),
             **({"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}),
         )
 

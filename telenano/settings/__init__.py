@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from telenano.settings.config import section_of as section_of
     from telenano.settings.config import validate as validate
     from telenano.settings.device_drivers import DeviceDriver as DeviceDriver
-    from telenano.settings.device_drivers import haptic_driver as haptic_driver
     from telenano.settings.file_readers import FileReader as FileReader
     from telenano.settings.file_readers import read_by_package as read_by_package
     from telenano.settings.included import DEFAULT_SITE_FILE as DEFAULT_SITE_FILE
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from telenano.settings.plugins import all_installed as all_installed
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import load as load
-    from telenano.settings.scenario import RealtimeConfig as RealtimeConfig
-    from telenano.settings.scenario import load_scenario as load_scenario
-    from telenano.settings.scenario import scenario_of as scenario_of
+    from telenano.settings.scenario import LoadedScenario as LoadedScenario
 else:
     __getattr__, __dir__ = face(__name__)

@@ -5,7 +5,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args, get_origin
+from typing import Any, Self, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -35,6 +35,11 @@ class Settings(BaseModel):
     """The base of settings: frozen and strict, without unknown keys and without infinite numbers."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def from_file(cls, path: Path) -> Self:
+        """Read the settings in a YAML file; ConfigError names file and key."""
+        return validate(cls, read_yaml(path), str(path))
 
 
 # The attribute of a package's section begins so, and no method of a model does: a key is free unless a key has it.

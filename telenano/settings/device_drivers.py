@@ -31,7 +31,7 @@ class DeviceDriver:
     the tip. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
     with which laws and programs it is used; one without them is not judged. `what` names the
     devices in a list. `own` is what the package needs of it in a process of its own, which finds the driver by its name
-    (`telenano.settings.haptic_driver`). `calibration` is the model of a file whose key
+    (`DeviceDriver.haptic`). `calibration` is the model of a file whose key
     `controller` names this driver; the settings then have a key `calibration` with its path. `experimental`: it has
     driven an emulator and never a real device, which its node reports when it starts.
     """
@@ -68,6 +68,15 @@ class DeviceDriver:
     def settings(self, values: dict[str, Any]) -> BaseModel:
         """Return the settings of the driver's section from plain values; ConfigError names the key at fault."""
         return validate(self.config, values, self.node, self.name)
+
+    @staticmethod
+    def haptic(name: str) -> "DeviceDriver | None":
+        """Return the driver of an installed package for the haptic node, imported now; None where no package has it.
+
+        Raises:
+            ValueError: It cannot be used; the message says why.
+        """
+        return Drivers("haptic_node", (), ()).find(name)
 
 
 class Drivers(Entries[DeviceDriver]):
@@ -117,7 +126,7 @@ class Drivers(Entries[DeviceDriver]):
         """Return the type of the key `driver`."""
         return Annotated[str, _Name(self, self._own)]
 
-    def _checked(self, name: str, value: Any) -> DeviceDriver | None:
+    def _checked(self, name: str, value: Any) -> "DeviceDriver | None":
         if not isinstance(value, DeviceDriver):
             raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver")
         if value.name != name:
@@ -148,12 +157,3 @@ class _Name:
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         return {"enum": list(self._known()), "type": "string"}
-
-
-def haptic_driver(name: str) -> DeviceDriver | None:
-    """Return the driver of an installed package for the haptic node, imported now; None where no package has it.
-
-    Raises:
-        ValueError: It cannot be used; the message says why.
-    """
-    return Drivers("haptic_node", (), ()).find(name)

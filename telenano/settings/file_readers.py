@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files.limited_child import Answer, Limits, limits_for, read_in_child
+from telenano.files.limited_child import Answer, Limits, read_in_child
 from telenano.files.regular_files import open_regular
 from telenano.settings import plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
@@ -36,7 +36,7 @@ class FileReader(NamedTuple):
     curve: str = ""
     deflections: str = ""
     spectrum: str = ""
-    limits: Callable[[int], Limits] = limits_for
+    limits: Callable[[int], Limits] = Limits.of_size
 
 
 def _checked(_: str, value: Any) -> FileReader:

@@ -145,6 +145,27 @@ class LoadedScenario:
         section = self.scenario.controller_in_force if of_law else getattr(self.scenario, name)
         return validate(model, section, self.origin, name)
 
+    @classmethod
+    def of(cls, document: Mapping[str, Any], origin: str, *, is_whole: bool = False) -> "LoadedScenario":
+        """Return a document that was read already as a scenario, over the keys of its instrument.
+
+        Args:
+            document: The scenario.
+            origin: What an error names.
+            is_whole: Whether the keys of its instrument are in it, as in a recording, whatever is known by its name
+                here.
+
+        Raises:
+            ConfigError: A key is wrong; the message names `origin` and the key.
+        """
+        whole = dict(document) if is_whole else on_instrument(document)
+        return cls(validate(Scenario, whole, origin), origin, whole)
+
+    @classmethod
+    def load(cls, path: Path, flags: Sequence[str] = ()) -> "LoadedScenario":
+        """Read a scenario with environment and flags merged over it; ConfigError names file and key."""
+        return cls.of(*scenario_document(path, flags))
+
 
 def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
     """Return a scenario with environment and flags merged over it, not yet validated, and where it is from.
@@ -157,23 +178,3 @@ def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, 
         hand = {**hand, "driver": hand["device"]}
         document["haptic_node"] = {key: value for key, value in hand.items() if key != "device"}
     return document, origin
-
-
-def scenario_of(document: Mapping[str, Any], origin: str, *, is_whole: bool = False) -> LoadedScenario:
-    """Return a document that was read already as a scenario, over the keys of its instrument.
-
-    Args:
-        document: The scenario.
-        origin: What an error names.
-        is_whole: Whether the keys of its instrument are in it, as in a recording, whatever is known by its name here.
-
-    Raises:
-        ConfigError: A key is wrong; the message names `origin` and the key.
-    """
-    whole = dict(document) if is_whole else on_instrument(document)
-    return LoadedScenario(validate(Scenario, whole, origin), origin, whole)
-
-
-def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:
-    """Read a scenario with environment and flags merged over it; ConfigError names file and key."""
-    return scenario_of(*scenario_document(path, flags))

@@ -12,6 +12,5 @@ if TYPE_CHECKING:
     from telenano.signals.interrupts import finishing as finishing
     from telenano.signals.interrupts import held as held
     from telenano.signals.interrupts import kept_from_children as kept_from_children
-    from telenano.signals.interrupts import received as received
 else:
     __getattr__, __dir__ = face(__name__)

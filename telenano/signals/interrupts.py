@@ -47,8 +47,8 @@ def received() -> int:
 
 
 def exit_code() -> int:
-    """Return the exit code of a command that a signal ended: 130 for SIGINT, 143 for SIGTERM, as shells have it."""
-    return _CODE_OF_SIGNALS + (_received or signal.SIGINT)
+    """Return the exit code of a command that a signal ended, 130 for SIGINT and 143 for SIGTERM as in shells, or 0."""
+    return _received and _CODE_OF_SIGNALS + _received
 
 
 def watch() -> None:

@@ -45,36 +45,36 @@ class ClockLine(NamedTuple):
         """Return what the other clock is ahead at a time by this one [ns]."""
         return self.ahead_ns + self.drift * (time_ns - self.origin_ns)
 
+    @classmethod
+    def through(cls, upper: Sequence[Bound], lower: Sequence[Bound], expected_drift: float = 0.0) -> "ClockLine":
+        """Return the line between bounds from above and from below, neither of them empty.
 
-def fitted(upper: Sequence[Bound], lower: Sequence[Bound], expected_drift: float = 0.0) -> ClockLine:
-    """Return the line between bounds from above and from below, neither of them empty.
+        The best of each second are enough points. A drift other than the expected one has to bring the lines apart by
+        more than chance does; a queue that fills on one way does not.
 
-    The best of each second are enough points. A drift other than the expected one has to bring the lines apart by more
-    than chance does; a queue that fills on one way does not.
+        Args:
+            upper: What the other clock is ahead by no more than.
+            lower: What it is ahead by no less than.
+            expected_drift: The drift where these points show no other one [s/s].
+        """
+        origin_ns, base_ns = upper[0]
+        # Both clouds become points above a line: those from below change their sign, and so does the slope.
+        above = [(at_ns - origin_ns, value_ns - base_ns) for at_ns, value_ns in upper]
+        below = [(at_ns - origin_ns, base_ns - value_ns) for at_ns, value_ns in lower]
+        highs, lows = _hull(above), _hull(below)
 
-    Args:
-        upper: What the other clock is ahead by no more than.
-        lower: What it is ahead by no less than.
-        expected_drift: The drift where these points show no other one [s/s].
-    """
-    origin_ns, base_ns = upper[0]
-    # Both clouds become points above a line: those from below change their sign, and so does the slope.
-    above = [(at_ns - origin_ns, value_ns - base_ns) for at_ns, value_ns in upper]
-    below = [(at_ns - origin_ns, base_ns - value_ns) for at_ns, value_ns in lower]
-    highs, lows = _hull(above), _hull(below)
+        def distance_ns(slope: float) -> float:
+            return _least(highs, slope) + _least(lows, -slope)
 
-    def distance_ns(slope: float) -> float:
-        return _least(highs, slope) + _least(lows, -slope)
-
-    slopes = [slope for slope in (*_slopes(highs), *(-s for s in _slopes(lows))) if abs(slope) <= MOST_DRIFT]
-    widest = max((expected_drift, *slopes), key=distance_ns)
-    scatter_ns = _scatter(above, highs, widest) + _scatter(below, lows, -widest)
-    expected_ns = distance_ns(expected_drift)
-    chance_ns = max(LEAST_GAIN_NS, scatter_ns * _FEW / len(upper))
-    is_shown = expected_ns < 0.0 or distance_ns(widest) - expected_ns > chance_ns
-    drift = widest if is_shown else expected_drift
-    ahead_ns = base_ns + 0.5 * (_least(highs, drift) - _least(lows, -drift))
-    return ClockLine(origin_ns, ahead_ns, drift, distance_ns(drift), chance_ns)
+        slopes = [slope for slope in (*_slopes(highs), *(-s for s in _slopes(lows))) if abs(slope) <= MOST_DRIFT]
+        widest = max((expected_drift, *slopes), key=distance_ns)
+        scatter_ns = _scatter(above, highs, widest) + _scatter(below, lows, -widest)
+        expected_ns = distance_ns(expected_drift)
+        chance_ns = max(LEAST_GAIN_NS, scatter_ns * _FEW / len(upper))
+        is_shown = expected_ns < 0.0 or distance_ns(widest) - expected_ns > chance_ns
+        drift = widest if is_shown else expected_drift
+        ahead_ns = base_ns + 0.5 * (_least(highs, drift) - _least(lows, -drift))
+        return ClockLine(origin_ns, ahead_ns, drift, distance_ns(drift), chance_ns)
 
 
 def are_apart(whole: ClockLine, *parts: ClockLine) -> bool:

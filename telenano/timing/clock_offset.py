@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from telenano.timing.clock_line import MOST_DRIFT, ClockLine, are_apart, fitted
+from telenano.timing.clock_line import MOST_DRIFT, ClockLine, are_apart
 from telenano.wire.messages import LinkClock
 
 # Two clocks that are not set drift apart by less between two exchanges of a second.
@@ -132,6 +132,13 @@ class OffsetFilter:
         count = sum(block.exchanges for block in self.blocks)
         return Offset(line.at(self._newest_ns) * 1e-9, 0.5 * round_trip_s, round_trip_s, count)
 
+    def report(self) -> LinkClock:
+        """Return what is known of the other clock."""
+        offset = self.estimate()
+        if offset is None:
+            return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
+        return LinkClock(valid=True, **offset._asdict())
+
     def capture(self) -> "OffsetState":
         """Return the state, for `restore`."""
         return OffsetState(self._newest_ns, self._drift, list(self.blocks))
@@ -164,11 +171,4 @@ class OffsetFilter:
     def _fitted(self, blocks: Iterable[Block]) -> ClockLine:
         kept = tuple(blocks)
         upper = [(block.asked_ns, block.high_ns) for block in kept]
-        return fitted(upper, [(block.answered_ns, block.low_ns) for block in kept], self._drift)
-
-
-def clock_report(offset: Offset | None) -> LinkClock:
-    """Return what is known of the other clock."""
-    if offset is None:
-        return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-    return LinkClock(valid=True, **offset._asdict())
+        return ClockLine.through(upper, [(block.answered_ns, block.low_ns) for block in kept], self._drift)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from telenano.wire.errors import EndpointError as EndpointError
     from telenano.wire.errors import RecordingError as RecordingError
     from telenano.wire.errors import RefusedError as RefusedError
-    from telenano.wire.errors import ReportError as ReportError
     from telenano.wire.errors import RigError as RigError
     from telenano.wire.errors import TelenanoError as TelenanoError
     from telenano.wire.errors import cause as cause

@@ -13,7 +13,7 @@ from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.hand.disturbances import HandDisturbanceConfig
 from telenano.laws.config import OWN_LAWS, ControllerConfig
-from telenano.link.config import LinkSettings, flattened
+from telenano.link.config import LinkSettings
 from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.node import Node
 from telenano.settings.config import flatten, nested
@@ -42,7 +42,7 @@ def settable(node: str) -> list[str]:
     if node == "controller":
         return [key for key in flatten(ControllerConfig().model_dump()) if key != NOT_SETTABLE]
     if node == "delay_node":
-        return list(flattened(LinkSettings()))
+        return list(LinkSettings().flattened())
     if node == "afm_node":
         return [
             *flatten(InstrumentRequest().model_dump()),

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from wire_contract import FOLDER
 
 from telenano.cli.root import app
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.topics import OWN_TOPICS as TOPICS
@@ -64,7 +64,7 @@ def table_of_topics() -> dict[str, tuple[list[str], str]]:
 
 
 def test_the_table_of_topics_says_what_the_address_book_subscribes_to() -> None:
-    book, table = load_site(DEFAULT_SITE_FILE), table_of_topics()
+    book, table = AddressBook.load(DEFAULT_SITE_FILE), table_of_topics()
     assert set(table) == set(TOPICS)
     for node in book.nodes:
         own = {

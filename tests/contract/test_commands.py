@@ -20,7 +20,7 @@ from telenano.afm.sim import simulated_afm
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings, flattened
+from telenano.link.config import LinkSettings
 from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.commands import CommandHandler
 from telenano.runtime.loop.log import StructuredLog
@@ -109,7 +109,7 @@ def test_a_node_knows_the_commands_of_the_table_and_no_other(name: str, command:
 def test_a_node_takes_what_the_table_says(name: str) -> None:
     outside, node = node_of(name)
     # each key with the value that it has; none stands for what the law chooses
-    values = flattened(LinkSettings()) if name == "delay_node" else flatten(ControllerConfig().model_dump())
+    values = LinkSettings().flattened() if name == "delay_node" else flatten(ControllerConfig().model_dump())
     for command in node.commands:
         keys = [key for key in command_table.settable(name) if values[key] is not None] if command == "set" else []
         parameters = {key: values[key] for key in keys}

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "fit.md"
 
 def _function(name: str) -> Callable[..., object]:
     module, _, attribute = name.partition(":")
-    return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+    return attrgetter(attribute)(importlib.import_module(module))  # type: ignore[no-any-return]
 
 
 def _thermal(width_m: float) -> object:
@@ -93,7 +94,7 @@ def clocks() -> None:
     draw = np.random.default_rng(1)
     bound = [(n * 10**9, int(draw.exponential(1e6))) for n in range(1, 60)]
     below = [(n * 10**9, -int(draw.exponential(1e6))) for n in range(1, 60)]
-    raise TelenanoError(f"drift {_function('telenano.timing.clock_line:fitted')(bound, below).drift}")  # type: ignore[attr-defined]
+    raise TelenanoError(f"drift {_function('telenano.timing.clock_line:ClockLine.through')(bound, below).drift}")  # type: ignore[attr-defined]
 
 
 # what is refused or said of what does not fit, by the name in the table of the page

@@ -84,19 +84,6 @@ def test_the_form_of_a_fault_asks_for_what_tells_of_the_machine() -> None:
     assert {"doctor", "bag"} <= named <= {*get_command(app).commands, *LAZY_COMMANDS}  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ["fault.yml", "wish.yml"])
-def test_a_form_has_what_its_reader_needs(name: str) -> None:
-    form = yaml.safe_load((GITHUB / "ISSUE_TEMPLATE" / name).read_text(encoding="utf-8"))
-    assert {"name", "description", "body"} <= set(form)
-    names = [part["id"] for part in form["body"] if part["type"] != "markdown"]
-    assert len(names) == len(set(names))
-    for part in form["body"]:
-        assert part["type"] in {"markdown", "input", "textarea", "dropdown", "checkboxes"}
-        assert part["attributes"].get("value") or part["attributes"].get("label")
-    text = (GITHUB / "ISSUE_TEMPLATE" / "config.yml").read_text(encoding="utf-8")
-    assert yaml.safe_load(text)["blank_issues_enabled"] is True
-
-
 def test_targets_that_the_pull_request_names_are_in_the_makefile() -> None:
     text = (GITHUB / "PULL_REQUEST_TEMPLATE.md").read_text(encoding="utf-8")
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))

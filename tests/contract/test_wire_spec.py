@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring
@@ -130,7 +130,7 @@ def test_the_client_reads_a_node_of_its_own_machine_and_of_another_one(
     rings["desk"].allow("slave", keys["slave"], ["data"])
     clock = SystemClock()
     with zmq.Context() as context:
-        transport = Transport(context, clock, load_site(site_file), "slave", rings["slave"])
+        transport = Transport(context, clock, AddressBook.load(site_file), "slave", rings["slave"])
         publisher = transport.publisher("afm_node@slave")
         client = context.socket(zmq.SUB)
         client.subscribe(b"session/event")
@@ -157,7 +157,7 @@ def test_the_client_finds_the_endpoints_that_our_readers_find(
 ) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("TELENANO_HOST_SLAVE", "10.1.2.3")
-    book = load_site(site_file)
+    book = AddressBook.load(site_file)
     assert site_file.parent == SITE_DIRECTORY
     for node in book.nodes:
         assert spec_client.endpoint(site_file, node, reader) == (book.endpoint(node, reader), book.machine_of(node))

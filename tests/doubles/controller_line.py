@@ -1,10 +1,11 @@
 """A connection between a driver and an emulated controller in virtual time, with the guard in between if wanted."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from operator import methodcaller
 from typing import Any, NamedTuple, TypeVar
 
 import pytest
+from request_line import InstrumentRig, RequestLine
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire, nanonis_model
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
@@ -17,7 +18,6 @@ from telenano.settings import merge, validate
 from telenano.testing import afm_config, afm_node, instrument_of
 from telenano.wire import ConfigError
 
-MS = 1_000_000
 NEAR_M = -70e-9
 PARAMS = afm_config().to_params()
 RETRACTED_M = PARAMS.safety.retract_position_m
@@ -28,43 +28,25 @@ def calibration(model: type[C], document: dict[str, object], **changes: Any) -> 
     return validate(model, merge(document, changes), "controller.yaml")
 
 
-class ControllerLine:
-    """The network, with the controller at its end; time passes in `pass_ms`.
-
-    A part of the test replaces `to_host`, what the network does with an answer, or says that the controller is not
-    reachable, does not run, or is not accepting. respond: the answer of the controller to a request. judge: the guard
-    in between, None for none.
-    """
-
-    resolved = True
-    model: Any
-    driver: Any
+class ControllerLine(RequestLine):
+    """A line to a controller. respond: its answer to a request. judge: the guard in between, None for none."""
 
     def __init__(self, guarded: Any = None) -> None:
-        self.now_ns = 10**9
+        super().__init__()
         self.respond: Callable[[bytes, int], bytes | None] = self.served
-        self.reachable = self.running = self.accepting = True
-        self.latency_ms = 0.0
-        self.to_host: Callable[[bytes], bytes] = lambda sent: sent
         self.guarded = guarded
         self.judge = None if guarded is None else SilenceJudge(guarded)
         self.sent: list[bytes] = []
-        self.opened = 0
         self._connected = False
         # when the guard has passed the answer of the controller on, 0 where none is owed
         self._owed_ns = 0
-        self._waiting: list[tuple[int, bytes]] = []
 
-    def connect(self, host: str, port: int) -> "ControllerLine":
-        if not self.reachable or (self.judge is not None and self.judge.due):
+    def connect(self, host: str, port: int) -> Any:
+        if self.judge is not None and self.judge.due:
             raise OSError(111, "Connection refused")
-        self.opened += 1
+        super().connect(host, port)
         self._connected = True
-        self._waiting.clear()
         return self
-
-    def ready(self) -> bool:
-        return self.accepting
 
     def send(self, request: bytes) -> None:
         if not self._connected or not self.reachable:
@@ -73,15 +55,12 @@ class ControllerLine:
         self.sent.append(request)
         answer = own if own is not None or not self.running else self.respond(request, self.now_ns)
         if answer is not None:
-            self._owed_ns = self.now_ns + round(self.latency_ms * MS)
-            self._waiting.append((self._owed_ns, self.to_host(answer)))
+            self._owed_ns = self.answer(answer)
 
     def receive(self) -> bytes:
-        if not self._connected or not self.reachable:
+        if not self._connected:
             raise OSError(104, "Connection reset by peer")
-        due = b"".join(sent for at_ns, sent in self._waiting if at_ns <= self.now_ns)
-        self._waiting = [(at_ns, sent) for at_ns, sent in self._waiting if at_ns > self.now_ns]
-        return due
+        return super().receive()
 
     def close(self) -> None:
         self._connected = False
@@ -96,14 +75,9 @@ class ControllerLine:
         """Return the answer of the emulated controller to a request."""
         raise NotImplementedError
 
-    def pass_ms(self, duration_ms: int) -> None:
-        for _ in range(duration_ms):
-            self.now_ns += MS
-            if self.judge is not None:
-                self._guard(self.judge)
-            self.model.pass_time(self.now_ns)
-
-    def _guard(self, judge: SilenceJudge) -> None:
+    def guard(self) -> None:
+        if (judge := self.judge) is None:
+            return
         if self._owed_ns and self.now_ns >= self._owed_ns:
             self._owed_ns = 0
             judge.passed_back(self.now_ns)
@@ -113,22 +87,6 @@ class ControllerLine:
             answer = self.respond(self.guarded.retraction(), self.now_ns)
             if answer is not None:
                 judge.take(answer)
-
-    def follow(self, base_m: float, count: int) -> Any:
-        """Have the driver follow to a place for a number of periods, and return the last sample."""
-        for _ in range(count):
-            self.pass_ms(1)
-            sample = self.driver.exchange(base_m)
-        return sample
-
-    @property
-    def clock(self) -> dict[str, Any]:
-        """Return what a driver gets in the place of the real clock and the real network."""
-        return {
-            "connect": self.connect,
-            "now_ns": lambda: self.now_ns,
-            "sleep": lambda duration_s: self.pass_ms(max(1, round(duration_s * 1e3))),
-        }
 
 
 class Gwyscope(ControllerLine):
@@ -253,21 +211,7 @@ def answer_twice(line: ControllerLine) -> None:
     line.to_host = lambda sent: sent + sent
 
 
-class ControllerRig:
-    """An AFM node with an emulated controller on a bench."""
-
-    def __init__(self, bench: Any, line: Any, section: Mapping[str, Any] | None = None) -> None:
-        self.bench, self.line = bench, line
-        self.node = afm_node(bench, line.driver, section)
-
-    def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
-        for _ in range(count):
-            self.bench.advance_ms(1)
-            self.line.pass_ms(1)
-            fields = {"mode": "position", "base_position_m": (*place, 0.0 - x_s_m), "hand_seq": 7, "hand_armed": True}
-            fields["hand_t_ns"] = self.bench.clock.now_ns()
-            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
-
+class ControllerRig(InstrumentRig):
     def arm_and_follow_to(self, x_s_m: float) -> list[float]:
         """Arm, and follow to a place; give where the base was after each tick, towards the sample [m]."""
         self.control("arm")
@@ -277,10 +221,6 @@ class ControllerRig:
             bases.append(self.line.base_m)
             assert len(bases) < 500, bases[-3:]
         return bases
-
-    def control(self, command: str, **parameters: Any) -> str:
-        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
-        return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))
 
 
 class Fault(NamedTuple):

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import fates_of
 from telenano.link.fate import Fate, Release
@@ -15,7 +15,7 @@ TOPIC = "teleop/forward"
 
 def engine(folder: Path | None = None, seed: int = 0, **forward: Any) -> DirectionEngine:
     """Return the engine of the direction forward; `folder` has the files that its settings name."""
-    settings = parse_settings({"seed": seed, "forward": forward})
+    settings = LinkSettings.of({"seed": seed, "forward": forward})
     return DirectionEngine("forward", settings, START, folder=folder or Path())
 
 
@@ -32,6 +32,6 @@ def stream(
     **forward: Any,
 ) -> list[Fate]:  # fmt: skip
     """Return the fates of messages of a size that come one a period."""
-    settings = parse_settings({"seed": seed, "forward": forward})
+    settings = LinkSettings.of({"seed": seed, "forward": forward})
     arrivals = range(START, START + count * period_ns, period_ns)
     return fates_of(settings, "forward", topic, arrivals, size, folder=folder or Path())

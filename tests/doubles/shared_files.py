@@ -2,16 +2,14 @@
 
 import multiprocessing
 import os
-import subprocess
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
 from telenano.wire.errors import TelenanoError
+from tests.doubles.small_disk import disk_of
 
 _DISK_BYTES = 256 << 10
 # Two processes that wait for one another for longer than this [s] never will.
@@ -63,10 +61,6 @@ def race(shared: Shared, folder: Path, rounds: int) -> list[set[int]]:
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
     """Mount a small disk at a folder; yield what leaves a number of its pages free."""
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_BYTES},mode=700", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("a disk of its own (tmpfs) cannot be mounted here: it needs root")
     filler, page = folder / "filler", os.sysconf("SC_PAGE_SIZE")
 
     def leave(pages: int) -> None:
@@ -74,10 +68,8 @@ def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
         found = os.statvfs(folder)
         filler.write_bytes(bytes(max(0, found.f_bavail * found.f_frsize - pages * page)))
 
-    try:
+    with disk_of(folder, _DISK_BYTES):
         yield leave
-    finally:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 class SharedFiles:

@@ -14,7 +14,7 @@ from wire_contract import examples, schema_of
 
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings, flattened
+from telenano.link.config import LinkSettings
 from telenano.settings.config import flatten
 from telenano.wire import Topic, encode
 from telenano.wire.codec import fields_of
@@ -25,7 +25,7 @@ from telenano.wire.topics import OWN_TOPICS as TOPICS
 # what a command may set at whom
 KEYS: dict[str, tuple[str, ...]] = {
     "controller": tuple(flatten(ControllerConfig().model_dump())),
-    "delay_node": (*flattened(LinkSettings()), "forward.topics.teleop/forward.delay_s"),
+    "delay_node": (*LinkSettings().flattened(), "forward.topics.teleop/forward.delay_s"),
     "player": (
         *("player.rate", "player.seek_s", "player.skip_s", "player.a_s", "player.b_s", "player.step", "player.pause"),
     ),

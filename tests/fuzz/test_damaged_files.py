@@ -13,6 +13,7 @@ from typing import Any
 import damaged_files as files
 import numpy as np
 import pytest
+from command_line import run_apart
 
 Content = bytes | Callable[[Path], Any]
 ROOT = Path(__file__).parents[2]
@@ -143,7 +144,7 @@ def test_a_chunk_of_half_a_gigabyte_is_not_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
     path.write_bytes(lz4_bomb())
     assert read_each("session", [path]) == ["read"]
-    done = telenano("bag", "verify", str(path))
+    done = run_apart("bag", "verify", str(path))
     assert done.returncode == 1
     assert "it unpacks to 536870912 bytes, at most 83886080 are read" in done.stdout
 
@@ -219,13 +220,6 @@ def test_a_pipe_and_a_device_are_refused_and_not_waited_for(tmp_path: Path, kind
     assert read_each(kind, paths) == [f"{path}: {said}" for path in paths]
 
 
-def telenano(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "telenano", *arguments], cwd=ROOT, env={**os.environ, **environment},
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_HANGS_S, check=False,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -241,7 +235,7 @@ def test_a_command_does_not_wait_for_a_pipe(
     os.mkfifo(pipe)
     recording = recording_of("fig12_wave") if "{recording}" in command else None
     words = [word.format(out=tmp_path / "out", recording=recording) for word in command]
-    done = telenano(*words, str(pipe), TELENANO_RUNTIME_DIR=str(tmp_path / "run"))
+    done = run_apart(*words, str(pipe), TELENANO_RUNTIME_DIR=str(tmp_path / "run"))
     assert done.returncode in (1, 2)
     assert done.stderr.startswith(f"telenano: {pipe}: cannot be read: it is a pipe"), done.stderr
     assert done.stderr.count("\n") == 1

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import zmq
 from made_sessions import BEGAN_NS, MS, Made
+from made_source import MadeSource
 from telenano_foxglove.bridge import LEFT_OUT, _Viewer
 from telenano_foxglove.bridge import Bridge as FoxgloveBridge
 from telenano_lsl.bridge import MARKERS, STATES, LslBridge, Sample, Stream
@@ -27,10 +28,10 @@ from wire_contract import examples
 
 from services.recorder.intake import Intake
 from services.viz_node.document import RecordingDocument
-from services.viz_node.feed import seen
+from services.viz_node.feed import Seen, seen
 from services.viz_node.hub import Hub
 from services.viz_node.playback import RecordingPlayback
-from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from services.viz_node.source import TOPICS_SHOWN
 from telenano.analysis.recording_document import judged_recording
 from telenano.analysis.report import write_report
 from telenano.console.listener import Listener
@@ -115,21 +116,16 @@ def recorded(topic: str, payload: bytes, log_ns: int = BEGAN_NS) -> RecordedMess
     return RecordedMessage(channel, log_ns, log_ns, 0, payload)
 
 
-class Source(NoTransport):
+class Source(MadeSource):
     def __init__(self, reader: Subscriber) -> None:
-        self.reader, self.waiting = reader, []
+        super().__init__()
+        self.reader, self.frames = reader, list[tuple[str, bytes]]()
 
-    def poll(self, *, watched: bool) -> Iterator[Any]:
-        taken, self.waiting = self.waiting, []
+    def poll(self, *, watched: bool) -> Iterator[Seen]:
+        taken, self.frames = self.frames, []
         for topic, payload in taken:
             if (accepted := self.reader.accepted([topic.encode(), payload])) is not None:
                 yield seen(topic, accepted[1].src, accepted[1].t_ns, accepted[1])
-
-    def about(self) -> dict[str, str]:
-        return {"kind": "live", "name": "fuzz"}
-
-    def close(self) -> None:
-        pass
 
 
 def test_pages_of_all_roles_and_the_metrics_outlive_them(reader: Subscriber, messages: list[tuple[str, bytes]]) -> None:
@@ -138,7 +134,7 @@ def test_pages_of_all_roles_and_the_metrics_outlive_them(reader: Subscriber, mes
     pages = [hub.join(role) for role in Role]
     shown = [(topic, payload) for topic, payload in messages if topic in TOPICS_SHOWN]
     for number, message in enumerate(shown):
-        source.waiting.append(message)
+        source.frames.append(message)
         hub.tick()
         if number % 50 == 0:
             for page in pages:

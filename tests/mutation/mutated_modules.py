@@ -60,6 +60,20 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/recording/test_verify_missing.py",
         "tests/unit/recording/test_odd_times.py",
     ),
+    "telenano/analysis/verdict.py": (
+        "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_judge.py",
+    ),
+    "telenano/analysis/holds.py": (
+        "tests/unit/analysis/test_hand_cycles.py",
+        "tests/unit/analysis/test_holds.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+    ),
+    "telenano/afm/tip_guard.py": ("tests/unit/afm/test_tip_guard.py",),
+    "telenano/runtime/loop/hang_guard.py": ("tests/unit/runtime/test_hang_guard.py",),
+    "telenano/runtime/loop/device_node.py": ("tests/unit/runtime/test_runtime_device_node.py",),
 }
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
@@ -187,6 +201,34 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         },
     },
     "telenano/laws/passivity.py": {
+        **{
+            name: "how long a device stood counts only for a mass that is coupled, whose half sets it to nought at each"
+            " sample of a hand that follows"
+            for name in (
+                "master_start: return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0,"
+                " port_at(hand.position_m)) [0.0 => 1.0]",
+                "master_resume: return MasterState(mass, opened(params.start_j), 0.0, port) [0.0 => 1.0]",
+                *(
+                    f"master_receive: stood = 0.0 if hand.following else state.stood_s + dt {change}"
+                    for change in (
+                        "[0.0 if hand.following else state.stood_s + dt => state.stood_s + dt]",
+                        "[0.0 => 1.0]",
+                    )
+                ),
+            )
+        },
+        **{
+            f"paid_motion: {change}": "`back` is 1 or -1"
+            for change in (
+                "if own_m * back > paid: [own_m * back => own_m / back]",
+                "return back * min(own_m * back, motion_m * back), 0.0 [own_m * back => own_m / back]",
+                "return back * min(own_m * back, motion_m * back), 0.0 [motion_m * back => motion_m / back]",
+            )
+        },
+        "slave_receive: account = shared_out(charged(account, work, refused if motion != wanted else 0.0),"
+        " params.shared) [refused if motion != wanted else 0.0 => refused]": "of a motion"
+        " that was not cut nothing is refused, but for rounding",
+        "slave_retune: if rise > 0.0: [rise > 0.0 => rise >= 0.0]": "where nothing rises nothing is paid or granted",
         "taken: if energy_j > 0.0: [energy_j > 0.0 => energy_j >= 0.0]": "the store keeps what it has either way where"
         " nothing is taken",
         "moved_by_what_is_paid: damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j,"
@@ -198,5 +240,28 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " looked at more closely, with the same outcome",
         '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)'
         " [True => False]": "there are three of each",
+    },
+    "telenano/analysis/verdict.py": {
+        "_by_modes: cycles = mode.frequency_hz * length_s * (min(seen / change, 1.0) if change > seen else 1.0)"
+        " [change > seen => change >= seen]": "where both are equal their ratio is 1",
+        "_has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
+        " which three are never left beside one and its neighbours",
+    },
+    "telenano/analysis/holds.py": {
+        "judge_holds: is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest"
+        " [abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest => abs(float(pressed.mean()) - force) <="
+        " ERROR_SHARE * greatest]": "only a mean of samples that is off by this to its last bit is taken otherwise",
+        "_without_hand: gain = float(np.cumsum(bare * moved)[-1]) / max(float(np.cumsum(bare * bare)[-1]), 1e-300)"
+        " [1e-300 => 2e-300]": "any number above nought keeps a hand that does not tremble from being divided by",
+        **{
+            "_rest_facts: last = session.at(0.5 * ((hold.rest_from_s or 0.0) + (hold.judged_to_s or 0.0)),"
+            f" hold.judged_to_s or 0.0) {change}": "where a tip rests both are known, and a rest from the"
+            " beginning of a session is compared half a second later"
+            for change in ("[0.0 => 1.0]", "[0.0 => 1.0] (3)")
+        },
+        "_judge_swing: last_s = max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz) [max(swing.start_s,"
+        " swing.end_s - 1.0 / swing.frequency_hz) => swing.end_s - 1.0 / swing.frequency_hz]": "it has three turns",
+        "_judge_swing: dies_out = left_n < 0.5 * swing.peak_to_peak_n [left_n < 0.5 * swing.peak_to_peak_n =>"
+        " left_n <= 0.5 * swing.peak_to_peak_n]": "only a swing that is halved to its last bit is taken otherwise",
     },
 }

@@ -7,8 +7,8 @@ from mutate import ROOT, SAMPLE, SEED, mutants, sampled
 from mutated_modules import EQUIVALENT, MODULES
 
 
-def test_there_are_twenty_modules_with_tests_and_equivalents_with_a_reason() -> None:
-    assert len(MODULES) == 20
+def test_each_module_has_tests_and_each_equivalent_a_reason() -> None:
+    assert len(MODULES) == 25
     assert all((ROOT / path).is_file() for module, tests in MODULES.items() for path in (module, *tests))
     assert set(EQUIVALENT) <= set(MODULES)
     assert all(reason for entries in EQUIVALENT.values() for reason in entries.values())
@@ -19,7 +19,7 @@ def test_every_mutant_of_a_module_is_python_and_has_a_name_of_its_own(module: st
     source = (ROOT / module).read_text()
     every = mutants(source)
     # the smallest modules have fewer than are sampled
-    assert len({mutant.name for mutant in every}) == len(every) >= 20
+    assert len({mutant.name for mutant in every}) == len(every) >= 9
     assert all(mutant.source != source for mutant in every)
     for mutant in every[:: len(every) // 6]:
         ast.parse(mutant.source)

@@ -12,8 +12,6 @@ from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settl
 from telenano_studies.loops.recorded_link import recorded_schedule
 from telenano_studies.loops.validate import read_course, scenario_of
 
-from telenano.lockstep.lockstep import simulate
-
 ONE_WAY_S = 0.01
 # The verdict is that of both, and so is the greatest force, within this share.
 FORCE_SHARE = 0.05
@@ -83,7 +81,7 @@ def outcomes(cell: Cell, recording: Path) -> tuple[CellResult, CellResult]:
     rig = rig_of(cell, cell.hand_points())
     settle = settle_ticks(cell, rig.period_s)
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
-    expected = simulate(rig, recorded_schedule(recording, settle, ticks, rig.period_s), settle)
+    expected = rig.run(recorded_schedule(recording, settle, ticks, rig.period_s), settle)
     return judged(cell, read_course(recording)), judged(cell, expected)
 
 

@@ -1,13 +1,15 @@
-"""Fig. 12 by emulated AFM controllers in virtual time: forces and places beside those of the simulated instrument."""
+"""Fig. 12 by an emulated Nanonis in virtual time: forces and places beside those of the simulated instrument.
+
+A Gwyscope gives the forces of the simulated instrument to a millionth, by the tests of its driver.
+"""
 
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from telenano_afm_controllers import gwyscope_model, gwyscope_wire, nanonis_model
-from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
-from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
+from telenano_afm_controllers import nanonis_model
+from telenano_afm_controllers.calibration import NanonisCalibration
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from virtual_rig import Timing, VirtualRig
 
@@ -17,7 +19,6 @@ from telenano.devices.afm.instrument import driver_of
 from telenano.settings import find_scenario
 from telenano.settings.config import validate
 
-CALIBRATIONS: dict[str, Any] = {"gwyscope": GwyscopeCalibration, "nanonis": NanonisCalibration}
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 BEGIN_S, END_S = 0.4, 4.4
 # states in the holds of 1 and of 2 N
@@ -30,23 +31,17 @@ class Wire:
 
     resolved = True
 
-    def __init__(self, kind: str, config: AfmConfig) -> None:
+    def __init__(self, config: AfmConfig) -> None:
         self.now_ns = 0
         self._answers: list[bytes] = []
         instrument = driver_of(config)
         instrument.open()
         plant = config.to_params().plant
-        model: Any = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}[kind]
-        document = model.calibration_of(plant.volts_per_m, plant.stiffness_n_per_m)
-        calibration: Any = validate(CALIBRATIONS[kind], document, kind)
-        self.model: Any
-        if kind == "gwyscope":
-            self.model = gwyscope_model.GwyscopeModel(instrument)
-        else:
-            self.model = nanonis_model.NanonisModel(instrument)
-        driver: Any = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}[kind]
-        clock = {"connect": lambda host, port: self, "now_ns": lambda: self.now_ns, "sleep": self.sleep}
-        self.driver = driver(calibration, config.to_params().safety, attended=True, **clock)
+        document = nanonis_model.calibration_of(plant.volts_per_m, plant.stiffness_n_per_m)
+        calibration = validate(NanonisCalibration, document, "nanonis")
+        self.model = nanonis_model.NanonisModel(instrument)
+        clock: dict[str, Any] = {"connect": lambda host, port: self, "now_ns": lambda: self.now_ns, "sleep": self.sleep}
+        self.driver = NanonisAfm(calibration, config.to_params().safety, attended=True, **clock)
 
     def sleep(self, duration_s: float) -> None:
         self.now_ns += round(duration_s * 1e9)
@@ -55,11 +50,7 @@ class Wire:
         return True
 
     def send(self, request: bytes) -> None:
-        if isinstance(self.model, nanonis_model.NanonisModel):
-            self._answers.append(self.model.serve(request, self.now_ns) or b"")
-        else:
-            answer = self.model.respond(gwyscope_wire.decode(request), self.now_ns)
-            self._answers.append(gwyscope_wire.encode(answer))
+        self._answers.append(self.model.serve(request, self.now_ns) or b"")
 
     def receive(self) -> bytes:
         return self._answers.pop(0) if self._answers else b""
@@ -68,16 +59,16 @@ class Wire:
         self._answers.clear()
 
 
-def session(kind: str, law: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any]:
+def session(monkeypatch: pytest.MonkeyPatch, *, is_emulated: bool) -> tuple[Any, Any]:
     """Run the hand of Fig. 12 for five seconds; return what tip and hand said in it."""
     scenario = yaml.safe_load(find_scenario("fig12").read_text()) | {"duration_s": 60.0}
-    scenario["controller"] = {"law": law}
+    scenario["controller"] = {"law": "model_mediated"}
     wires: list[Wire] = []
 
     def driver(config: AfmConfig, period_s: float) -> Any:
-        if kind == "simulated":
+        if not is_emulated:
             return driver_of(config, period_s)
-        wires.append(Wire(kind, config))
+        wires.append(Wire(config))
         return wires[0].driver
 
     with monkeypatch.context() as patch:
@@ -109,23 +100,10 @@ def held(tips: Any, begin: int, end: int) -> float:
 
 
 @pytest.mark.endurance
-def test_fig12_by_a_gwyscope_is_that_of_the_simulated_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
-    simulated, simulated_hands = session("simulated", "virtual_impedance", monkeypatch)
-    tips, hands = session("gwyscope", "virtual_impedance", monkeypatch)
-    assert {(tip.mode, tip.device) for tip in tips} <= {("retracted", "ok"), ("follow", "ok")}
-    for hold in (FIRST, SECOND):
-        assert held(tips, *hold) == pytest.approx(held(simulated, *hold), rel=1e-4)
-    # the pull before contact is read at the ticks of the server
-    pulls = [min(tip.tip_force_n[2] for tip in found) for found in (tips, simulated)]
-    assert pulls[0] == pytest.approx(pulls[1], rel=0.05)
-    assert hands[-1].position_m[2] == pytest.approx(simulated_hands[-1].position_m[2], rel=1e-6)
-
-
-@pytest.mark.endurance
 def test_fig12_by_a_nanonis_presses_no_harder_and_costs_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model that values of a Tap correct is met later, so the hand stands deeper: that is what it costs."""
-    simulated, _ = session("simulated", "model_mediated", monkeypatch)
-    tips, hands = session("nanonis", "model_mediated", monkeypatch)
+    simulated, _ = session(monkeypatch, is_emulated=False)
+    tips, hands = session(monkeypatch, is_emulated=True)
     assert {(tip.mode, tip.device) for tip in tips} <= {("retracted", "ok"), ("follow", "ok")}
     assert held(tips, *SECOND) == pytest.approx(held(simulated, *SECOND), rel=0.05)
     most = [max(tip.tip_force_n[2] for tip in found) for found in (tips, simulated)]

@@ -14,24 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from telenano_studies.loops.cells import Cell, rig_of
-from telenano_studies.loops.validate import read_course, scenario_of
 from test_virtual_lockstep import (
     HAND_POINTS,
     PERIOD_NS,
     PERIOD_S,
-    SERIES,
     SESSION_S,
     SETTLE_TICKS,
     ConstantRig,
     cell_of,
-    common,
+    course_of,
+    differences,
+    with_hand,
 )
 from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep import link
-from telenano.lockstep.link import Schedule, fresh, last_together, schedule_from
-from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.lockstep.link import Schedule, last_together, schedule_from
+from telenano.lockstep.lockstep import Trajectory
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message
 from telenano.wire.messages import TeleopForward
@@ -101,7 +101,7 @@ def schedule_in(arrivals: Arrivals) -> Schedule:
 def _in_order(times: dict[int, list[int]]) -> tuple[link.Times, link.Times]:
     pairs = sorted((time_ns, number) for number, several in times.items() for time_ns in several)
     table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return fresh(table[:, 0], table[:, 1])
+    return Schedule.newest(table[:, 0], table[:, 1])
 
 
 class WeatherRig(ConstantRig):
@@ -150,24 +150,9 @@ class WeatherRig(ConstantRig):
 
 
 def on_bus(cell: Cell, arrivals: Arrivals, folder: Path) -> Trajectory:
-    scenario = scenario_of(cell)
-    points = [{"time_s": time, "force_n": force} for time, force in HAND_POINTS]
-    scenario["haptic_node"]["operator"]["points"] = points
-    rig = WeatherRig(folder, cell.seed, (), constant_timing(2 * MS, site_ns=1), scenario)
+    rig = WeatherRig(folder, cell.seed, (), constant_timing(2 * MS, site_ns=1), with_hand(cell))
     rig.arrivals = arrivals
-    started_s = (SETTLE_TICKS + 2) * PERIOD_S
-    rig.run_until(started_s)
-    rig.command("start", "haptic_node")
-    rig.run_until(started_s + SESSION_S)
-    return read_course(rig.finish())
-
-
-def worst(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
-    found = {}
-    for name in SERIES:
-        of_bus, of_lockstep = (values.astype(np.float64) for values in common(bus, expected, name))
-        found[name] = float(np.abs(of_bus - of_lockstep).max() / max(np.abs(of_lockstep).max(), 1e-300))
-    return found
+    return course_of(rig)
 
 
 @pytest.mark.usefixtures("loop")
@@ -176,8 +161,8 @@ def worst(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree_in_any_weather(tmp_path: Path, law: str, seed: int) -> None:
     cell, arrivals = cell_of(law, "spring", 4.0), drawn(seed)
-    expected = simulate(rig_of(cell, HAND_POINTS), schedule_in(arrivals), SETTLE_TICKS)
-    found = worst(on_bus(cell, arrivals, tmp_path), expected)
+    expected = rig_of(cell, HAND_POINTS).run(schedule_in(arrivals), SETTLE_TICKS)
+    found = differences(on_bus(cell, arrivals, tmp_path), expected)
     assert all(share <= TOLERANCE for share in found.values()), found
     # the hand felt the tip
     assert expected.tip_force_n.max() > 1.5e-8

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from virtual_rig import record_session
 
-from telenano.analysis.report import read_session, summarise
+from telenano.analysis.report import Session
 from telenano.link.profiles import PROFILES
 from telenano.recording.multi_file import open_recordings
 from telenano.settings import find_scenario
@@ -42,8 +42,8 @@ def run(folder: Path, duration_s: float, *settings: str) -> dict[str, Any]:
     scenario = yaml.safe_load(find_scenario("fig12").read_text("utf-8"))
     path = record_session(folder, 1, settings, BEFORE_S + duration_s, {**scenario, "duration_s": duration_s})
     recording = open_recordings([path])
-    session = read_session(recording)
-    return summarise(session, recording)
+    session = Session.of(recording)
+    return session.summary(recording)
 
 
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(

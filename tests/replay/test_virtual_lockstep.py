@@ -43,8 +43,8 @@ from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
-from telenano.lockstep.link import schedule_of
-from telenano.lockstep.lockstep import Trajectory, simulate
+from telenano.lockstep.link import Schedule
+from telenano.lockstep.lockstep import Trajectory
 from telenano.wire import Message, encode
 from telenano.wire.messages import AfmCommand, SessionControl, TeleopForward
 
@@ -128,12 +128,23 @@ def cell_of(law: str, environment: Any, round_trip_ms: float) -> Cell:
 
 def on_bus(cell: Cell, folder: Path, lost: Lost = (), settings: Sequence[str] = ()) -> Trajectory:
     """Run the nodes of a cell on the virtual bus and read the recording."""
+    timing = constant_timing(round(0.5e6 * cell.round_trip_ms))
+    rig = ConstantRig(folder, cell.seed, settings, timing, with_hand(cell))
+    # one later than in lockstep, see above
+    rig.lost = {tick + 1 for first, count in lost for tick in range(first, first + count)}
+    return course_of(rig)
+
+
+def with_hand(cell: Cell) -> dict[str, Any]:
+    """Return the scenario of a cell with the hand of these tests."""
     scenario = scenario_of(cell)
     points = [{"time_s": time, "force_n": force} for time, force in HAND_POINTS]
     scenario["haptic_node"]["operator"]["points"] = points
-    rig = ConstantRig(folder, cell.seed, settings, constant_timing(round(0.5e6 * cell.round_trip_ms)), scenario)
-    # one later than in lockstep, see above
-    rig.lost = {tick + 1 for first, count in lost for tick in range(first, first + count)}
+    return scenario
+
+
+def course_of(rig: ConstantRig) -> Trajectory:
+    """Run the session of a rig to its end and read the recording."""
     started_s = (SETTLE_TICKS + 2) * PERIOD_S
     rig.run_until(started_s)
     rig.command("start", "haptic_node")
@@ -157,7 +168,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Cell], Tr
 def in_lockstep(cell: Cell, lost: Lost = (), **guard: float) -> Trajectory:
     """Run the same cell in lockstep; `guard`: limits of the instrument that are not the cell's."""
     ticks = SETTLE_TICKS + round(SESSION_S / PERIOD_S)
-    schedule = schedule_of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, cell.seed), ticks, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, cell.seed), ticks, PERIOD_S)
     kept = np.ones(len(schedule.forward_of), dtype=bool)
     for first, count in lost:
         kept &= (schedule.forward_of < first) | (schedule.forward_of >= first + count)
@@ -170,7 +181,7 @@ def in_lockstep(cell: Cell, lost: Lost = (), **guard: float) -> Trajectory:
     )
     rig = rig_of(cell, HAND_POINTS)
     instrument = rig.instrument._replace(safety=rig.instrument.safety._replace(**guard))
-    return simulate(dataclasses.replace(rig, instrument=instrument), schedule, SETTLE_TICKS)
+    return dataclasses.replace(rig, instrument=instrument).run(schedule, SETTLE_TICKS)
 
 
 def common(bus: Trajectory, expected: Trajectory, name: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

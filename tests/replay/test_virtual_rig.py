@@ -196,6 +196,7 @@ def test_the_motion_of_a_cantilever_between_commands_is_rerun_over_batches_of_th
 def test_a_changed_gain_is_found(sessions: Callable[[str], Recording]) -> None:
     recording = sessions("virtual_impedance")
     result = rerun(recording, "controller@master", settings=["controller.virtual_impedance.force_gain=10.0000001"])
+    assert not result.identical
     assert (result.topic, result.field) == ("haptic/command", "position_m.2")
     assert f"haptic/command, seq {result.seq}, {result.time_s:.6f} s after the start: re-run" in result.difference
 
@@ -261,6 +262,14 @@ def test_a_lost_input_ends_the_comparison_with_its_name(sessions: Callable[[str]
     assert not result.identical
     assert result.compared["afm/state"] > 400
     assert result.left_out > 0
+
+
+def test_a_recording_without_an_input_is_refused(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
+    cut = edited(
+        sessions("virtual_impedance"), tmp_path, lambda m: None if m.channel.topic == "afm/command" else m.payload
+    )
+    with pytest.raises(RecordingError, match="with all inputs: lacks afm/command, seq 0 of controller@slave"):
+        rerun(Recording(cut), "afm_node@slave")
 
 
 def test_a_lost_beginning_is_passed_over(sessions: Callable[[str], Recording], tmp_path: Path) -> None:

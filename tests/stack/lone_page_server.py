@@ -6,29 +6,24 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
+from made_source import MadeSource
 
 from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Commander, Hub
-from services.viz_node.source import NoTransport
 from telenano.serving.access import Access
 
 # Takes the force down [N] and across [N, N].
 Push = Callable[[float, tuple[float, float]], None]
 
 
-class _Source(NoTransport):
+class _Source(MadeSource):
     def __init__(self, news: Callable[[], list[Seen]]) -> None:
+        super().__init__()
         self._news = news
 
     def poll(self, *, watched: bool) -> list[Seen]:
         return self._news()
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "test"}
-
-    def close(self) -> None:
-        pass
 
 
 class _Device:

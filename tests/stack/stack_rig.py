@@ -19,7 +19,7 @@ from figure_layout import arrows, faults
 from following import Following, Recorded
 
 from telenano.analysis.fig12 import draw_fig12
-from telenano.analysis.report import read_session
+from telenano.analysis.report import Session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
 from telenano.wire.messages import AfmState
@@ -67,7 +67,7 @@ def pulled_as_in_the_paper(recording: Path) -> Any:
 def assert_drawn_as_in_the_paper(recording: Path, duration_s: float) -> None:
     """Check the figure of a recorded session of Fig. 12: limits, legend, texts and the places of arrows."""
     source = Recording(recording)
-    session = read_session(source)
+    session = Session.of(source)
     figure = draw_fig12(session.series(), "title")
     forces, positions, path = figure.axes
     assert [axes.get_xlim() for axes in (forces, positions)] == [(0.0, pytest.approx(duration_s, abs=0.5))] * 2

@@ -291,7 +291,7 @@ def test_a_session_is_whole_in_out_and_belongs_to_the_owner_of_the_project(
     assert here == {**summary, "recording": {k: v for k, v in summary["recording"].items() if k != "file"}}
     log = rig.logs("session")
     assert f"./out/{newest} has " in log
-    assert f"view out/{newest}/session.mcap" in log
+    assert "next: Ctrl-C or `docker compose down` ends the nodes" in log
     assert f"page: http://127.0.0.1:{VIEW_PORT}/#" in log
 
 

@@ -93,19 +93,11 @@ def test_foreign_reader_opens_the_recording(session: Any) -> None:
         reader = make_reader(file)
         found = reader.get_summary()
         assert found is not None
-        encodings = {channel.message_encoding for channel in found.channels.values()}
+        channels = found.channels.values()
         names = {attachment.name for attachment in reader.iter_attachments()}
-    assert encodings == {"msgpack", "json"} or encodings == {"msgpack"}
+    assert {"msgpack"} <= {channel.message_encoding for channel in channels} <= {"msgpack", "json"}
+    assert {channel.topic for channel in channels} >= {*FAST, "teleop/forward@slave"}
     assert {"site.yaml", "scenario.yaml"} <= names
-
-
-def test_bag_info_prints_json(session: Any) -> None:
-    rig, _, _ = session
-    done = rig.telenano("bag", "info", str(rig.out / "session.mcap"), "--json")
-    assert done.returncode == 0, done.stderr
-    info = json.loads(done.stdout)
-    assert info["complete"] is True
-    assert {channel["channel_topic"] for channel in info["channels"]} >= {*FAST, "teleop/forward@slave"}
 
 
 def test_every_message_decodes(session: Any) -> None:

@@ -1,28 +1,14 @@
 """A recording that is removed, and disks that are full: that of a rig, and that of what a live command has measured."""
 
 import contextlib
-import os
 import re
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from ledger import record
+from small_disk import disk_of
 from stack_rig import Rig
-
-
-@contextlib.contextmanager
-def disk_of(folder: Path, size: str) -> Iterator[Path]:
-    """Yield a folder that is a small disk of its own."""
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("a disk of its own (tmpfs) cannot be mounted here: it needs root")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import machine
 import pytest
 from ledger import record
 from two_sites import TwoSites, needs_namespaces
-from wide_area_cable import ENDS, EXCLUDED, WideAreaCable, distorted, fig12, lateness
+from wide_area_cable import ENDS, EXCLUDED, WideAreaCable, distorted, lateness
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(300)]
 
@@ -87,17 +87,6 @@ def test_a_line_that_becomes_narrow_is_named_and_its_queue_goes(rig: tuple[TwoSi
         "the line becomes 1 Mbit/s in a session",
         f"one-way delay {max(medians_ms):.0f} ms over 20 ms, {sent / 5:.0f} samples a second",
     )
-
-
-@pytest.mark.parametrize("law", ["passivity", "wave"])
-def test_a_law_rests_in_contact_over_1_mbit_each_way(tmp_path: Path, law: str) -> None:
-    found = fig12(tmp_path, 1e3 * DELAY_S, 0.0, law, first_hold_s=2.6, rules={"rate_bit_per_s": MBIT})
-    if found["distorted"]:
-        pytest.skip(f"{found['verdict']}, which says nothing of the line: {found['distorted']}")
-    assert found["holds"][:2] == ["stable", "stable"], found["reason"]
-    assert found["deadlines_missed"] == 0
-    for measured in found["one_way_ms_at"].values():
-        assert measured["p50"] < 1e3 * DELAY_S + MORE_MS
 
 
 def test_a_line_without_room_for_a_session_is_refused(rig: tuple[TwoSites, WideAreaCable]) -> None:

@@ -1,7 +1,5 @@
 """A folder of sockets that fills up while a page has the hand: the loop, the page and an emergency stop go on."""
 
-import os
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
@@ -12,6 +10,7 @@ import pytest
 from browser_page import View
 from ledger import record
 from page_client import Client
+from small_disk import disk_of
 from stack_rig import Rig
 
 pytestmark = [pytest.mark.stack, pytest.mark.timeout(300)]
@@ -23,16 +22,9 @@ FULL_S = 4.0
 def small(tmp_path: Path) -> Iterator[Rig]:
     """Return a rig whose sockets are on a small disk of its own."""
     rig = Rig(tmp_path)
-    rig.sockets.mkdir(exist_ok=True)
-    mount = ["mount", "-t", "tmpfs", "-o", "size=2m,mode=700", "tmpfs", str(rig.sockets)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("a disk of its own (tmpfs) cannot be mounted here: it needs root")
-    try:
+    with disk_of(rig.sockets, "2m"), closing(rig):
         yield rig
-    finally:
-        rig.close()
-        subprocess.run(["umount", "-l", str(rig.sockets)], check=True)
-        rig.sockets.rmdir()
+    rig.sockets.rmdir()
 
 
 def fill(folder: Path) -> Path:

@@ -12,7 +12,7 @@ from stack_rig import SESSIONS
 from telenano_studies.loops.cells import Cell, CellResult
 from telenano_studies.loops.validate import RECORDING_NAME
 
-from telenano.analysis.report import read_session
+from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 
 # Servo and clocks leave so much of the balance [J]. Where devices missed their turns their work is summed over longer
@@ -40,7 +40,7 @@ def held_up(rig: Any) -> str:
     hand and tip had are compared with those that they should have had.
     """
     source = open_recordings([rig.out / RECORDING_NAME])
-    session = read_session(source)
+    session = Session.of(source)
     asked: dict[int, int] = {}
     late = 0
     for message in source.select(lambda c: c.topic in ("afm/command", "afm/state") and c.via == "direct"):

@@ -13,7 +13,7 @@ from live_devices import LiveDevice
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ProcessLink
 
-from telenano.hand.coupling import GATE_ACTIVE, ZERO, CouplingSettings
+from telenano.hand.coupling import ZERO, CouplingSettings, Gate
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
 
@@ -56,7 +56,7 @@ class Node:
             time.sleep(max(0.0, due_s - time.monotonic()))
             self._count += 1
             self.newest = self.link.newest(-1.0, PERIOD_S) or self.newest
-            engaged = self.newest.gate <= GATE_ACTIVE + 1 and not self.newest.error
+            engaged = self.newest.gate <= Gate.ACTIVE + 1 and not self.newest.error
             place = (0.0, 0.0, self.reference_m)
             self.link.send(
                 ServoCommand(self._count, time.monotonic_ns(), place, ZERO, ZERO, engaged, 0, False, settings)
@@ -91,7 +91,7 @@ def test_critical_stiffness_is_that_of_theory_behind_a_late_drive(kind: str, tmp
             theory = critical_stiffness(arm, able.rate_hz, damping, waits + LATE_S * able.rate_hz)
             node = Node(link, damping)
             begun = node.run(0.5, 0.2 * theory)
-            assert begun and node.newest.gate == GATE_ACTIVE
+            assert begun and node.newest.gate == Gate.ACTIVE
             first, rates = node.newest, []
             for share in SHARES:
                 node.run(0.8, 0.2 * theory)

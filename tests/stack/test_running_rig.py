@@ -26,7 +26,7 @@ from services.viz_node.requests import PROTOCOL
 from telenano.console.command_client import send_control
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import Command
 from telenano.serving.access import Access
@@ -331,7 +331,7 @@ def served_page() -> Iterator[Callable[[str], Any]]:
 
     access = Access(OPERATOR, OBSERVER, hosts=("testserver",))
     with ExitStack() as stack:
-        source = stack.enter_context(closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")))
+        source = stack.enter_context(closing(LiveSource(AddressBook.load(DEFAULT_SITE_FILE), "local")))
         commander = RigCommander(DEFAULT_SITE_FILE)
         app = make_app(Hub(source, commander), access, None)
         server = stack.enter_context(TestClient(app, client=("127.0.0.1", 5)))

@@ -397,10 +397,6 @@ FAST_AT_MASTER = ("haptic/state", "haptic/command", "teleop/backward@master")
 FAST_AT_SLAVE = ("afm/state", "afm/command")
 
 
-# half-open connections that each stranger begins, and the time in which all of them have [s]
-TRIED, OPENING_S = 500, 3.0
-
-
 def rates_of_both(rig: TwoSites, first_ns: int, last_ns: int) -> dict[str, float]:
     recorded = [*((rig.master, topic) for topic in FAST_AT_MASTER), *((rig.slave, topic) for topic in FAST_AT_SLAVE)]
     rig.wait_until(

@@ -63,6 +63,7 @@ def operate(rig: Rig, keys: Keyboard) -> None:
         keys.press("ArrowDown")
     rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
     until(lambda: float(page.page.inner_text("#felt-force").replace("–", "0")) > 0.1, "that force on the page")
+    until(lambda: page.last("tip", "force") > 1e-9, "the push of the sample")
     keys.choose("#law-name", "wave")
     rig.wait_until(lambda: rig.newest("teleop/backward").law == "wave", "the law on the bus")
     assert rig.newest("haptic/state").operator_force_n[2] < -0.1, "the hand is held while other keys are pressed"
@@ -71,6 +72,8 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     until(lambda: "DELAYED" in page.banners(), "the banner of the delay")
     keys.type("#mark-text", "by keys")
     assert "acknowledged" in page.answered(lambda: keys.press("Enter"))
+    marks = lambda: [m.fields() for m in rig.recording().messages("session/event") if m.fields()["kind"] == "mark"]  # noqa: E731
+    rig.wait_until(lambda: any(mark["data"].get("text") == "by keys" for mark in marks()), "the mark with its text")
     # scopes: paused, one changed and moved, another layout
     keys.reach("#pause")
     keys.press("Enter")
@@ -85,4 +88,6 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     assert "acknowledged" in page.answered(lambda: keys.press("Escape"))
     rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the stop at the instrument")
     until(lambda: "EMERGENCY STOP" in page.banners(), "the banner of the stop")
+    # the programme of the operator goes on behind it, and nothing follows
+    page.until("document.querySelector('#start').getAttribute('aria-pressed') === 'false'", "a start that is over")
     keys.check()

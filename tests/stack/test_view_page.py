@@ -46,33 +46,6 @@ def since(rig: Rig, topic: str, begin_ns: int) -> list[Any]:
 
 
 @pytest.mark.endurance
-def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
-    operator.fill("#delay", "4")
-    assert "acknowledged" in operator.answered(lambda: operator.click("#delay-set"))
-    rig.wait_until(lambda: rig.newest("link/status").forward.settings.get("delay_s") == 0.004, "the delay on the bus")
-    until(lambda: "DELAYED" in operator.banners(), "the banner of the delay")
-    operator.until("document.querySelector('#profile').value === 'constant delay'", "the network that is in force")
-    operator.until("document.querySelector('#delay').placeholder === '4'", "the delay that is in force")
-    operator.fill("#delay", "0")
-    operator.answered(lambda: operator.click("#delay-set"))
-    operator.answered(lambda: operator.choose("#law-name", "wave"))
-    rig.wait_until(lambda: rig.newest("teleop/backward").law == "wave", "the law on the bus")
-    operator.answered(lambda: operator.choose("#law-name", "virtual_impedance"))
-    operator.fill("#law-virtual_impedance-force_gain", "12.5")
-    operator.answered(lambda: operator.click("#law-apply"))
-    begin_ns = time.time_ns()
-    operator.fill("#mark-text", "jump to contact")
-    operator.answered(lambda: operator.click("#mark"))
-    marks = lambda: [event for event in since(rig, "session/event", begin_ns) if event.kind == "mark"]  # noqa: E731
-    rig.wait_until(lambda: any(mark.data.get("text") == "jump to contact" for mark in marks()), "the mark")
-    operator.answered(lambda: operator.click("#stop"))
-    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's force profile")
-    operator.answered(lambda: operator.click("#start"))
-    rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")
-    assert operator.faults == []
-
-
-@pytest.mark.endurance
 def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) -> None:
     link = lambda: rig.newest("link/status")  # noqa: E731
     operator.click("#tab-settings")
@@ -225,20 +198,6 @@ def test_what_a_node_refuses_is_said_on_the_page(operator: Page) -> None:
     answer = operator.value(f"telenano.connection.ask({wrong})")
     assert (answer["ok"], "force_gain" in answer["text"]) == (False, True)
     operator.fill("#law-virtual_impedance-force_gain", "")
-
-
-@pytest.mark.endurance
-def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, operator: Page) -> None:
-    # to 10 mm below where the arm is: 2 N at first
-    operator.press(10.0)
-    rig.wait_until(lambda: rig.newest("operator/force").force_n[2] < -0.2, "the force of the page on its topic")
-    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] < -0.2, "the force at the device")
-    rig.wait_until(lambda: rig.newest("afm/state").in_contact, "the tip on the sample")
-    rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
-    until(lambda: operator.last("command", "tip_force") > 0.1, "that force on the page")
-    until(lambda: operator.last("tip", "force") > 1e-9, "the push of the sample")
-    operator.page.mouse.up()
-    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
 # a gamepad whose stick is pushed half way, and that keeps what it was told to rumble
@@ -423,16 +382,6 @@ def test_the_tip_is_pressed_from_a_headset_and_stopped_there(rig: Rig, chromium:
     page.page.context.close()
 
 
-@pytest.mark.endurance
-def test_an_observer_sees_and_cannot_command(chromium: Any, view: View) -> None:
-    observer = open_page(chromium, view.observer)
-    observer.until("telenano.store.rings.get('tip')?.length > 100", "curves on the observer's page")
-    assert observer.page.is_enabled("#estop")
-    answer = observer.value("telenano.connection.ask({k: 'command', command: 'stop', target: 'haptic_node'})")
-    assert (answer["ok"], "observer" in answer["text"]) == (False, True)
-    observer.page.context.close()
-
-
 # how long after the last report of a node its banner stood there [ms]
 FIRST_LOST = """
 globalThis.lostAfter = Infinity;
@@ -473,17 +422,3 @@ def test_everything_has_a_name_and_can_be_read_in_light_and_dark(operator: Page)
         check_rules(operator, place)
         operator.click("#theme")
     operator.value("document.querySelectorAll('details').forEach((found) => { found.open = false; })")
-
-
-@pytest.mark.endurance
-def test_the_emergency_stop_is_on_a_key(rig: Rig, operator: Page) -> None:
-    answer = operator.answered(lambda: operator.page.keyboard.press("Escape"))
-    assert "acknowledged" in answer
-    rig.wait_until(lambda: rig.newest("haptic/state").estop, "the stop at the haptic device")
-    rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the stop at the instrument")
-    until(lambda: "EMERGENCY STOP" in operator.banners(), "the banner of the stop")
-    # the programme of the operator goes on behind it, and nothing follows
-    operator.until("document.querySelector('#start').getAttribute('aria-pressed') === 'false'", "a start that is over")
-    operator.click("#theme")
-    operator.click("#arm")
-    rig.wait_until(lambda: not rig.newest("haptic/state").estop, "an armed haptic device")

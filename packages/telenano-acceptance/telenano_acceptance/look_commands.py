@@ -260,9 +260,9 @@ def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
 
 
 def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
-    from telenano.devices import SerialHandle, read_handle_calibration
+    from telenano.devices import HandleCalibration, SerialHandle
 
-    driver = SerialHandle(port, baud, read_handle_calibration(calibration), LimitsConfig())
+    driver = SerialHandle(port, baud, HandleCalibration.from_file(calibration), LimitsConfig())
     driver.open()
     read = _reads_handle(driver)
 

@@ -129,11 +129,10 @@ def approach_nanonis(
 ) -> None:
     """Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input."""
     with report_errors(as_json=False):
-        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import NanonisCalibration
         from telenano_afm_controllers.nanonis_client import NanonisClient, approach
 
-        controller = read_controller(calibration, NanonisCalibration)
+        controller = NanonisCalibration.from_file(calibration)
         client = NanonisClient(controller.network.host, controller.network.port)
         try:
             z_m = approach(client, setpoint, lift * 1e-9)
@@ -152,11 +151,10 @@ def guard_nanonis(
 ) -> None:
     """Stand between rig and Nanonis, and withdraw the tip when the rig is silent. Ctrl-C ends it, withdrawn."""
     with report_errors(as_json=False):
-        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import NanonisCalibration
         from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 
-        _guard(GuardedNanonis(read_controller(calibration, NanonisCalibration)), controller, (host, port))
+        _guard(GuardedNanonis(NanonisCalibration.from_file(calibration)), controller, (host, port))
 
 
 def guard_gwyscope(
@@ -169,11 +167,10 @@ def guard_gwyscope(
 ) -> None:
     """Stand between rig and Gwyscope, and retract the tip when the rig is silent. Ctrl-C ends it, retracted."""
     with report_errors(as_json=False):
-        from telenano.devices import read_controller
         from telenano_afm_controllers.calibration import GwyscopeCalibration
         from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 
-        _guard(GuardedGwyscope(read_controller(calibration, GwyscopeCalibration)), controller, (host, port))
+        _guard(GuardedGwyscope(GwyscopeCalibration.from_file(calibration)), controller, (host, port))
 
 
 def _guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:

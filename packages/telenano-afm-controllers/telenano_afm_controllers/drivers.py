@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.afm import AfmControllerConfig as ControllerSettings
-from telenano.devices import AfmCapabilities, read_controller
+from telenano.devices import AfmCapabilities
 from telenano.extend.instruments import AfmDriver, SafetyParams
 from telenano.settings import DeviceDriver
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
@@ -13,14 +13,14 @@ from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCal
 def _gwyscope(settings: ControllerSettings, limits: SafetyParams, **keywords: Any) -> AfmDriver:
     from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 
-    controller = read_controller(Path(settings.calibration), GwyscopeCalibration)
+    controller = GwyscopeCalibration.from_file(Path(settings.calibration))
     return GwyscopeAfm(controller.reached_at(settings.host, settings.port), limits, **keywords)
 
 
 def _nanonis(settings: ControllerSettings, limits: SafetyParams, **keywords: Any) -> AfmDriver:
     from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-    controller = read_controller(Path(settings.calibration), NanonisCalibration)
+    controller = NanonisCalibration.from_file(Path(settings.calibration))
     return NanonisAfm(controller.reached_at(settings.host, settings.port), limits, **keywords)
 
 

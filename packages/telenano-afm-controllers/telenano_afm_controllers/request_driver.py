@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections import deque
 from typing import Any, TypeVar
 
-from telenano.devices import LOST_NS, STALE_CYCLES, STEP_NS, Line, TcpDriver
+from telenano.devices import Line, TcpDriver
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Cut, Incoming, Talk
@@ -37,7 +37,7 @@ class RequestDriver(TcpDriver[K]):
 
     kind = "controller"
     # how long a controller may be silent while it is driven [ns]
-    lost_ns = LOST_NS
+    lost_ns = TcpDriver.LOST_NS
 
     def __init__(
         self,
@@ -187,7 +187,7 @@ class RequestDriver(TcpDriver[K]):
         if answer is None:
             if self._ready and now_ns - self._sent_ns > self.lost_ns:
                 raise DeviceError(f"has been silent for {self.lost_ns // _MS} ms")
-            if now_ns - self._sent_ns > STEP_NS:
+            if now_ns - self._sent_ns > self.STEP_NS:
                 raise DeviceError(f"is connected and does not answer requests: is it a {self._model}?")
             return
         if self._incoming.pending:
@@ -205,7 +205,7 @@ class RequestDriver(TcpDriver[K]):
         if not self._ready:
             self._report = AfmReport("lost", age_s, True, self._text)
             return
-        is_fresh = age_s <= STALE_CYCLES * (self.tick_s + 2.0 * self._period_s)
+        is_fresh = age_s <= self.STALE_CYCLES * (self.tick_s + 2.0 * self._period_s)
         sample, in_range = self._readings
         self._report = AfmReport(
             "ok" if is_fresh else "stale", age_s, in_range, self._text, input_v=sample.bridge_voltage_v

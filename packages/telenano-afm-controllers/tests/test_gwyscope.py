@@ -12,7 +12,6 @@ import gwyfile
 import numpy as np
 import pytest
 from controller_line import (
-    MS,
     NEAR_M,
     PARAMS,
     RETRACTED_M,
@@ -27,14 +26,15 @@ from controller_line import (
     swallow,
     walk,
 )
-from telenano_afm_controllers import gwyscope_model, gwyscope_wire, request_driver
+from request_line import MS
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.devices import read_controller
+from telenano.devices import TcpDriver
 from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of
@@ -272,7 +272,7 @@ def test_calibration_of_the_document_is_valid(
     page = (Path(__file__).parents[1] / "README.md").read_text()
     (block,) = re.findall(rf"```yaml\n(schema: 1\ncontroller: {controller}\n.*?)```", page, re.DOTALL)
     (tmp_path / "controller.yaml").write_text(block)
-    found = read_controller(tmp_path / "controller.yaml", model)
+    found = model.from_file(tmp_path / "controller.yaml")
     assert found.check(PARAMS.safety) == []
 
 
@@ -375,8 +375,8 @@ FAULTS = {
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
     monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    for module in (modbus_line, request_driver):
-        monkeypatch.setattr(module, "STEP_NS", 150 * MS)
+    for owner in (modbus_line, TcpDriver):
+        monkeypatch.setattr(owner, "STEP_NS", 150 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Gwyscope())
     approach(found)
     return found

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from controller_line import (
-    MS,
     NEAR_M,
     RETRACTED_M,
     ControllerRig,
@@ -27,11 +26,13 @@ from controller_line import (
     walk,
 )
 from recorded_maps import frequency_shift_hz
-from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire, request_driver
+from request_line import MS
+from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
+from telenano.devices import TcpDriver
 from telenano.devices.afm import modbus_line
 from telenano.testing import afm_node, instrument_of, refused_laws
 from telenano.wire import ConfigError, RefusedError
@@ -430,8 +431,8 @@ FAULTS = {
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
     monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    for module in (modbus_line, request_driver):
-        monkeypatch.setattr(module, "STEP_NS", 300 * MS)
+    for owner in (modbus_line, TcpDriver):
+        monkeypatch.setattr(owner, "STEP_NS", 300 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Nanonis())
     approach(found)
     return found

@@ -4,7 +4,7 @@ import asyncio
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,10 @@ from free_ports import free_ports
 from telenano_afm_controllers import nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_server import Pushed, serve_requests
+from waiting import PATIENCE_S, until
 
 from telenano.extend.instruments import DeviceError
 from telenano.testing import instrument_of
-
-PATIENCE_S = 30.0
 
 
 class Served:
@@ -66,13 +65,6 @@ def served() -> Iterator[Served]:
     found = Served(sample)
     yield found
     found.close()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_our_client_calls_refuses_and_takes_frames_of_the_logger(served: Served) -> None:

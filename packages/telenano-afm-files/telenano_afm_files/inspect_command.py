@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from telenano.cli import JsonOption, print_document, report_errors
-from telenano.files import Column, TextTable, as_number, decoded, parse_table, read_in_child, read_regular, unit_of
+from telenano.files import Column, TextTable, as_number, decoded, read_in_child, read_regular, unit_of
 from telenano.settings import FileReader, flag_overrides
 from telenano.wire import ConfigError
 from telenano_afm_files.text_curves import NOTHING, TableOptions, curves_of, table_options_of
@@ -66,7 +66,7 @@ def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
     if _PING.search(decoded(content[:200_000], str(path))):
         return {"format": "what ping printed", "takes_it": f"telenano link fit {path}"}
     try:
-        table = parse_table(content, str(path))
+        table = TextTable.parse(content, str(path))
     except ConfigError as error:
         document = _of_instrument(path)
         if document["takes_it"]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.files import read_table
+from telenano.files import TextTable
 from telenano_afm_files.recorded import Array, Curves, Recorded
 
 # The head of a spectroscopy is some kB long.
@@ -57,7 +57,7 @@ def load_nanonis(path: str) -> Found:
 
 def load_table(path: str) -> Found:
     """Return the header of a spectroscopy and the names of its columns, and the table, shape (columns, rows)."""
-    table = read_table(Path(path))
+    table = TextTable.read(Path(path))
     if "[DATA]" not in table.head or not table.columns[0].title:
         raise ValueError("is no spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
     header = dict(line.split("\t")[:2] for line in table.head if "\t" in line)

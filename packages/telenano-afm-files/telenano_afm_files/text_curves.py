@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano.files import Column, TextTable, read_table, unit_of
+from telenano.files import Column, TextTable, unit_of
 from telenano.wire import ConfigError
 from telenano_afm_files.recorded import Array, Curves, Recorded, Way
 
@@ -67,7 +67,7 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
         ValueError: It has no height and no force, or no unit of them; the message says what its head has to name, and
             what says it instead.
     """
-    table = read_table(Path(path))
+    table = TextTable.read(Path(path))
     pairs = list(_pairs(table, options))
     if len(table.lines) < _FEWEST_POINTS:
         raise ValueError(f"it is a table of {len(table.lines)} lines; a force curve has {_FEWEST_POINTS} and more")
@@ -104,7 +104,7 @@ def is_of_other_columns(path: str) -> bool:
     Those are of one lever over the same heights, and so go together.
     """
     try:
-        columns = read_table(Path(path)).columns
+        columns = TextTable.read(Path(path)).columns
     except ConfigError:
         return False
     if len(columns) != 3 or any(column.title or column.bad for column in columns):

@@ -18,10 +18,6 @@ from pydantic import Field
 
 from telenano.extend.feedback import gain_fault, integral_share
 from telenano.extend.programs import (
-    APPROACH,
-    ARRIVED,
-    RISE,
-    WAY_TEXTS,
     Begun,
     Force,
     Inputs,
@@ -33,7 +29,7 @@ from telenano.extend.programs import (
     Progress,
     Speed,
     Wanted,
-    way_to_surface,
+    Way,
 )
 from telenano.extend.stage import Place
 from telenano.wire import RefusedError, Scalar
@@ -41,9 +37,9 @@ from telenano_assembly.particles.steering import steered
 from telenano_assembly.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 
 # These phases come after the way to the surface.
-LIFT = ARRIVED
-PUSH = ARRIVED + 1
-DONE = ARRIVED + 2
+LIFT = Way.ARRIVED
+PUSH = Way.ARRIVED + 1
+DONE = Way.ARRIVED + 2
 # The reasons for which a push ends.
 AT_GOAL = "the particle is at its goal"
 LOST = "the particle is lost"
@@ -213,15 +209,15 @@ class Push(Program[PushSettings, PushPlan, PushState]):
             if fault := fault or instrument.reach.retracted_fault(here):
                 raise RefusedError(f"push: {fault}")
         state = PushState(
-            RISE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0, 0.0, 0.0, 0.0), 0, 0.0, Place(s.x0_m, s.y0_m), start, 0, ""
+            Way.RISE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0, 0.0, 0.0, 0.0), 0, 0.0, Place(s.x0_m, s.y0_m), start, 0, ""
         )
         return Begun(plan, state, f"the tip pushes a particle {way:.3g} m, {s.mode}")
 
     def step(self, plan: PushPlan, state: PushState, inputs: Inputs, dt: float) -> Wanted[PushState]:
         s = plan.settings
-        if state.phase <= APPROACH:
+        if state.phase <= Way.APPROACH:
             touches, step_m = inputs.force_n >= s.setpoint_n, s.approach_m_per_s * dt
-            way = way_to_surface(state.phase, state.elapsed_s, inputs, plan.start, plan.clear_m, step_m, touches, dt)
+            way = Way.to_surface(state.phase, state.elapsed_s, inputs, plan.start, plan.clear_m, step_m, touches, dt)
             state = state._replace(phase=way.phase, elapsed_s=way.elapsed_s, touched_m=inputs.base_m)
             return Wanted(state, way.base_m, way.place)
         base_m = _base_m(plan, state, inputs, dt)
@@ -239,7 +235,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
 
     def progress(self, plan: PushPlan, state: PushState) -> Progress:
         felt = "pushing" if state.in_contact else "on the way to the particle"
-        texts = (*WAY_TEXTS, "the tip goes to its height", felt, state.why or "done")
+        texts = (*Way.TEXTS, "the tip goes to its height", felt, state.why or "done")
         felt_once = state.plateau_n > 0.0
         values: dict[str, Scalar] = {
             "in_contact": state.in_contact,
@@ -256,7 +252,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
         return Progress(texts[state.phase], min(state.gone_m / plan.way_m, 1.0), values=values)
 
     def searching_s(self, plan: PushPlan, state: PushState) -> tuple[float, float]:
-        return (state.elapsed_s if state.phase == APPROACH else 0.0), plan.approach_s
+        return (state.elapsed_s if state.phase == Way.APPROACH else 0.0), plan.approach_s
 
     def shortfall(self, plan: PushPlan, state: PushState) -> str:
         return "" if state.why in ("", AT_GOAL) else f": {state.why}"

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import DEVIATIONS, mean_half_width, split_age
+from telenano.analysis import DEVIATIONS, Session, mean_half_width
 from telenano.devices import HandleCalibration, InstrumentCalibration
-from telenano.recording import RecordingSource, Timeline
+from telenano.recording import RecordingSource
 from telenano.timing import ACROSS_CLOCKS, STAGES
 from telenano.wire import TelenanoError
 
@@ -106,14 +106,12 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
     return budgets
 
 
-def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[Stage]:
+def delay_budget(recording: RecordingSource, session: Session) -> list[Stage]:
     """Return the stages of the loop in their order, over the hand's samples that an answer came to.
 
     Args:
         recording: The master's recording of a session.
-        timeline: What puts its stamps on the master's clock.
-        start_ns: When the session began, on the master's clock [ns].
-        end_ns: When it ended.
+        session: The session.
 
     Raises:
         TelenanoError: Fewer than 50 samples can be followed all the way, or a topic of the loop has two publishers.
@@ -125,13 +123,13 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
                 f"{recording.path}: {topic} has {len(sources)} publishers, {sources[0]} and {sources[1]} among them, "
                 "and the loop has one"
             )
-    parts = split_age(recording, timeline, start_ns, end_ns)
+    parts = session.split_age(recording)
     if not parts:
         raise TelenanoError(
             f"{recording.path}: fewer than 50 samples of the hand can be followed from the device to the instrument "
             "and back: give the master's recording of a session whose loop was closed"
         )
-    clock = timeline.clock
+    clock = session.timeline.clock
     open_ms = 0.0 if clock is None else 1e3 * clock.uncertainty_s
     # a simulated device has no age, and on one machine there is no line
     found_s = {name: values for name, values in parts.items() if values.any()}

@@ -30,21 +30,21 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from telenano.analysis import read_session, summarise
+        from telenano.analysis import Session
         from telenano.cli import results_in
-        from telenano.devices import read_handle_calibration, read_stage_calibration
+        from telenano.devices import HandleCalibration, InstrumentCalibration
         from telenano.recording import open_recordings
         from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 
         shares = scale_errors(
-            None if handle is None else read_handle_calibration(handle),
-            None if stage is None else read_stage_calibration(stage),
+            None if handle is None else HandleCalibration.from_file(handle),
+            None if stage is None else InstrumentCalibration.from_file(stage),
         )
         recording = open_recordings(recordings)
-        session = read_session(recording)
-        summary = summarise(session, recording)
+        session = Session.of(recording)
+        summary = session.summary(recording)
         figures = figure_budgets(summary, shares)
-        stages = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+        stages = delay_budget(recording, session)
         document: dict[str, Any] = {
             "verdict": summary["verdict"],
             "link_round_trip_ms": summary.get("link_round_trip_ms"),

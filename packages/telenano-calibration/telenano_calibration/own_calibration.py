@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import constants, ndimage
 
-from telenano.files import Column, TextTable, read_table, unit_of
+from telenano.files import Column, TextTable, unit_of
 from telenano.settings import read_by_package
 from telenano.wire import ConfigError
 from telenano_calibration.line_fit import regressed
@@ -178,7 +178,7 @@ def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "", columns: S
             raise ConfigError(f"{path}: {error}") from error
         power, is_of_metres = _power_of(density, unit or facts["unit"], f"{path}: its density")
         return Spectrum(frequency_hz, power, is_of_metres, float(facts["averages"]))
-    table = read_table(path)
+    table = TextTable.read(path)
     others = ("psd", "power", "density", "pwr", "amplitude")
     first, second = _pair_of(table, columns, ("Hz",), DENSITIES, ("freq", "f"), others)
     remarks = list(table.remarks)
@@ -242,7 +242,7 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
     Raises:
         ConfigError: The file cannot be read, or its unit is no voltage; the message says how to give it.
     """
-    table = read_table(path)
+    table = TextTable.read(path)
     volts = [column for column in table.columns if (known := column.known) and known.powers == (("V", 1.0),)]
     column = volts[0] if volts else table.find("deflection", "defl", "volt", "signal") or table.columns[0]
     if not volts and len(table.columns) > 1 and column is table.columns[0]:
@@ -269,7 +269,7 @@ def curve_of(
     Raises:
         ConfigError: The file cannot be read, or a unit is not known, or no way has the size; the message asks for it.
     """
-    table = read_table(path)
+    table = TextTable.read(path)
     ways = ("z", "way", "height", "piezo", "dist")
     first, second = _pair_of(table, columns, ("m",), ("V",), ways, ("defl", "volt", "signal"))
     remarks = list(table.remarks)

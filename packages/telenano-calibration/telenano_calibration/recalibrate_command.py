@@ -22,13 +22,13 @@ def recalibrate(
     """Read what real devices sent with another calibration, into a new recording."""
     with report_errors(as_json):
         from telenano.cli import print_document
-        from telenano.devices import read_handle_calibration, read_stage_calibration
+        from telenano.devices import HandleCalibration, InstrumentCalibration
         from telenano_calibration.recalibrate import recalibrate as read_again
 
         written = read_again(
             file,
             out,
-            handle=None if handle is None else read_handle_calibration(handle),
-            stage=None if stage is None else read_stage_calibration(stage),
+            handle=None if handle is None else HandleCalibration.from_file(handle),
+            stage=None if stage is None else InstrumentCalibration.from_file(stage),
         )
     print_document(written.model_dump(mode="json"), str(out), as_json=as_json)

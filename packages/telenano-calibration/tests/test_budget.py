@@ -3,6 +3,7 @@
 import json
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 from typer.testing import CliRunner
 
-from telenano.analysis.report import read_session
+from telenano.analysis.report import Session
 from telenano.cli.root import app
-from telenano.devices.afm.converter_calibration import read_stage_calibration
-from telenano.devices.hand.calibration import read_handle_calibration
+from telenano.devices.afm.converter_calibration import InstrumentCalibration
+from telenano.devices.hand.calibration import HandleCalibration
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.site_clock import Timeline
 from telenano.wire import TelenanoError
@@ -51,7 +52,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_the_sources_of_a_figure_are_those_of_its_formula(files: tuple[Path, Path]) -> None:
-    shares = scale_errors(read_handle_calibration(files[0]), read_stage_calibration(files[1]))
+    shares = scale_errors(HandleCalibration.from_file(files[0]), InstrumentCalibration.from_file(files[1]))
     assert list(shares.values()) == pytest.approx([0.01, 0.002, 0.04, 0.03])
     hold, release = figure_budgets(SUMMARY, shares)
     assert [part.standard for part in hold.sources] == pytest.approx([0.02 / 1.96, 0.0105, 0.042, 0.0315], rel=1e-4)
@@ -63,7 +64,7 @@ def test_the_sources_of_a_figure_are_those_of_its_formula(files: tuple[Path, Pat
 
 def test_what_states_no_error_is_left_out_by_name(files: tuple[Path, Path]) -> None:
     files[1].write_text(yaml.safe_dump({**STAGE, "cantilever": {"stiffness_n_per_m": 40.0}}))
-    _, release = figure_budgets(SUMMARY, scale_errors(None, read_stage_calibration(files[1])))
+    _, release = figure_budgets(SUMMARY, scale_errors(None, InstrumentCalibration.from_file(files[1])))
     assert [part.source for part in release.sources] == ["scatter in the session", "deflection for a volt"]
     assert release.without == ("stiffness of the cantilever",)
     assert [one.half_width for one in figure_budgets(SUMMARY, {})] == pytest.approx([0.02, 0.0])
@@ -86,8 +87,8 @@ def test_the_interval_of_all_sources_covers_what_that_of_the_scatter_does_not() 
 
 def test_the_stages_add_up_to_the_loop_and_the_link_has_its_delay(recording_of: Callable[[str], Path]) -> None:
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
-    session = read_session(recording)
-    *stages, loop = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    session = Session.of(recording)
+    *stages, loop = delay_budget(recording, session)
     assert sum(stage.mean_ms for stage in stages) == pytest.approx(loop.mean_ms, rel=1e-12)
     assert sum(stage.share for stage in stages) == pytest.approx(1.0, rel=1e-12)
     assert min(stage.mean_ms for stage in stages) > 0.0
@@ -103,15 +104,15 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
     recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
-    session = read_session(recording)
-    before = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    session = Session.of(recording)
+    before = delay_budget(recording, session)
     times_ns = Timeline.times_ns
 
     def shifted(self: Any, src: str, stamps_ns: Any) -> Any:
         return times_ns(self, src, stamps_ns) + 1_000_000 * src.endswith("@slave")
 
     monkeypatch.setattr(Timeline, "times_ns", shifted)
-    after = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    after = delay_budget(recording, session)
     changes = {new.stage: new.mean_ms - old.mean_ms for new, old in zip(after, before, strict=True)}
     moved = {name: change for name, change in changes.items() if abs(change) > 1e-9}
     # The rest of the way back is never below zero, so that its part on purpose gives way.
@@ -127,14 +128,15 @@ def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
     assert found.exit_code != 0
     assert "fewer than 50 samples of the hand can be followed" in found.stderr
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
+    session = Session.of(recording)
     with pytest.raises(TelenanoError, match="fewer than 50 samples of the hand can be followed"):
-        delay_budget(recording, Timeline(recording), 0, 1)
+        delay_budget(recording, replace(session, start_ns=0, end_ns=1))
     intruders = [
         recording.channels[0]._replace(channel_topic="afm/command", src=f"made_up_{n}@slave") for n in range(9)
     ]
     monkeypatch.setattr(recording, "channels", [*recording.channels, *intruders])
     with pytest.raises(TelenanoError, match=r"afm/command has 10 publishers, .* and made_up_0@slave among them"):
-        delay_budget(recording, Timeline(recording), 0, 2**62)
+        delay_budget(recording, replace(session, start_ns=0, end_ns=2**62))
 
 
 def test_the_command_prints_and_writes_both_tables(

@@ -30,7 +30,6 @@ from telenano.extend.laws import (
     MasterReference,
     PortSignal,
     TipMeasurement,
-    changed_in_contact,
     longest_pause_periods,
     paced,
 )
@@ -346,7 +345,7 @@ class _Run:
             # a sample that the law states to be too stiff for it then is no case of its claim
             if limit is not None and self.stiffest > 1.2 * _STIFFEST_SHARE * limit:
                 raise RefusedError(f"{key}: the sample would be stiffer than the law states")
-            if self.tip.in_contact and (reason := changed_in_contact(self.law, self.config, config)):
+            if self.tip.in_contact and (reason := self.law.changed_in_contact(self.config, config)):
                 raise RefusedError(reason)
             if not self.away:
                 self.master = self.law.retune(self.master_params, params, self.master)

@@ -7,12 +7,11 @@ the force will be. Its mutants stretch a spring for nothing at one kind of trans
 
 import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
+from command_line import run_apart
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field
@@ -317,18 +316,14 @@ def test_the_bench_is_at_the_door_for_packages() -> None:
 
 @pytest.mark.check("the command starts twice and runs two orders")
 def test_the_command_runs_the_draws_of_the_kinds_that_it_is_given() -> None:
-    said = run_command("wave", "--cases", "1", "--longest", "5", "--kind", "hold", "--kind", "off", "--json")
+    words = ("balance", "wave", "--cases", "1", "--longest", "5", "--kind", "hold", "--kind", "off", "--json")
+    said = run_apart("law", *words)
     assert said.returncode == 0
     rows = json.loads(said.stdout)["rows"]
     assert [(row["law"], row["transition"], row["draws"]) for row in rows] == [("wave", "hold", 1), ("wave", "off", 1)]
     assert all(row["worst_mj"] >= -1e3 * TOLERANCE_J for row in rows)
-    unknown = run_command("wave", "--kind", "letting go")
+    unknown = run_apart("law", "balance", "wave", "--kind", "letting go")
     assert unknown.returncode == 2 and "--kind letting go: known are hold, let go" in unknown.stderr
-
-
-def run_command(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "telenano", "law", "balance", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_the_command_prints_what_each_law_does_and_fails_where_one_makes_energy(

@@ -10,11 +10,10 @@ from telenano.cli import (
     FormatOption,
     JsonOption,
     StyleOption,
-    console,
     print_json,
+    print_rows,
     report_errors,
     results_in,
-    rows_table,
 )
 
 FOLDER = "analysis"
@@ -58,13 +57,13 @@ def analyse(
     may be given while an experiment continues, and as often as one likes: everything is made from the journal again.
     """
     with report_errors(as_json):
-        from telenano.analysis import figure_options
+        from telenano.analysis import FigureOptions
         from telenano_experiments.analyse import Choice, analyse, check_choice
         from telenano_experiments.analysis_page import NAME, write_analysis
         from telenano_experiments.folder_tables import about_experiment, adaptive_factors, tables_of
         from telenano_experiments.table import write_tables
 
-        options = figure_options(formats, style)
+        options = FigureOptions.of(formats, style)
         tables = tables_of(folder)
         choice = Choice(tuple(measure or ()), correction, confidence, tuple(category or ()), within)
         check_choice(tables, choice)
@@ -85,7 +84,6 @@ def analyse(
 def _print(document: dict[str, Any], page: Path) -> None:
     from telenano_studies.page import text
 
-    out = console()
     columns = {
         "terms": ("measure", "term", "f", "df1", "df2", "p_corrected", "partial_eta2"),
         "slopes": ("measure", "factor", "slope", "low", "high", "p"),
@@ -99,7 +97,7 @@ def _print(document: dict[str, Any], page: Path) -> None:
             typer.echo(f"{part}: {len(rows)} rows, which are on the page")
         elif rows:
             shown = [{name.replace("_", " "): text(row.get(name)) for name in names} for row in rows]
-            out.print(rows_table(shown, title=part))
+            print_rows(shown, title=part)
     for row in document["models"]:
         for remark in row["remarks"]:
             typer.echo(f"telenano: {row['task']}, {row['measure']}: {remark}", err=True)

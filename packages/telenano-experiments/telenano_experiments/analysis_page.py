@@ -11,7 +11,7 @@ import numpy as np
 from telenano_studies.figure_colours import LINES
 from telenano_studies.page import Page, write_images
 
-from telenano.analysis import COLUMN_IN, FigureOptions, lettered, styled
+from telenano.analysis import FigureOptions
 from telenano.recording import versions as origin_of
 from telenano_experiments.analyse import Analysis, versions
 from telenano_experiments.effects import Factor
@@ -53,7 +53,7 @@ def write_analysis(
     document = {**analysis.as_dict(), "about": dict(about), "methods": methods}
     (folder / f"{NAME}.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     (folder / "methods.md").write_text(methods + "\n", encoding="utf-8")
-    with styled(options):
+    with options.styled():
         images = write_images(folder, dict(figures(analysis, tables, options)), command, options)
     _page(analysis, about, methods, images, command).write(folder / f"{NAME}.html")
     return document
@@ -67,12 +67,14 @@ def figures(analysis: Analysis, tables: Tables, options: FigureOptions) -> "Iter
         for measure, unit in measures.items():
             factors = analysis.factors[task]
             if factors and any(row["measure"] == measure and row["task"] == task for row in analysis.cells):
-                figure = Figure(figsize=(1.6 * COLUMN_IN, 1.05 * COLUMN_IN), layout="constrained")
+                figure = Figure(
+                    figsize=(1.6 * FigureOptions.COLUMN_IN, 1.05 * FigureOptions.COLUMN_IN), layout="constrained"
+                )
                 _measure(figure.subplots(), analysis, tables, task, measure, unit)
                 yield f"{task}_{measure}".replace("/", "_").replace(".", "_"), figure
     terms = [(task, measure, term) for (task, measure), effects in analysis.effects.items() for term in effects.terms]
     if terms:
-        figure = Figure(figsize=(1.6 * COLUMN_IN, 0.8 + 0.22 * len(terms)), layout="constrained")
+        figure = Figure(figsize=(1.6 * FigureOptions.COLUMN_IN, 0.8 + 0.22 * len(terms)), layout="constrained")
         _forest(figure.subplots(), terms)
         yield "effect_sizes", figure
     if analysis.thresholds:
@@ -204,7 +206,7 @@ def _psychometric(analysis: Analysis, options: FigureOptions) -> "Figure":
         _track(axes, track)
     for axes in list(grid.flat)[len(tracks) :]:
         axes.set_visible(False)
-    lettered(list(grid.flat)[: len(tracks)], options)
+    options.lettered(list(grid.flat)[: len(tracks)])
     figure.supxlabel(f"{tracks[0]['factor']}")
     figure.supylabel("share correct")
     return figure

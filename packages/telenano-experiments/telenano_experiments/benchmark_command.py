@@ -8,7 +8,7 @@ from telenano_studies import option_values
 from telenano_studies.study_options import SchedulerOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, print_result, sweep_in, write_study
 
-from telenano.analysis import figure_options, styled
+from telenano.analysis import FigureOptions
 from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
 
 
@@ -66,7 +66,7 @@ def benchmark(
             steadiness=_names(hand),
             settings=option_values.settings(settings or ()),
         )
-        options = figure_options(formats, style)
+        options = FigureOptions.of(formats, style)
         choice = {"--network": network, "--instrument": instrument, "--hand": hand}
         command = _command(law, choice, quick=quick, settings=settings or ())
         with sweep_in(out, workers, scheduler, shown=not as_json, kind=RUNS) as sweep:
@@ -75,7 +75,7 @@ def benchmark(
         summary = summary_of(plan, outcomes, rows, situations)
         with results_in(out) as folder:
             (folder / "runs.csv").write_text(runs_text(outcomes), encoding="utf-8", newline="")
-            with styled(options):
+            with options.styled():
                 figures = {"benchmark": benchmark_figure(rows)}
                 if situations:
                     figures["frontier"] = frontier_figure(situations)

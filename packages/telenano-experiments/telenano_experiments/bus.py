@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import zmq
 
-from telenano.runtime import load_site, open_participant, publish_end
+from telenano.runtime import AddressBook, Participant, publish_end
 from telenano.wire import VIEW, Array, ConfigError, Scalar
 from telenano_experiments.extend import Course
 from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Question
@@ -54,12 +54,12 @@ class ExperimentBus:
             ConfigError: The site file has no such endpoint; the message gives the line that is missing.
             EndpointError: Another experiment runs on this rig.
         """
-        book = load_site(site_file)
+        book = AddressBook.load(site_file)
         if EXPERIMENT not in book.nodes:
             line = f"{EXPERIMENT}: ipc://{{runtime}}/{EXPERIMENT}"
             raise ConfigError(f"{site_file}: nodes.{EXPERIMENT} is missing, an experiment needs it: add `{line}`")
         with contextlib.ExitStack() as opened:
-            participant = opened.enter_context(open_participant(EXPERIMENT, book))
+            participant = opened.enter_context(Participant.open(EXPERIMENT, book))
             self._publisher = participant.bind(EXPERIMENT)
             self._subscribers = participant.subscribers(book.sources(EXPERIMENT, ["experiment/answer"]))
             self._network = participant.network

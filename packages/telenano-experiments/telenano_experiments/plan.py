@@ -11,15 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.launcher import anchored, check_sections
-from telenano.settings import (
-    find_scenario,
-    flatten,
-    merge,
-    nested,
-    read_yaml,
-    scenario_of,
-    validate,
-)
+from telenano.settings import LoadedScenario, find_scenario, flatten, merge, nested, read_yaml, validate
 from telenano.wire import ConfigError, Scalar, known_names
 from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry
 from telenano_experiments.extend import Task
@@ -400,7 +392,7 @@ def checked_document(
     own = plan.tasks[task]
     needed = own.settings(parameters_of(own, parameters), seed)
     document = plan.document({**needed, **settings}, origin)
-    check_sections(scenario_of(document, origin))
+    check_sections(LoadedScenario.of(document, origin))
     return document
 
 

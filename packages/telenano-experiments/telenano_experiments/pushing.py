@@ -17,7 +17,7 @@ from telenano.hand import HapticConfig, LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
 from telenano.lockstep import instrument_params
-from telenano.settings import scenario_of
+from telenano.settings import LoadedScenario
 from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
 
@@ -39,7 +39,7 @@ def steering_of(
         who: The simulated participant.
         seed: The seed of its errors.
     """
-    loaded = scenario_of(document, "a trial")
+    loaded = LoadedScenario.of(document, "a trial")
     plant = instrument_params(loaded.section("afm_node", AfmConfig), "a trial", 0.0).plant
     lateral = loaded.section("haptic_node", HapticConfig).lateral or LateralHandConfig()
     link = loaded.section("delay_node", LinkSettings)

@@ -45,7 +45,7 @@ from telenano.cli.root import app
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.laws.wave import WaveConfig
 from telenano.link import profile_named
-from telenano.lockstep import schedule_of
+from telenano.lockstep import Schedule
 from telenano.wire import ConfigError
 
 STEP_S = 0.005
@@ -155,7 +155,7 @@ def test_a_word_does_not_hide_the_force_that_it_stands_beside():
 
 def test_a_longer_draw_of_a_link_begins_with_the_shorter_one():
     link = run_of(network="leo_satellite").link
-    longer, shorter = schedule_of(link, 900, 1e-3), schedule_of(link, 400, 1e-3)
+    longer, shorter = Schedule.of(link, 900, 1e-3), Schedule.of(link, 400, 1e-3)
     count = int(np.searchsorted(shorter.forward_ns, 400_000_000))
     assert longer.forward_ns[:count].tolist() == shorter.forward_ns[:count].tolist()
     assert longer.forward_of[:count].tolist() == shorter.forward_of[:count].tolist()

@@ -14,7 +14,7 @@ from telenano_experiments.effects import Effects
 from telenano_experiments.psychophysics.function import Psychometric
 from telenano_experiments.table import tidy
 
-from telenano.analysis import figure_options
+from telenano.analysis import FigureOptions
 from telenano.wire import ConfigError
 
 pytest.importorskip("pandas")
@@ -269,7 +269,7 @@ def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> N
     found = analyse(tables, TIME)
     about = {"title": "Time and delay", "seed": 3, "order": "latin square", "apparatus": "lockstep", "digest": "ab12"}
     document = write_analysis(
-        tmp_path, found, tables, about, "telenano experiment analyse x", figure_options("png,svg")
+        tmp_path, found, tables, about, "telenano experiment analyse x", FigureOptions.of("png,svg")
     )
     names = {path.name for path in tmp_path.iterdir()}
     assert {

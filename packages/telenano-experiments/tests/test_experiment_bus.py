@@ -2,8 +2,7 @@
 
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -13,9 +12,10 @@ from telenano_experiments.asked import CONSENT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
+from waiting import until
 
 from telenano.console import RigHand
-from telenano.runtime import Observer, load_site
+from telenano.runtime import AddressBook, Observer
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError
 from telenano.wire.errors import EndpointError
@@ -49,14 +49,6 @@ def give(page: RigHand, number: int, cue: str, role: str = "participant", **valu
     page.publish("experiment/answer", **facts, shown_s=0.5)
 
 
-def until(found: Callable[[], Any]) -> Any:
-    end = time.monotonic() + PATIENCE_S
-    while not (value := found()):
-        assert time.monotonic() < end
-        time.sleep(0.01)
-    return value
-
-
 def connected(bus: ExperimentBus, page: RigHand) -> None:
     """Wait until what the page says reaches the experiment."""
 
@@ -70,7 +62,7 @@ def connected(bus: ExperimentBus, page: RigHand) -> None:
 def test_a_cue_and_a_trial_are_told_and_the_cue_again_to_who_comes_later(bus: ExperimentBus) -> None:
     course = Course(np.array([0.0, 1.0]), np.array([1e-9, 2e-9]), "force")
     cue = bus.cue("trial", "Track", course=course, band=1e-10, remaining_s=60.0, done=1, total=6, questions=(CONSENT,))
-    with closing(Observer(load_site(DEFAULT_SITE_FILE), ["experiment/cue", "experiment/trial"])) as observer:
+    with closing(Observer(AddressBook.load(DEFAULT_SITE_FILE), ["experiment/cue", "experiment/trial"])) as observer:
         seen: dict[str, Any] = {}
 
         def both() -> bool:

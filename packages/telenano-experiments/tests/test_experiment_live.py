@@ -22,7 +22,7 @@ from telenano.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take
 from telenano.console.lease_register import LeaseRegister
 from telenano.laws import ControllerConfig
 from telenano.laws.config import changed_config
-from telenano.link import changed, flattened, parse_settings
+from telenano.link import LinkSettings
 from telenano.recording import Selection
 from telenano.recording.rewrite import filter_recording
 from telenano.wire import RecordingError, RefusedError, RigError
@@ -40,12 +40,12 @@ def test_whatever_came_before_a_trial_leaves_nothing_behind(tmp_path: Path) -> N
         "far": {"delay_node.profile": "satellite"},
         "damped": {"controller.wave.damping_n_s_per_m": 77.0, "controller.law": "wave"},
     }
-    link, law = parse_settings({}), ControllerConfig()
+    link, law = LinkSettings.of({}), ControllerConfig()
     for document in documents(tmp_path, factors={"x": {"levels": levels}}, repetitions=3):
         wanted = wanted_of(document, 7)
-        link, law = changed(link, wanted.link), changed_config(law, wanted.law)
+        link, law = link.changed(wanted.link), changed_config(law, wanted.law)
         alone = {"seed": 7, **document["delay_node"]}
-        assert flattened(link) == flattened(parse_settings(alone))
+        assert link.flattened() == LinkSettings.of(alone).flattened()
         assert law.model_dump() == ControllerConfig.model_validate({**document["controller"]}).model_dump()
 
 

@@ -81,16 +81,14 @@ def test_ratings_are_on_the_scale() -> None:
 
 def simulated(task_name: str, parameters: dict[str, Any], law: str, delay_ms: float, **settings: Any) -> dict[str, Any]:
     """Run a trial in lockstep with a participant without scatter, and judge it."""
-    from telenano.lockstep import simulate_scenario
+    from telenano import simulate
 
     task, p = task_named(task_name, parameters)
     who = Simulated({"noise": 0.0}, 1)
     ways = {f"delay_node.{way}.delay_s": 1e-3 * delay_ms for way in ("forward", "backward")}
     planned = trial(task_name, 2, **ways)
     operator = nested(who.settings(task, p, planned), "made")["haptic_node"]["operator"]
-    found = simulate_scenario(
-        "touch", law=law, operator=operator, duration_s=task.duration_s(p), settings={**ways, **settings}
-    )
+    found = simulate("touch", law=law, operator=operator, duration_s=task.duration_s(p), settings={**ways, **settings})
     data = TrialData(found.table("afm/state"), found.table("haptic/state"), found.table("haptic/state"))
     data = data._replace(answers=who.answer(task, p, planned, data))
     return task.judge(data, p, planned.seed)

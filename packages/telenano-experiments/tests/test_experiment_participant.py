@@ -7,17 +7,19 @@ but for what a participant sees and feels: where hand and tip are, and the force
 import random
 import struct
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
+import bus_page
+from bus_page import BusPage
+from made_source import MadeSource
 from starlette.testclient import TestClient
 from telenano_experiments import panel as panels
 from telenano_experiments.messages import CUE, Question
@@ -29,7 +31,7 @@ from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.requests import COMMANDS
-from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import described
 from telenano.serving.access import Access
 from telenano.wire import Array, Message
@@ -37,33 +39,12 @@ from telenano.wire.codec import fields_of
 from telenano.wire.topics import TOPICS
 
 TOKEN = "participant-token-01"
-ACCESS = Access(
-    "operator-token-0123",
-    "observer-token-0123",
-    hosts=("testserver",),
-    networks=("127.0.0.0/8",),
-    participant_token=TOKEN,
-)
+ACCESS = replace(bus_page.ACCESS, participant_token=TOKEN)
 # The condition: a law, a profile and a level in words, and a delay in numbers.
 WORDS = ("model_mediated", "leo_satellite", "very_late", "condition")
 DELAY_S = 0.12345
 PICTURE_S = 0.28675
 SEEN = ("position_m", "operator_force_n", "force_n", "base_position_m", "deflection_m", "tip_force_n", "separation_m")
-
-
-class Source(NoTransport):
-    def __init__(self) -> None:
-        # filled by the test while the server takes from it
-        self.waiting: deque[Seen] = deque()
-
-    def poll(self, *, watched: bool) -> list[Seen]:
-        return [self.waiting.popleft() for _ in range(len(self.waiting))]
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "/rigs/leo_satellite.yaml"}
-
-    def close(self) -> None:
-        pass
 
 
 class Commander:
@@ -96,7 +77,8 @@ class Outlet:
 
 class Rig:
     def __init__(self) -> None:
-        self.source, self.pushed, self.answers, self.takes, self.seq = Source(), [], [], True, 0
+        self.source, self.seq = MadeSource("/rigs/leo_satellite.yaml"), 0
+        self.pushed, self.answers, self.takes = [], [], True
         self.hub = Hub(self.source, Commander(), lambda: {"laws": list(WORDS)}, lambda: Outlet(self))
 
     def tell(self, topic: str, fields: Mapping[str, Any], src: str) -> None:
@@ -157,31 +139,9 @@ def client(rig: Rig) -> Iterator[TestClient]:
         yield found
 
 
-class Page:
-    """A page that keeps every byte that it was sent."""
-
+class Page(BusPage):
     def __init__(self, stack: ExitStack, client: TestClient, token: str = TOKEN) -> None:
-        self.traffic = b""
-        self.frames: list[dict[str, Any]] = []
-        self.socket = stack.enter_context(client.websocket_connect("/bus", headers={"origin": "http://testserver"}))
-        self.send(k="hello", token=token, protocol=1)
-
-    def send(self, **fields: Any) -> None:
-        self.socket.send_bytes(msgpack.packb(fields))
-
-    def take(self, wanted: Any) -> dict[str, Any]:
-        """Return the next frame for which `wanted` is true."""
-        while True:
-            data = self.socket.receive_bytes()
-            self.traffic += data
-            frame: dict[str, Any] = msgpack.unpackb(data)
-            self.frames.append(frame)
-            if wanted(frame):
-                return frame
-
-    def answer(self, **fields: Any) -> dict[str, Any]:
-        self.send(id="a-1", **fields)
-        return self.take(lambda frame: frame["k"] == "answer")
+        super().__init__(stack, client, token)
 
     def assert_blind(self) -> None:
         """Look for the condition in the bytes: words, and numbers in every form in which they are sent."""
@@ -211,7 +171,7 @@ def stage(name: str) -> Any:
 
 def test_nothing_of_the_condition_is_in_the_traffic(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page, operator = Page(stack, client), Page(stack, client, ACCESS.operator_token)
-    page.take(lambda frame: frame["k"] == "snapshot")
+    page.take("snapshot")
     rig.trial(PICTURE_S)
     for topic in sorted({*TOPICS_SHOWN} - {"afm/scanline"}):
         for case in ("ordinary", "nil"):
@@ -219,30 +179,30 @@ def test_nothing_of_the_condition_is_in_the_traffic(rig: Rig, client: TestClient
                 fields = marked(told(examples(TOPICS[topic])[case]))
                 rig.tell(topic, fields, src)
     rig.cue()
-    page.take(stage("trial"))
+    page.take_where(stage("trial"))
     # what it asks for and may not have, and what it says: the answers are in words of their own
-    refused = page.answer(k="command", command="set", target="controller", parameters={"law": "wave"})
+    refused = page.ask(k="command", command="set", target="controller", parameters={"law": "wave"})
     assert (refused["ok"], refused["text"]) == (False, "not carried out: tell the experimenter")
     for asked in ({"k": "document"}, {"k": "part", "from_s": 0.0, "to_s": 1.0, "spans": 0}):
-        assert page.answer(**asked)["ok"] is False
-    assert page.answer(k="estop")["ok"] is True
-    assert page.answer(**given(values={"felt": "now"}, shown_s=1.5))["ok"] is True
+        assert page.ask(**asked)["ok"] is False
+    assert page.ask(k="estop")["ok"] is True
+    assert page.ask(**given(values={"felt": "now"}, shown_s=1.5))["ok"] is True
     rig.cue(stage="end")
-    page.take(stage("end"))
+    page.take_where(stage("end"))
     page.assert_blind()
     # a page that comes later begins with a snapshot
     later = Page(stack, client)
-    later.take(lambda frame: frame["k"] == "snapshot")
+    later.take("snapshot")
     later.assert_blind()
     # the search finds what is there: the operator's page is told of all that
-    operator.take(stage("end"))
+    operator.take_where(stage("end"))
     for word in WORDS[:3]:
         assert word.encode() in operator.traffic
 
 
 def test_only_columns_on_the_list_pass(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page = Page(stack, client)
-    snapshot = page.take(lambda frame: frame["k"] == "snapshot")
+    snapshot = page.take("snapshot")
     names = {stream["name"]: [column["name"] for column in stream["columns"]] for stream in snapshot["streams"]}
     assert set(names) == {"hand", "command", "tip"}
     assert "loop_age" not in names["hand"]
@@ -253,7 +213,7 @@ def test_only_columns_on_the_list_pass(rig: Rig, client: TestClient, stack: Exit
         [],
     )
     rig.tip(3e-9)
-    frame = page.take(lambda frame: "tip" in frame.get("streams", {}))
+    frame = page.take_where(lambda frame: "tip" in frame.get("streams", {}))
     rows = np.frombuffer(frame["streams"]["tip"]["data"], "<f4").reshape(-1, frame["streams"]["tip"]["n"])
     assert len(rows) == len(names["tip"]) + 1
     assert rows[names["tip"].index("force") + 1, 0] == np.float32(3e-9)
@@ -261,12 +221,12 @@ def test_only_columns_on_the_list_pass(rig: Rig, client: TestClient, stack: Exit
 
 def test_the_hand_is_held_and_answers_are_the_participants(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page, experimenter = Page(stack, client), Page(stack, client, ACCESS.operator_token)
-    page.send(k="hand", force_n=1.25, held=True)
+    page.send({"k": "hand", "force_n": 1.25, "held": True})
     rig.cue()
-    page.take(stage("trial"))
+    page.take_where(stage("trial"))
     assert 1.25 in rig.pushed
-    assert page.answer(**given(values={"felt": "now"}, shown_s=2.0))["ok"]
-    assert experimenter.answer(**given(values={"action": "pause", "reason": ""}))["ok"]
+    assert page.ask(**given(values={"felt": "now"}, shown_s=2.0))["ok"]
+    assert experimenter.ask(**given(values={"action": "pause", "reason": ""}))["ok"]
     kept = [{key: answer[key] for key in ("role", "values", "shown_s", "given_ns")} for answer in rig.answers]
     assert {"role": "participant", "values": {"felt": "now"}, "shown_s": 2.0, "given_ns": 1_000} in kept
     assert [answer["role"] for answer in kept] == ["participant", "experimenter"]
@@ -275,14 +235,14 @@ def test_the_hand_is_held_and_answers_are_the_participants(rig: Rig, client: Tes
 def test_an_answer_is_sent_until_it_is_taken(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page, rig.takes = Page(stack, client), False
     rig.cue()
-    page.take(stage("trial"))
-    page.send(id="a-7", **given(values={"felt": "now"}))
+    page.take_where(stage("trial"))
+    page.send({"id": "a-7", **given(values={"felt": "now"})})
     end = time.monotonic() + 10.0
     while len(rig.answers) < 3 and time.monotonic() < end:
         time.sleep(0.01)
     assert {answer["id"] for answer in rig.answers} == {"a-7"}
     rig.cue(answered=("a-7",))
-    assert page.take(lambda frame: frame["k"] == "answer")["ok"] is True
+    assert page.take("answer")["ok"] is True
 
 
 def test_a_participant_has_one_answer_under_way_to_the_cue_that_stands(
@@ -292,22 +252,22 @@ def test_a_participant_has_one_answer_under_way_to_the_cue_that_stands(
     said: list[bool] = []
     monkeypatch.setattr(ParticipantPicture, "acknowledgement", lambda self, *, is_ok: said.append(is_ok) or "said")
     page, rig.takes = Page(stack, client), False
-    assert not page.answer(**given())["ok"]
+    assert not page.ask(**given())["ok"]
     rig.cue()
-    page.take(stage("trial"))
-    assert not page.answer(**given("c-0"))["ok"]
-    assert not page.answer(**given(values={f"n{n}": "x" * 250 for n in range(17)}))["ok"]
+    page.take_where(stage("trial"))
+    assert not page.ask(**given("c-0"))["ok"]
+    assert not page.ask(**given(values={f"n{n}": "x" * 250 for n in range(17)}))["ok"]
     assert rig.answers == []
     for number in range(100):
-        page.send(id=f"b-{number}", **given())
-    refused = [page.take(lambda frame: frame["k"] == "answer") for _ in range(99)]
+        page.send({"id": f"b-{number}", **given()})
+    refused = [page.take("answer") for _ in range(99)]
     assert not any(frame["ok"] for frame in refused)
     assert {answer["id"] for answer in rig.answers} == {"b-0"}
     # An answer is not sent any longer once the cue has gone, and the page may answer the next one.
     rig.cue(id="c-2")
-    assert page.take(lambda frame: frame["k"] == "answer")["ok"] is False
+    assert page.take("answer")["ok"] is False
     rig.takes = True
-    assert page.answer(**given("c-2"))["ok"] is True
+    assert page.ask(**given("c-2"))["ok"] is True
 
 
 def test_who_answers_no_experiment_is_told_so(
@@ -317,10 +277,10 @@ def test_who_answers_no_experiment_is_told_so(
     rig.takes = False
     operator, observer = (Page(stack, client, token) for token in (ACCESS.operator_token, ACCESS.observer_token))
     assert (
-        operator.answer(**given(values={"action": "skip"}))["text"]
+        operator.ask(**given(values={"action": "skip"}))["text"]
         == "no experiment received the answer: check that one is running"
     )
-    assert "token of an observer" in observer.answer(**given(values={"action": "skip"}))["text"]
+    assert "token of an observer" in observer.ask(**given(values={"action": "skip"}))["text"]
 
 
 def streams(at: float) -> dict[str, Any]:
@@ -397,7 +357,7 @@ def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_t
     page = Page(stack, client)
     rig.trial(PICTURE_S)
     rig.cue()
-    page.take(stage("trial"))
+    page.take_where(stage("trial"))
     numbers = (0, 1, rig.hub.desk.lease.number, 2**53)
     texts = ("", "*", "afm_node", "c-1", "c-0", "x" * 256, "\x1b[2J", "play", "../..")
     values: tuple[Any, ...] = ({}, {"felt": "now"}, {"law": "wave"}, {f"n{n}": n for n in range(60)})
@@ -420,10 +380,10 @@ def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_t
 
     for _ in range(150):
         asked = drawn()
-        is_ok = page.answer(**asked)["ok"]
+        is_ok = page.ask(**asked)["ok"]
         is_own = asked["k"] == "panel" and asked["panel"] == "experiment" and asked["values"]["cue"] == "c-1"
         assert is_ok == (asked["k"] == "estop") or is_own, asked
-        page.send(k="here", stamp_s=draw.choice(reals), waited_s=draw.choice(reals))
+        page.send({"k": "here", "stamp_s": draw.choice(reals), "waited_s": draw.choice(reals)})
     assert commanded == []
     assert rig.hub.desk.lease.holder is None and rig.hub.desk.lease.asking == ()
     page.assert_blind()

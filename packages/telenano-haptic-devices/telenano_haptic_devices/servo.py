@@ -16,11 +16,11 @@ import msgspec
 
 from telenano.extend.hands import UPRIGHT, Capabilities, Quaternion
 from telenano.hand import (
-    GATE_REST,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
+    Gate,
     Vector,
     coupling_at_start,
     coupling_step,
@@ -78,7 +78,7 @@ class ServoSample(NamedTuple):
     force_n: Vector = ZERO
     orientation: Quaternion = UPRIGHT
     buttons: int = 0
-    gate: int = GATE_REST
+    gate: int = Gate.REST
     limited: bool = False
     hand_energy_j: float = 0.0
     coupling_energy_j: float = 0.0

@@ -23,7 +23,7 @@ from typing import Any
 from telenano.extend.hands import Capabilities, DeviceError
 from telenano.hand import Vector
 from telenano.runtime import schedule_as_node, start_process
-from telenano.settings import haptic_driver
+from telenano.settings import DeviceDriver
 from telenano.wire import cause
 from telenano_haptic_devices.impedance import takes_force
 from telenano_haptic_devices.impedance_wire import ImpedanceWire
@@ -312,7 +312,7 @@ def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
         ConfigError: The settings are none of this driver.
         DeviceError: There is no such driver, or its device takes no force.
     """
-    driver = haptic_driver(kind)
+    driver = DeviceDriver.haptic(kind)
     if driver is None or not takes_force(driver):
         raise DeviceError(f"there is no wire called {kind!r}")
     wire: ImpedanceWire = driver.own.wire(driver.settings(settings))

@@ -20,8 +20,7 @@ from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import GATE_ACTIVE, CouplingSettings
-from telenano.hand.coupling import GATE_READY
+from telenano.hand import CouplingSettings, Gate
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000
@@ -73,7 +72,7 @@ class MemoryConversation:
         """Do nothing: the answer is there as soon as it was asked for."""
 
     def drop(self, keep: int = 0) -> int:
-        dropped = len(self._answers) - keep
+        dropped = max(0, len(self._answers) - keep)
         del self._answers[:dropped]
         return dropped
 
@@ -243,8 +242,8 @@ class ServoBench:
         return self.s < self._end_s and not self.gone
 
     def _command(self, sample: ServoSample | None, passed_s: float) -> None:
-        engaged = sample is not None and sample.gate in (GATE_READY, GATE_ACTIVE) and not sample.error
-        if sample is None or sample.gate != GATE_ACTIVE:
+        engaged = sample is not None and sample.gate in (Gate.READY, Gate.ACTIVE) and not sample.error
+        if sample is None or sample.gate != Gate.ACTIVE:
             self.reference_m = 0.0 if sample is None else sample.position_m[2]
         else:
             self.reference_m += self.moves_m_per_s * passed_s

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from servo_bench import ServoBench
+from servo_bench import MemoryConversation, ServoBench, VirtualTime
 from telenano_haptic_devices.emulated_arm import EmulatedArm, hand_of
 from telenano_haptic_devices.emulated_service import whole_lines
 from telenano_haptic_devices.haply import ARM, HaplyWire
@@ -24,7 +24,7 @@ from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import GATE_ACTIVE
+from telenano.hand import Gate
 
 # The coupling takes so much for silence.
 SILENCE_S = 0.05
@@ -155,6 +155,34 @@ def test_service_that_answers_twice_is_lost_before_its_places_are_old() -> None:
         assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
 
 
+class TwoAtOnce(MemoryConversation):
+    """Has, at the tenth question, the answer behind a message of another place that came in the same moment."""
+
+    questions = 0
+
+    def send(self, message: bytes) -> None:
+        super().send(message)
+        self.questions += 1
+        if self.questions == 10:
+            answer = json.loads(self._answers[-1])
+            answer["inverse3"][0]["state"]["cursor_position"]["x"] += 1.0
+            self._answers.insert(-1, json.dumps(answer))
+
+
+def test_of_two_messages_in_the_same_moment_the_newer_is_the_place_and_the_other_one_is_counted() -> None:
+    clock, service, seen = VirtualTime(), HaplyService(EmulatedArm(hand_of(), ARM)), list[DeviceSample]()
+    conversation: Any = TwoAtOnce(service, clock)
+    wire = HaplyWire(HaplyConfig(), connect=lambda address: conversation, now_ns=clock.now_ns, sleep=clock.sleep)
+    wire.open()
+    wire.run(turns(20, seen))
+    assert wire.unasked == 1
+    assert all(abs(sample.position_m[0]) < 0.1 for sample in seen)
+    # The answer may be to the question before, a period of 1 ms ago, so that reading counts as that old.
+    steps_ns = [later.taken_ns - before.taken_ns for before, later in pairwise(seen)]
+    assert min(steps_ns) == 0
+    assert steps_ns.count(0) == 1
+
+
 def test_version_is_told_over_http(served: Served) -> None:
     with urllib.request.urlopen(f"http://127.0.0.1:{served.port}/version", timeout=10) as answer:
         said = json.load(answer)
@@ -222,7 +250,7 @@ def test_grip_buttons_come_at_50_hz_and_a_sleeping_grip_is_not_a_loss(tmp_path: 
     bench.run(0.5)
     pressed = [sample.taken_ns * 1e-9 - 1.0 for sample in bench.samples if sample.buttons == 0b010]
     assert 0.30 <= pressed[0] <= 0.33
-    assert bench.newest.gate == GATE_ACTIVE
+    assert bench.newest.gate == Gate.ACTIVE
     assert not bench.errors
 
 

@@ -16,17 +16,7 @@ if shutil.which("cc") is None:
 from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import (
-    GATE_ACTIVE,
-    GATE_DEADMAN,
-    GATE_FROZEN,
-    GATE_JUMP,
-    GATE_NOT_A_NUMBER,
-    GATE_REST,
-    GATE_RUNAWAY,
-    GATES,
-)
-from telenano.hand.coupling import GATE_DEVICE_SILENT, GATE_READY, GATE_RELEASED, GATE_SILENT
+from telenano.hand import Gate
 
 HAND_N = 1.0
 # The hand pushes, something breaks, the hand holds the arm, it is mended, and the hand pushes again.
@@ -45,7 +35,7 @@ class Fault(NamedTuple):
     begin: Callable[[ServoBench], None]
     end: Callable[[ServoBench], None]
     text: str = ""
-    gate: int = GATE_ACTIVE
+    gate: int = Gate.ACTIVE
     after_s: float = AFTER_S
     armed: bool = False
     devices: tuple[str, ...] = DEVICES
@@ -92,11 +82,11 @@ FAULTS: dict[str, Fault] = {
     "killed service": Fault(do("killed"), do("killed", False), "the service has closed", devices=("haply",)),
     "pulled device": Fault(do("plugged", False), do("plugged"), "plug it in|ommunication error"),
     "lost calibration": Fault(do("calibrated", False), do("calibrated"), "is not calibrated: put its"),
-    "frozen reading": Fault(moves("frozen"), mended("frozen"), gate=GATE_FROZEN, after_s=0.2, armed=True),
-    "no number": Fault(do("not_a_number"), mended("not_a_number"), gate=GATE_NOT_A_NUMBER, armed=True),
-    "jump of 10 mm": Fault(do("offset_m", 0.010), mended("offset_m", 0.0), gate=GATE_JUMP, armed=True),
-    "wrong sign": Fault(do("sign", -1.0), mended("sign", 1.0), gate=GATE_RUNAWAY, after_s=0.2, armed=True),
-    "late by 100 ms": Fault(do("latency_s", 0.1), do("latency_s", 0.0), gate=GATE_DEVICE_SILENT, after_s=0.15),
+    "frozen reading": Fault(moves("frozen"), mended("frozen"), gate=Gate.FROZEN, after_s=0.2, armed=True),
+    "no number": Fault(do("not_a_number"), mended("not_a_number"), gate=Gate.NOT_A_NUMBER, armed=True),
+    "jump of 10 mm": Fault(do("offset_m", 0.010), mended("offset_m", 0.0), gate=Gate.JUMP, armed=True),
+    "wrong sign": Fault(do("sign", -1.0), mended("sign", 1.0), gate=Gate.RUNAWAY, after_s=0.2, armed=True),
+    "late by 100 ms": Fault(do("latency_s", 0.1), do("latency_s", 0.0), gate=Gate.DEVICE_SILENT, after_s=0.15),
     "silent scheduler": Fault(
         do("stopped"),
         do("stopped", False),
@@ -104,12 +94,12 @@ FAULTS: dict[str, Fault] = {
         after_s=0.07,
         devices=("hd",),
     ),
-    "silent node": Fault(falls_silent(True), falls_silent(False), gate=GATE_SILENT),
+    "silent node": Fault(falls_silent(True), falls_silent(False), gate=Gate.SILENT),
     "grip asleep": Fault(
-        do("grip_awake", False), do("grip_awake"), gate=GATE_DEADMAN, devices=("haply",), settings=BUTTON
+        do("grip_awake", False), do("grip_awake"), gate=Gate.DEADMAN, devices=("haply",), settings=BUTTON
     ),
     "dead-man button": Fault(
-        lambda bench: held(bench, False), lambda bench: held(bench, True), gate=GATE_DEADMAN, settings=BUTTON
+        lambda bench: held(bench, False), lambda bench: held(bench, True), gate=Gate.DEADMAN, settings=BUTTON
     ),
 }
 # A reading of the service that is frozen has no other sign.
@@ -162,9 +152,9 @@ def test_fault(name: str, kind: str, tmp_path: Path) -> None:
         assert any(part in error for error in bench.errors for part in fault.text.split("|")), bench.errors
         assert all(len(error) < 240 for error in bench.errors)
     else:
-        assert GATES[found[0].gate] == GATES[fault.gate]
+        assert Gate(found[0].gate).text == Gate(fault.gate).text
     # and on it goes, where the hand is
-    assert bench.newest.gate == GATE_ACTIVE
+    assert bench.newest.gate == Gate.ACTIVE
     assert not bench.newest.error
     assert bench.newest.force_n[2] == pytest.approx(HAND_N, rel=0.15, abs=0.0)
 
@@ -174,7 +164,7 @@ def test_refused_device_stays_refused_until_a_person_arms(kind: str, tmp_path: P
     bench = pushed(kind, tmp_path)
     bench.at(BREAKS_S, lambda: bench.device.do("offset_m", 0.010))
     bench.run(ENDS_S)
-    assert bench.newest.gate == GATE_JUMP
+    assert bench.newest.gate == Gate.JUMP
     assert bench.greatest_n(BREAKS_S + 0.01, ENDS_S) == 0.0
 
 
@@ -261,7 +251,7 @@ def test_error_of_a_call_is_a_loss_in_its_words_and_is_got_over(kind: str, call:
     bench.at(0.4, lambda: bench.device.double.fail(call, 0))
     bench.run(1.3)
     assert any(text in error and bench.found.identity in error for error in bench.errors), bench.errors
-    assert bench.newest.gate == GATE_ACTIVE
+    assert bench.newest.gate == Gate.ACTIVE
     assert not bench.newest.error
 
 
@@ -307,7 +297,7 @@ def test_servo_that_stood_still_after_it_had_read_the_device_takes_no_motion_for
     bench.run(PUSHES_S + 0.2)
     heights = [sample.position_m[2] for sample in bench.samples]
     assert max(before - after for before, after in pairwise(heights)) > 0.015
-    assert {sample.gate for sample in bench.samples} <= {GATE_ACTIVE, GATE_READY, GATE_RELEASED, GATE_REST}
+    assert {sample.gate for sample in bench.samples} <= {Gate.ACTIVE, Gate.READY, Gate.RELEASED, Gate.REST}
 
 
 def test_call_of_the_scheduler_that_took_long_and_has_just_ended_is_no_silence(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
 from telenano.hand.coupling import ZERO, CouplingSettings
 from telenano.settings import find_scenario
-from telenano.settings.scenario import load_scenario
+from telenano.settings.scenario import LoadedScenario
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 
@@ -39,7 +39,7 @@ def test_half_written_values_are_never_taken() -> None:
 def test_device_by_its_name_is_the_driver_of_that_name() -> None:
     flags = ("haptic_node.device=simulated_impedance", "haptic_node.driver=simulated_impedance")
     device, driver = (
-        load_scenario(find_scenario("fig12"), [flag]).section("haptic_node", HapticConfig) for flag in flags
+        LoadedScenario.load(find_scenario("fig12"), [flag]).section("haptic_node", HapticConfig) for flag in flags
     )
     assert device == driver
 

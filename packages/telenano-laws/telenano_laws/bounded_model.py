@@ -24,21 +24,20 @@ G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derive
 import math
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import drift, ranges, virtual_mass
+from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -55,6 +54,7 @@ from telenano.numerics import compiled
 from telenano_laws.ports import (
     Store,
     account_of,
+    bounded,
     continues,
     credited,
     followed,
@@ -72,13 +72,9 @@ from telenano_laws.ports import (
     tank,
 )
 
-bounded = virtual_mass.bounded
-Drift = drift.Drift
-drifted = drift.drifted
-error_of = drift.error_of
-no_drift = drift.no_drift
-_FARTHEST_M = virtual_mass.FARTHEST_M
-_FASTEST_M_PER_S = virtual_mass.FASTEST_M_PER_S
+# In an unstable loop a reference stays finite here [m, m/s].
+_FARTHEST_M = 1e6
+_FASTEST_M_PER_S = 1e9
 # A longer lag holds the hand back no more than this one.
 _LONGEST_LAG_S = 1.0
 # The time constant of the mean of the lag.
@@ -126,46 +122,36 @@ class BoundedModelParams(NamedTuple):
 class BoundedModelConfig(MassConfig):
     """Section `controller.bounded_model`; energies and stiffness at the hand's scale."""
 
-    silence_limit_s: ranges.TimeS = Field(
-        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    silence_limit_s: float = parameter(
+        0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
-    first_stiffness_n_per_m: ranges.StiffnessNPerM = Field(
-        default=1000.0, description="Stiffness of the contact before its slope is known, at the hand's scale K_0 [N/m]"
+    first_stiffness_n_per_m: float = parameter(
+        1000.0, "N/m", "Stiffness of the contact before its slope is known, at the hand's scale K_0 [N/m]"
     )
-    memory_m: ranges.LengthM = Field(
-        default=1e-10, description="Way of the tip over which the slope of the contact is taken [m]"
+    memory_m: float = parameter(1e-10, "m", "Way of the tip over which the slope of the contact is taken [m]")
+    update_s: float = parameter(0.05, "s", "Time constant with which the model follows [s]")
+    update_force_n_per_s: float = parameter(10.0, "N/s", "Fastest change of the force at the hand by an update [N/s]")
+    update_margin_n: float = parameter(
+        0.5, "N", "Force over that of the tip up to which an update may raise that at the hand [N]"
     )
-    update_s: ranges.TimeS = Field(default=0.05, description="Time constant with which the model follows [s]")
-    update_force_n_per_s: ranges.ForceRateNPerS = Field(
-        default=10.0, description="Fastest change of the force at the hand by an update [N/s]"
+    lag_damping: float = parameter(0.85, "1", "Share c_1 of K tau that the hand feels as a damper in contact; 0 = none")
+    lag_inertia: float = parameter(0.22, "1", "Share c_2 of K tau^2 that the hand feels as a mass in contact; 0 = none")
+    servo_damping_n_s_per_m: float = parameter(
+        150.0, "N s/m", "Damper B_g of the tip's force servo in contact, at the hand's scale [N s/m]"
     )
-    update_margin_n: ranges.ForceOrNoneN = Field(
-        default=0.5, description="Force over that of the tip up to which an update may raise that at the hand [N]"
+    approach_damping_n_s_per_m: float = parameter(
+        30.0, "N s/m", "Damper B_a against which the hand's force drives the tip on outside [N s/m]"
     )
-    lag_damping: ranges.Gain = Field(
-        default=0.85, description="Share c_1 of K tau that the hand feels as a damper in contact; 0 = none"
+    force_margin_n: float = parameter(
+        0.0, "N", "Force by which the tip may meet the sample harder than the hand presses F_0 [N]"
     )
-    lag_inertia: ranges.Gain = Field(
-        default=0.22, description="Share c_2 of K tau^2 that the hand feels as a mass in contact; 0 = none"
+    start_energy_j: float = parameter(
+        7.5e-4, "J", "Energy that each side has before it has taken or received any E_0 [J]", zero=True
     )
-    servo_damping_n_s_per_m: ranges.DampingNSPerM = Field(
-        default=150.0, description="Damper B_g of the tip's force servo in contact, at the hand's scale [N s/m]"
-    )
-    approach_damping_n_s_per_m: ranges.DampingNSPerM = Field(
-        default=30.0, description="Damper B_a against which the hand's force drives the tip on outside [N s/m]"
-    )
-    force_margin_n: ranges.ForceOrNoneN = Field(
-        default=0.0, description="Force by which the tip may meet the sample harder than the hand presses F_0 [N]"
-    )
-    start_energy_j: ranges.EnergyOrNoneJ = Field(
-        default=7.5e-4, description="Energy that each side has before it has taken or received any E_0 [J]"
-    )
-    energy_cap_j: ranges.EnergyJ = Field(default=1e-2, description="Most energy that a side keeps [J]")
-    well_energy_j: ranges.EnergyOrNoneJ = Field(
-        default=5e-4, description="Deepest well of a pull that the model may have E_a [J]"
-    )
-    exchange_s: ranges.TimeS = Field(
-        default=0.05, description="Time constant with which a tip's store that is nearly empty is filled [s]"
+    energy_cap_j: float = parameter(1e-2, "J", "Most energy that a side keeps [J]")
+    well_energy_j: float = parameter(5e-4, "J", "Deepest well of a pull that the model may have E_a [J]", zero=True)
+    exchange_s: float = parameter(
+        0.05, "s", "Time constant with which a tip's store that is nearly empty is filled [s]"
     )
 
     def to_params(self, period_s: float) -> BoundedModelParams:
@@ -194,7 +180,7 @@ class BoundedModelConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the tip may meet: it comes to it through the damper B_a."""
-        return virtual_mass.stiffness_limit_n_per_m(self, self.approach_damping_n_s_per_m, period_s)
+        return self.limit_of_damper(self.approach_damping_n_s_per_m, period_s)
 
 
 class Contact(NamedTuple):
@@ -689,7 +675,7 @@ def sample_drift(params: BoundedModelParams, state: MasterState) -> tuple[float,
     return scale * state.seen.drift.speed, scale * error_of(state.seen.drift)
 
 
-BOUNDED_MODEL = law_of(
+BOUNDED_MODEL = Law.of(
     __name__,
     BoundedModelConfig,
     uses_energy=True,

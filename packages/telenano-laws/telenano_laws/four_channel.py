@@ -18,19 +18,17 @@ inertia; and the stiffness felt, 3000 N/m for 20 N/m, needs more damping between
 
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges, virtual_mass
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -45,10 +43,10 @@ from telenano.extend.virtual_mass import (
     tip_reference,
 )
 from telenano.numerics import compiled
-from telenano_laws.ports import followed
+from telenano_laws.ports import bounded, followed
 
-bounded = virtual_mass.bounded
-_FASTEST_M_PER_S = virtual_mass.FASTEST_M_PER_S
+# In an unstable loop the reference stays finite here [m/s].
+_FASTEST_M_PER_S = 1e9
 
 
 class FourChannelParams(NamedTuple):
@@ -65,15 +63,11 @@ class FourChannelParams(NamedTuple):
 class FourChannelConfig(MassConfig):
     """Section `controller.four_channel`; all at the hand's scale."""
 
-    coupling_stiffness_n_per_m: ranges.StiffnessOrNoneNPerM = Field(
-        default=100.0, description="Spring between the sides K_c [N/m]"
-    )
-    coupling_damping_n_s_per_m: ranges.DampingOrNoneNSPerM = Field(
-        default=100.0, description="Damper between the sides B_c [N s/m]"
-    )
-    hand_force_loop: ranges.Gain = Field(default=0.5, description="Gain of the force loop at the hand C_mf")
-    tip_force_loop: ranges.Gain = Field(default=0.5, description="Gain of the force loop at the tip C_sf")
-    tip_mass_kg: ranges.MassKg = Field(default=0.5, description="Virtual mass of the tip M_s [kg]")
+    coupling_stiffness_n_per_m: float = parameter(100.0, "N/m", "Spring between the sides K_c [N/m]", zero=True)
+    coupling_damping_n_s_per_m: float = parameter(100.0, "N s/m", "Damper between the sides B_c [N s/m]", zero=True)
+    hand_force_loop: float = parameter(0.5, "1", "Gain of the force loop at the hand C_mf")
+    tip_force_loop: float = parameter(0.5, "1", "Gain of the force loop at the tip C_sf")
+    tip_mass_kg: float = parameter(0.5, "kg", "Virtual mass of the tip M_s [kg]")
 
     def to_params(self, period_s: float) -> FourChannelParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -210,4 +204,4 @@ def retune(old: FourChannelParams, new: FourChannelParams, state: MasterState) -
     return MasterState(rescaled(old.mass, new.mass, state.mass))
 
 
-FOUR_CHANNEL = law_of(__name__, FourChannelConfig, local_loop=True, rest_force=the_hands_force)
+FOUR_CHANNEL = Law.of(__name__, FourChannelConfig, local_loop=True, rest_force=the_hands_force)

@@ -19,20 +19,18 @@ chain and decides what is felt; and the base is a position source, so the tip's 
 import math
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges, virtual_mass
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -84,12 +82,12 @@ class FractalImpedanceParams(NamedTuple):
 class FractalImpedanceConfig(MassConfig):
     """Section `controller.fractal_impedance`; all at the hand's scale."""
 
-    silence_limit_s: ranges.TimeS = Field(
-        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    silence_limit_s: float = parameter(
+        0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
-    stiffness_n_per_m: ranges.StiffnessNPerM = Field(default=1500.0, description="Stiffness of the spring K_0 [N/m]")
-    greatest_force_n: ranges.ForceOrNoneN = Field(default=10.0, description="Greatest force of the spring W [N]")
-    base_damping_n_s_per_m: ranges.DampingNSPerM = Field(default=30.0, description="Damper of the base b_s [N s/m]")
+    stiffness_n_per_m: float = parameter(1500.0, "N/m", "Stiffness of the spring K_0 [N/m]")
+    greatest_force_n: float = parameter(10.0, "N", "Greatest force of the spring W [N]")
+    base_damping_n_s_per_m: float = parameter(30.0, "N s/m", "Damper of the base b_s [N s/m]")
 
     def to_params(self, period_s: float) -> FractalImpedanceParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -104,7 +102,7 @@ class FractalImpedanceConfig(MassConfig):
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the base tolerates, which also goes against its spring."""
         felt = self.force_scale * self.position_scale
-        limit = virtual_mass.stiffness_limit_n_per_m(self, self.base_damping_n_s_per_m, period_s)
+        limit = self.limit_of_damper(self.base_damping_n_s_per_m, period_s)
         return max(limit - 2.0 * self.stiffness_n_per_m / felt, 0.0)
 
 
@@ -272,7 +270,7 @@ def slave_retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state
     return SlaveState(state.position_m, _longer_turn(state.turn, longer))
 
 
-FRACTAL_IMPEDANCE = law_of(
+FRACTAL_IMPEDANCE = Law.of(
     __name__,
     FractalImpedanceConfig,
     local_loop=True,

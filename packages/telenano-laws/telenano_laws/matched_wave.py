@@ -25,21 +25,19 @@ the base's speed, which tolerates samples up to 4 b / (alpha_f alpha_p n Ts); an
 import math
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges, virtual_mass
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -86,15 +84,15 @@ class MatchedWaveParams(NamedTuple):
 class MatchedWaveConfig(MassConfig):
     """Section `controller.matched_wave`; all at the hand's scale."""
 
-    silence_limit_s: ranges.TimeS = Field(
-        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    silence_limit_s: float = parameter(
+        0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
-    impedance_n_s_per_m: ranges.DampingNSPerM = Field(default=100.0, description="Impedance of the line b [N s/m]")
-    drift_rate_per_s: ranges.Gain = Field(
-        default=10.0, description="Rate at which waves that are due are made up for kappa [1/s]; 0 = never"
+    impedance_n_s_per_m: float = parameter(100.0, "N s/m", "Impedance of the line b [N s/m]")
+    drift_rate_per_s: float = parameter(
+        10.0, "1", "Rate at which waves that are due are made up for kappa [1/s]; 0 = never"
     )
-    energy_cap_j: ranges.EnergyJ = Field(
-        default=5e-3, description="Most energy of the tip's damper that is kept to pay for the wave back [J]"
+    energy_cap_j: float = parameter(
+        5e-3, "J", "Most energy of the tip's damper that is kept to pay for the wave back [J]"
     )
 
     def to_params(self, period_s: float) -> MatchedWaveParams:
@@ -105,7 +103,7 @@ class MatchedWaveConfig(MassConfig):
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample [N/m] that the base tolerates against 2 b, over the longest step."""
-        return virtual_mass.stiffness_limit_n_per_m(self, 2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
+        return self.limit_of_damper(2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
 
 
 class Inbox(NamedTuple):
@@ -408,7 +406,7 @@ def slave_energy_account(params: MatchedWaveParams, state: SlaveState) -> Energy
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, 0.0)
 
 
-MATCHED_WAVE = law_of(
+MATCHED_WAVE = Law.of(
     __name__,
     MatchedWaveConfig,
     uses_waves=True,

@@ -6,21 +6,18 @@ All quantities are at the hand's scale, x = x_s / alpha_p and F = alpha_f F_s, s
 import math
 from typing import Any, NamedTuple
 
-from telenano.extend import virtual_mass
 from telenano.extend.laws import EnergyAccount, HandSample, PortSignal, TipMeasurement
+from telenano.extend.virtual_mass import HandPort as HandPort
 from telenano.extend.virtual_mass import Mass, MassParams, is_coupled
+from telenano.extend.virtual_mass import begun_again as begun_again
+from telenano.extend.virtual_mass import followed as followed
+from telenano.extend.virtual_mass import is_retracted as is_retracted
+from telenano.extend.virtual_mass import kept_near as kept_near
+from telenano.extend.virtual_mass import port_at as port_at
+from telenano.extend.virtual_mass import put_in as put_in
+from telenano.extend.virtual_mass import unpaid_j as unpaid_j
+from telenano.extend.virtual_mass import worked as worked
 from telenano.numerics import compiled
-
-# numba compiles what a module names itself
-HandPort = virtual_mass.HandPort
-followed = virtual_mass.followed
-begun_again = virtual_mass.begun_again
-port_at = virtual_mass.port_at
-kept_near = virtual_mass.kept_near
-worked = virtual_mass.worked
-unpaid_j = virtual_mass.unpaid_j
-put_in = virtual_mass.put_in
-is_retracted = virtual_mass.is_retracted
 
 
 class Store(NamedTuple):
@@ -160,8 +157,16 @@ def paid_base(
     force_n = params.force_scale * tip.force_n
     paid = paid_way(ahead, force_n, stiffness_n_per_m, left_j)
     if force_n * ahead <= 0.0 and abs(paid) < unpaid_m:
-        paid = virtual_mass.bounded(ahead, unpaid_m)
+        paid = bounded(ahead, unpaid_m)
     return tip.base_position_m + scale * paid
+
+
+@compiled
+def bounded(value: float, most: float) -> float:
+    """Return a value within -most and most; the same bits where it is."""
+    if value > most:
+        return most
+    return -most if value < -most else value
 
 
 @compiled

@@ -29,14 +29,20 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from telenano.extend import pass_through, ranges, virtual_mass
-from telenano.extend import virtual_impedance as impedance
-from telenano.extend.laws import HandSample, MasterReference, PortSignal, law_of, port_signal
-from telenano.extend.virtual_mass import periods_in
+from telenano.extend import pass_through
+from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
+from telenano.extend.ranges import parameter
+from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, ImpedanceConfig, VirtualImpedanceParams
+from telenano.extend.virtual_impedance import MasterState as ImpedanceState
+from telenano.extend.virtual_mass import is_retracted, periods_in
 from telenano.numerics import compiled, decay
 
-VirtualImpedanceParams = impedance.VirtualImpedanceParams
-is_retracted = virtual_mass.is_retracted
+# numba compiles what a module names itself
+_start = VIRTUAL_IMPEDANCE.master_start
+_resume = VIRTUAL_IMPEDANCE.master_resume
+_send = VIRTUAL_IMPEDANCE.master_send
+_receive = VIRTUAL_IMPEDANCE.master_receive
+_retune = VIRTUAL_IMPEDANCE.retune
 
 # This number of references are kept, one a period. The oldest represents still older ones, so longer delays are bridged
 # in part.
@@ -57,23 +63,19 @@ class SmithParams(NamedTuple):
     motion_m: float
 
 
-class SmithConfig(impedance.ImpedanceConfig):
+class SmithConfig(ImpedanceConfig):
     """Section `controller.smith`: the virtual impedance's parameters, and the model's."""
 
-    environment_stiffness_n_per_m: ranges.StiffnessOrNoneNPerM = Field(
-        default=10.0, description="Stiffness of the environment at the tip K_e, or first estimate of it [N/m]"
+    environment_stiffness_n_per_m: float = parameter(
+        10.0, "N/m", "Stiffness of the environment at the tip K_e, or first estimate of it [N/m]", zero=True
     )
-    environment_stiffness_max_n_per_m: ranges.StiffnessNPerM = Field(
-        default=60.0, description="Largest estimate of K_e [N/m]"
-    )
+    environment_stiffness_max_n_per_m: float = parameter(60.0, "N/m", "Largest estimate of K_e [N/m]")
     estimate: bool = Field(default=True, description="Whether K_e is estimated from what comes back")
-    memory_s: ranges.TimeS = Field(default=0.2, description="Time constant of forgetting in the estimate [s]")
-    least_motion_m: ranges.LengthM = Field(
-        default=5e-11, description="Motion of the tip in memory (standard deviation) below which K_e is kept [m]"
+    memory_s: float = parameter(0.2, "s", "Time constant of forgetting in the estimate [s]")
+    least_motion_m: float = parameter(
+        5e-11, "m", "Motion of the tip in memory (standard deviation) below which K_e is kept [m]"
     )
-    stiffness_rate_n_per_m_s: ranges.StiffnessRateNPerMS = Field(
-        default=200.0, description="Fastest change of the K_e in use [N/(m s)]"
-    )
+    stiffness_rate_n_per_m_s: float = parameter(200.0, "N/(m s)", "Fastest change of the K_e in use [N/(m s)]")
 
     def to_params(self, period_s: float) -> SmithParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -105,7 +107,7 @@ class MasterState(NamedTuple):
     sent_m: the ring without the block of the newest, shape (HISTORY,); block_m: that block, shape (32,).
     """
 
-    impedance: impedance.MasterState
+    impedance: ImpedanceState
     sent_m: npt.NDArray[np.float64]
     block_m: npt.NDArray[np.float64]
     newest: int
@@ -121,7 +123,7 @@ def _without_memory(stiffness_n_per_m: float) -> Estimate:
 
 
 @compiled
-def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
+def _fresh(params: SmithParams, state: ImpedanceState) -> MasterState:
     reference = params.impedance.position_scale * state.position_m + state.tip_offset_m
     sent, estimate = np.full(HISTORY, reference), _without_memory(params.stiffness_n_per_m)
     return MasterState(state, sent, np.full(_BLOCK, reference), 0, estimate, 0.0)
@@ -130,19 +132,19 @@ def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
 @compiled
 def master_start(params: SmithParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position, as if it had always been there."""
-    return _fresh(params, impedance.master_start(params.impedance, hand))
+    return _fresh(params, _start(params.impedance, hand))
 
 
 @compiled
 def master_resume(params: SmithParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return _fresh(params, impedance.master_resume(params.impedance, hand, tip_reference_m))
+    return _fresh(params, _resume(params.impedance, hand, tip_reference_m))
 
 
 @compiled
 def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference and store it for every period in dt [s]."""
-    inner, signal = impedance.master_send(params.impedance, state.impedance, hand, dt)
+    inner, signal = _send(params.impedance, state.impedance, hand, dt)
     sent, block, newest = state.sent_m, state.block_m.copy(), state.newest
     for _ in range(periods_in(dt, params.impedance.period_s)):
         if newest % _BLOCK == _BLOCK - 1:
@@ -223,20 +225,21 @@ def master_receive(
         silence_s=signal.silence_s,
         round_trip_s=signal.round_trip_s,
     )
-    inner, reference = impedance.master_receive(p, state.impedance, hand, predicted, dt)
+    inner, reference = _receive(p, state.impedance, hand, predicted, dt)
     return MasterState(inner, state.sent_m, state.block_m, state.newest, estimate, in_use), reference
 
 
 @compiled
 def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes."""
-    inner = impedance.retune(old.impedance, new.impedance, state.impedance)
+    inner = _retune(old.impedance, new.impedance, state.impedance)
     return MasterState(inner, state.sent_m, state.block_m, state.newest, state.estimate, state.in_use_n_per_m)
 
 
 def rest_force(params: SmithParams, force_n: float) -> float:
     """Return the force at the tip that the virtual impedance rests at [N]: the prediction ends with the motion."""
-    return impedance.rest_force(params.impedance, force_n)
+    assert VIRTUAL_IMPEDANCE.rest_force is not None
+    return float(VIRTUAL_IMPEDANCE.rest_force(params.impedance, force_n))
 
 
-SMITH = law_of(__name__, SmithConfig, slave=pass_through)
+SMITH = Law.of(__name__, SmithConfig, slave=pass_through)

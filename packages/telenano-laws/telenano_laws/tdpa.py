@@ -25,21 +25,19 @@ that one period's way costs much of what E_0 is.
 import math
 from typing import Any, NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     port_signal,
     the_hands_force,
     tip_signal,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -102,8 +100,8 @@ class TdpaParams(NamedTuple):
 class PaidConfig(MassConfig):
     """What laws share whose tip goes no further than its account pays for."""
 
-    stiffest_n_per_m: ranges.StiffnessNPerM = Field(
-        default=6e4, description="Stiffest sample that a step of the tip is paid for, at the hand's scale K [N/m]"
+    stiffest_n_per_m: float = parameter(
+        6e4, "N/m", "Stiffest sample that a step of the tip is paid for, at the hand's scale K [N/m]"
     )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
@@ -114,16 +112,14 @@ class PaidConfig(MassConfig):
 class TdpaConfig(PaidConfig):
     """Section `controller.tdpa`; energies at the hand's scale."""
 
-    silence_limit_s: ranges.TimeS = Field(
-        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    silence_limit_s: float = parameter(
+        0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
-    drift_rate_per_s: ranges.Gain = Field(
-        default=20.0, description="Rate at which the tip makes up for what it is behind the hand kappa [1/s]; 0 = none"
+    drift_rate_per_s: float = parameter(
+        20.0, "1", "Rate at which the tip makes up for what it is behind the hand kappa [1/s]; 0 = none"
     )
-    start_energy_j: ranges.EnergyOrNoneJ = Field(
-        default=1e-3, description="Energy that may leave each port at the start E_0 [J]"
-    )
-    energy_cap_j: ranges.EnergyJ = Field(default=5e-3, description="Most energy that a port keeps [J]")
+    start_energy_j: float = parameter(1e-3, "J", "Energy that may leave each port at the start E_0 [J]", zero=True)
+    energy_cap_j: float = parameter(5e-3, "J", "Most energy that a port keeps [J]")
 
     def to_params(self, period_s: float) -> TdpaParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -319,4 +315,4 @@ def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount
     return account_of(state.store)
 
 
-TDPA = law_of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)
+TDPA = Law.of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

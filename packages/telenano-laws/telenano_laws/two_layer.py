@@ -19,18 +19,16 @@ for 1 N on 20 N/m and 30 mJ on 0.1 N/m; and the hand, which follows positions, f
 
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend import ranges
 from telenano.extend.laws import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    law_of,
     the_hands_force,
 )
+from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import MassParams, is_coupled, let_go, moved, periods_in
 from telenano.numerics import compiled
 from telenano_laws.ports import (
@@ -86,18 +84,16 @@ class TwoLayerParams(NamedTuple):
 class TwoLayerConfig(PaidConfig):
     """Section `controller.two_layer`; energies at the hand's scale."""
 
-    silence_limit_s: ranges.TimeS = Field(
-        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    silence_limit_s: float = parameter(
+        0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
-    level_j: ranges.EnergyOrNoneJ = Field(default=2e-3, description="Level of the hand's tank H_d [J]")
-    level_gain_n_s_per_m_j: ranges.Gain = Field(
-        default=1e5, description="Damper at the hand for each joule that is missing in its tank alpha [N s/m/J]"
+    level_j: float = parameter(2e-3, "J", "Level of the hand's tank H_d [J]", zero=True)
+    level_gain_n_s_per_m_j: float = parameter(
+        1e5, "1", "Damper at the hand for each joule that is missing in its tank alpha [N s/m/J]"
     )
-    exchange_s: ranges.TimeS = Field(
-        default=0.1, description="Time in which a tank would send all it has to the other side Ts/beta [s]"
-    )
-    start_energy_j: ranges.EnergyOrNoneJ = Field(default=1e-3, description="Energy in each tank at the start H(0) [J]")
-    energy_cap_j: ranges.EnergyJ = Field(default=2e-2, description="Most energy that a tank keeps [J]")
+    exchange_s: float = parameter(0.1, "s", "Time in which a tank would send all it has to the other side Ts/beta [s]")
+    start_energy_j: float = parameter(1e-3, "J", "Energy in each tank at the start H(0) [J]", zero=True)
+    energy_cap_j: float = parameter(2e-2, "J", "Most energy that a tank keeps [J]")
 
     def to_params(self, period_s: float) -> TwoLayerParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -186,4 +182,4 @@ def slave_receive(
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
-TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)
+TWO_LAYER = Law.of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

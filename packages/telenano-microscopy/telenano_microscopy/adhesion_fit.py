@@ -20,16 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import (
-    AfmConfig,
-    cohesive_stress_pa,
-    contact_distance_m,
-    force_n,
-    indentation_m,
-    maugis_dugdale,
-    pull_off,
-    reduced_modulus_pa,
-)
+from telenano.afm import AfmConfig, MaugisDugdale, cohesive_stress_pa, force_n, reduced_modulus_pa
 from telenano.numerics import compiled, compiled_form
 from telenano.wire import ConfigError
 from telenano_microscopy.correlated_noise import Noise, correlated_noise
@@ -227,11 +218,11 @@ def _model(config: AfmConfig, reduced_modulus: float | None) -> _Model:
         t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson
     )
     capillary = 4.0 * math.pi * t.liquid_energy_j_per_m2 if config.meniscus else 0.0
-    return _Model(modulus, contact_distance_m(t.sigma_m), -capillary)
+    return _Model(modulus, config.to_params().plant.tip.contact_distance_m, -capillary)
 
 
 def _contact(model: _Model, radius_m: float, work: float) -> Any:
-    return maugis_dugdale(radius_m, work, model.modulus_pa, cohesive_stress_pa(work, model.contact_distance_m))
+    return MaugisDugdale.of(radius_m, work, model.modulus_pa, cohesive_stress_pa(work, model.contact_distance_m))
 
 
 class _Part(NamedTuple):
@@ -276,8 +267,8 @@ def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float)
     radius, work = math.exp(free[0]), math.exp(free[1])
     contact = _contact(model, radius, work)
     dry_n = max(load_n - model.capillary_n_per_m * radius, 0.0)
-    deepest = indentation_m(contact, 1.2 * dry_n + 0.1 * contact.force_unit_n)
-    _, first = pull_off(contact)
+    deepest = contact.indentation_m(1.2 * dry_n + 0.1 * contact.force_unit_n)
+    _, first = contact.pull_off()
     # fine where the contact ends
     depths = first + (deepest - first) * np.linspace(0.0, 1.0, _GRID) ** 2
     forces = np.empty(_GRID)

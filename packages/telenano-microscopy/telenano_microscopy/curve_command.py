@@ -21,7 +21,6 @@ from telenano.cli import (
 from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
 from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
-from telenano.signals import received as signal_received
 from telenano.wire import ConfigError, RigError
 from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
 
@@ -117,7 +116,7 @@ def curve(
         document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
-    if signal_received():
+    if exit_code_of_signal():
         typer.echo(f"telenano: interrupted; {out} is complete", err=True)
         raise typer.Exit(exit_code_of_signal())
 

@@ -16,17 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import (
-    NO_NOISE,
-    AfmConfig,
-    advance,
-    deflection_m,
-    equilibrium,
-    initial_state,
-    require_steps,
-    simulated_afm,
-    steady_state,
-)
+from telenano.afm import AfmConfig, settled_tip, simulated_afm
 from telenano.settings import read_by_package
 from telenano.wire import ConfigError, RigError
 
@@ -162,12 +152,12 @@ def curve_of_samples(
 
 def _static(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
     plant = config.to_params().plant
-    state = initial_state(plant, begin_m)
+    state = plant.at_rest(begin_m)
 
     def measure(base_m: float) -> float:
         nonlocal state
-        state = equilibrium(plant, state, base_m)
-        return deflection_m(plant, state.distance_m, base_m)
+        state = plant.settled(state, base_m)
+        return float(state.distance_m + base_m - plant.rest_distance_m)
 
     return measure
 
@@ -187,20 +177,11 @@ def _disturbed(config: AfmConfig, step_s: float) -> Callable[[float], float]:
 def _dynamic(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
     try:
         plant = config.to_dynamic()
-        require_steps(plant)
+        # after Q periods a motion is e^-pi of what it was
+        settle = max(1, round(config.cantilever.quality / 2.0)) * plant.drive.shape[0]
+        return settled_tip(plant, begin_m, settle)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    state = steady_state(plant, begin_m, 0.0)
-    # after Q periods a motion is e^-pi of what it was
-    settle = max(1, round(config.cantilever.quality / 2.0)) * plant.drive.shape[0]
-
-    def measure(base_m: float) -> float:
-        nonlocal state
-        state, _ = advance(plant, state, base_m, 0.0, 0.0, settle, NO_NOISE)
-        state, reading = advance(plant, state, base_m, 0.0, 0.0, plant.drive.shape[0], NO_NOISE)
-        return reading.mean_deflection_m
-
-    return measure
 
 
 def _turning_point(config: AfmConfig, load_n: float) -> float:
@@ -208,10 +189,10 @@ def _turning_point(config: AfmConfig, load_n: float) -> float:
     plant = config.to_params().plant
     low = config.rest_distance_m
     high = low + 1e-9
-    deep = equilibrium(plant, initial_state(plant, low), low)
+    deep = plant.settled(plant.at_rest(low), low)
 
     def force(base_m: float) -> float:
-        zeta_m = deflection_m(plant, equilibrium(plant, deep, base_m).distance_m, base_m)
+        zeta_m = plant.settled(deep, base_m).distance_m + base_m - plant.rest_distance_m
         return float(plant.stiffness_n_per_m * zeta_m)
 
     while force(high) < load_n:

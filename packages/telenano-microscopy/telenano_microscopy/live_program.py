@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from telenano.console import holding, send_control
-from telenano.runtime import RIG_HINT, Command, Observer, load_site, require_rig
+from telenano.runtime import RIG_HINT, Command, Observer
 from telenano.signals import held
 from telenano.wire import AfmProgram, AfmScanline, AfmState, NodeHealth, RigError, Scalar
 from telenano_microscopy.image_files import LiveImage
@@ -61,9 +61,7 @@ def run_program(
         RigError: No rig is there, the program is refused, or the instrument falls silent.
     """
     topics = (*_TOPICS, "afm/state") if isinstance(collected, LiveCurve) else _TOPICS
-    book = load_site(site_file)
-    require_rig(book, site_file)
-    with closing(Observer(book, topics)) as observer:
+    with closing(Observer.of_rig(site_file, topics)) as observer:
         _await_instrument(observer)
         listener = _Listener(observer, collected)
 

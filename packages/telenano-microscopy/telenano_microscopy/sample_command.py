@@ -40,12 +40,11 @@ def sample(
         if out is None:
             raise ConfigError("missing option '--out'")
         config = sample_config(name, size, channel, settings)
-        from telenano.afm import dilated
         from telenano_microscopy.image_files import Image, write_gsf, write_gwy, write_png
 
         surface = config.build()
         try:
-            seen = dilated(surface, tip_radius * 1e-9)
+            seen = surface.dilated(tip_radius * 1e-9)
         except ValueError as error:
             raise ConfigError(f"--tip-radius: {error}") from error
         images = {

@@ -20,7 +20,6 @@ from telenano.cli import (
 from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
 from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
-from telenano.signals import received as signal_received
 from telenano.wire import RigError
 from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
 from telenano_microscopy.sample_options import (
@@ -157,14 +156,14 @@ def _scan_live(
 
 def _say_if_interrupted(partial: str) -> bool:
     """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
-    if signal_received():
+    if exit_code_of_signal():
         typer.echo(f"telenano: interrupted: {partial or 'all lines'} are kept", err=True)
-    return bool(signal_received())
+    return bool(exit_code_of_signal())
 
 
 def _exit_if_interrupted(is_reported: bool, partial: str) -> None:
     """Exit with the code of the signal that ended an image, or came while it was written."""
-    if signal_received():
+    if exit_code_of_signal():
         if not is_reported:
             _say_if_interrupted(partial)
         raise typer.Exit(exit_code_of_signal())

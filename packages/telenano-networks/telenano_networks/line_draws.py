@@ -13,25 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link import (
-    DRAWS_IN_CORRELATION_TIME,
-    LONGEST_WALK,
-    SMALLEST,
-    DirectionSettings,
-    Files,
-    Jitter,
-    LinkSettings,
-    Outages,
-    Pipeline,
-    fates_of,
-    stream,
-)
+from telenano.link import DirectionEngine, Jitter, LinkSettings, Outages, fates_of, stream
 from telenano_networks.line_sources import Column
 
 Times = npt.NDArray[np.int64]
 # What a fitted line, and its twin without memory, have of the settings of a direction.
 _PARTS = {"delay_s", "jitter", "order", "queue", "outage", "gilbert_elliott", "loss"}
-_NO_FILES = Files(None, None, (), None)
 
 
 def delays_ns(settings: LinkSettings, topic: str, times_ns: Sequence[int], size_bytes: int) -> Column:
@@ -45,15 +32,13 @@ def delays_ns(settings: LinkSettings, topic: str, times_ns: Sequence[int], size_
     way, arrived_ns = settings.forward, np.asarray(times_ns, dtype=np.int64)
     if not len(arrived_ns):
         return np.empty(0)
-    held_ns = _held_ns(settings, arrived_ns, size_bytes) if _is_fitted(way) else None
+    held_ns = _held_ns(settings, arrived_ns, size_bytes) if _is_fitted(settings) else None
     if held_ns is None:
         fates = fates_of(settings, "forward", topic, times_ns, size_bytes)
         return np.array([np.nan if fate.dropped else fate.delay_ns for fate in fates if fate.copy == 0])
-    pipeline = Pipeline("forward", settings, {"": _NO_FILES}, int(arrived_ns[0])).of_topic(topic)
-    lost = np.zeros(len(arrived_ns), dtype=bool)
-    if pipeline.losses:
-        lost[:] = [pipeline.lost_by(0, 0) != "" for _ in times_ns]
-    usual_ns = np.maximum(0.0, np.rint(pipeline.fixed_ns + _jitter_ns(settings, topic, arrived_ns)))
+    engine = DirectionEngine("forward", settings, int(arrived_ns[0]))
+    lost = np.array(engine.draw_losses(topic, len(arrived_ns)), dtype=bool)
+    usual_ns = np.maximum(0.0, np.rint(round(way.delay_s * 1e9) + _jitter_ns(settings, topic, arrived_ns)))
     released_ns = (held_ns + usual_ns)[~lost]
     if way.order != "any":
         released_ns = np.maximum.accumulate(released_ns)
@@ -62,7 +47,8 @@ def delays_ns(settings: LinkSettings, topic: str, times_ns: Sequence[int], size_
     return delay_ns
 
 
-def _is_fitted(way: DirectionSettings) -> bool:
+def _is_fitted(settings: LinkSettings) -> bool:
+    way = settings.forward
     jitter, outage = way.jitter, way.outage
     plain = bool(jitter.quantiles) and jitter.distribution == "table" and jitter.correlation == 0.0
     return (
@@ -105,7 +91,7 @@ def _jitter_ns(settings: LinkSettings, topic: str, arrived_ns: Times) -> Column:
         uniform = _lasting(settings, jitter, arrived_ns)
     else:
         draw = stream(settings.seed, "forward", topic, "original", "jitter")
-        uniform = np.array([draw() or SMALLEST for _ in range(len(arrived_ns))])
+        uniform = np.array([draw.positive() for _ in range(len(arrived_ns))])
     return np.asarray(jitter.scale_s * 1e9 * np.interp(uniform, shares, values))
 
 
@@ -120,14 +106,14 @@ def _lasting(settings: LinkSettings, jitter: Jitter, arrived_ns: Times) -> Colum
 
 
 def _scores(settings: LinkSettings, name: str, time_s: float, arrived_ns: Times) -> Column:
-    steps = arrived_ns // round(time_s * 1e9 / DRAWS_IN_CORRELATION_TIME)
+    steps = arrived_ns // round(time_s * 1e9 / Jitter.DRAWS_IN_CORRELATION_TIME)
     behind = np.diff(steps, prepend=steps[0] - 1)
-    jumped = behind > LONGEST_WALK
+    jumped = behind > Jitter.LONGEST_WALK
     behind[jumped] = 1
     place = np.cumsum(behind) - 1
     draw = stream(settings.seed, "forward", "shared", name, "")
-    fresh = special.ndtri(np.array([draw() or SMALLEST for _ in range(int(place[-1]) + 1)])).tolist()
-    rho = math.exp(-1.0 / DRAWS_IN_CORRELATION_TIME)
+    fresh = special.ndtri(np.array([draw.positive() for _ in range(int(place[-1]) + 1)])).tolist()
+    rho = math.exp(-1.0 / Jitter.DRAWS_IN_CORRELATION_TIME)
     gain = math.sqrt(1.0 - rho * rho)
     scores: list[float] = []
     # Nothing is left of a score after a long pause.

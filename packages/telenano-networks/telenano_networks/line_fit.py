@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link import parse_settings
+from telenano.link import LinkSettings
 from telenano_networks.line_draws import delays_ns
 from telenano_networks.line_log import LineLog, Segment
 from telenano_networks.line_sources import Column
@@ -164,7 +164,7 @@ class LineModel:
 def sent(way: dict[str, Any], seed: int, minutes: int = 10) -> tuple[Column, Column]:
     """Return when each of 120 000 messages was sent, at even distances in these minutes, and its delay [ns]."""
     times_ns = range(0, minutes * 60 * 10**9, minutes * 500_000)
-    settings = parse_settings({"seed": seed, "forward": way})
+    settings = LinkSettings.of({"seed": seed, "forward": way})
     return np.array(times_ns, dtype=np.float64), delays_ns(settings, "teleop/forward", times_ns, _SENT_BYTES)
 
 
@@ -318,13 +318,13 @@ def generated(ways: dict[str, dict[str, Any]], log: LineLog, seed: int) -> LineL
         begin_s += float(part.sent_s[-1]) + 60.0
     times_ns = np.rint(1e9 * np.concatenate(sent_s)).astype(np.int64)
     delays = delays_ns(
-        parse_settings({"seed": seed, "forward": ways["forward"]}), "teleop/forward", times_ns.tolist(), _SIZE_BYTES
+        LinkSettings.of({"seed": seed, "forward": ways["forward"]}), "teleop/forward", times_ns.tolist(), _SIZE_BYTES
     )
     if log.round_trip:
         there = np.flatnonzero(~np.isnan(delays))
         order = there[np.argsort(times_ns[there] + delays[there], kind="stable")]
         arrived_ns = np.rint(times_ns[order] + delays[order]).astype(np.int64).tolist()
-        back = parse_settings({"seed": seed + 1, "forward": ways["backward"]})
+        back = LinkSettings.of({"seed": seed + 1, "forward": ways["backward"]})
         delays[order] += delays_ns(back, "teleop/backward", arrived_ns, _SIZE_BYTES)
     delays *= 1e-9
     if log.resolution_s:

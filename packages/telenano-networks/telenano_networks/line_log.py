@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from telenano.files import Column as TableColumn
-from telenano.files import TextTable, decoded, parse_table, read_regular
+from telenano.files import TextTable, decoded, read_regular
 from telenano.wire import ConfigError
 from telenano_networks import ping_log
 from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
@@ -150,7 +150,7 @@ def _read(
         return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in log.parts], True
     if is_delivery_trace(text) and period_s is None:
         return [through_delivery_trace(text, path.name, cuts)], False
-    table = parse_table(content, path.name)
+    table = TextTable.parse(content, path.name)
     cuts += [f"{path.name}: {remark}" for remark in table.remarks if "no number" not in remark]
     return _of_table(table, unit, period_s, cuts)
 

@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.files import read_table
-from telenano.link import fates_of, parse_settings
+from telenano.files import TextTable
+from telenano.link import LinkSettings, fates_of
 from telenano.recording import Recording
 from telenano.wire import ConfigError
 from telenano_networks.network_trace import traces_of
@@ -96,7 +96,7 @@ def through_delivery_trace(text: str, name: str, notes: list[str]) -> tuple[Colu
     try:
         way = {"delivery_trace": {"file": file}, "queue": {"limit_messages": None}}
         sent_ns = [round(1e9 * _PERIOD_S * number) for number in range(count)]
-        settings = parse_settings({"forward": way})
+        settings = LinkSettings.of({"forward": way})
         fates = fates_of(settings, "forward", "teleop/forward", sent_ns, _SIZE_BYTES, folder=folder)
     finally:
         (folder / file).unlink()
@@ -124,7 +124,7 @@ def read_histogram(path: Path, unit_s: float | None) -> Histogram:
         ConfigError: Nobody says the unit, a row is no pair of numbers, the edges do not rise, or nothing is counted;
             the message names file and line.
     """
-    table = read_table(path)
+    table = TextTable.read(path)
     name = path.name
     if len(table.columns) != 2:
         raise ConfigError(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from telenano.timing import ClockLine, fitted
+from telenano.timing import ClockLine
 from telenano.wire import SETTLE_NS, LinkNetwork, TelenanoError
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _clock_line(columns: Mapping[Direction, Columns]) -> ClockLine | None:
         bounds[direction] = [(at, value if is_there else -value) for at, value in best.values()]
     if not all(bounds.get(direction) for direction in DIRECTIONS):
         return None
-    line = fitted(bounds["forward"], bounds["backward"])
+    line = ClockLine.through(bounds["forward"], bounds["backward"])
     # The very fastest datagram of each way is a matter of chance; the fastest of a usual tenth of a second is not.
     off_ns = [
         float(np.median([abs(value - line.at(at)) for at, value in bounds[direction]])) for direction in DIRECTIONS

@@ -81,11 +81,11 @@ def carried(name: str, seed: int) -> "LineLog":
     """Return what a network does to messages, as a log of them; ConfigError names the networks that there are."""
     import numpy as np
 
-    from telenano.link import parse_settings
+    from telenano.link import LinkSettings
     from telenano_networks.line_draws import delays_ns
     from telenano_networks.line_log import LineLog, Segment
 
     times_ns = range(0, _SECONDS * 10**9, _PERIOD_NS)
-    settings = parse_settings({"profile": name, "seed": seed})
+    settings = LinkSettings.of({"profile": name, "seed": seed})
     delay_s = 1e-9 * delays_ns(settings, "udp", times_ns, _SIZE_BYTES)
     return LineLog((Segment(1e-9 * np.array(times_ns, dtype=np.float64), delay_s),), round_trip=False)

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from telenano.runtime import AddressBook, open_participant
+from telenano.runtime import AddressBook, Participant
 from telenano.settings import flag_overrides
 from telenano.wire import TOPICS, ConfigError, Message, name_of
 
@@ -43,7 +43,7 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
         words = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
         raise ConfigError(f"{topic}: {'; '.join(words)}; `telenano topic info {topic}` lists the fields")
     sent = 0
-    with open_participant(src, book) as participant:
+    with Participant.open(src, book) as participant:
         publisher = participant.bind(src)
         time.sleep(_CONNECT_S)
         try:

@@ -33,9 +33,9 @@ def pub(
     """Publish messages in the place of a node that does not run, until Ctrl-C or a number; for trials and tests."""
     with report_errors(as_json):
         from telenano.cli import print_answer
-        from telenano.runtime import known_name, load_site
+        from telenano.runtime import AddressBook, known_name
         from telenano_networks.publish import publish
 
-        sent = publish(load_site(site_file), src, known_name(topic)[0], fields, rate, count)
+        sent = publish(AddressBook.load(site_file), src, known_name(topic)[0], fields, rate, count)
     text = f"published {sent} messages on {topic} as {src}"
     print_answer({"topic": topic, "src": src, "sent": sent}, text, as_json=as_json)

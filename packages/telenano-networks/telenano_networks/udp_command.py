@@ -65,20 +65,20 @@ def udp(
     """
     with report_errors(as_json):
         from telenano.console import parse_parameters
-        from telenano.link import network_name, parse_settings
-        from telenano.runtime import StopSignals, StructuredLog, apply_realtime, load_site, open_participant, run_loop
-        from telenano.settings import RealtimeConfig, nested
+        from telenano.link import LinkSettings
+        from telenano.runtime import AddressBook, Participant, StopSignals, StructuredLog, apply_realtime
+        from telenano.settings import nested
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
 
         here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
         flat = {key: None if value == "none" else value for key, value in parse_parameters(keys or ()).items()}
-        settings = parse_settings({"profile": profile, **nested(flat, "--set")}, "the network")
-        book, signals = load_site(site_file), StopSignals()
+        settings = LinkSettings.of({"profile": profile, **nested(flat, "--set")}, "the network")
+        book, signals = AddressBook.load(site_file), StopSignals()
         # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
-        realtime = apply_realtime(RealtimeConfig(), StructuredLog(_KEY), _KEY)
+        realtime = apply_realtime(None, StructuredLog(_KEY), _KEY)
         with contextlib.ExitStack() as stack:
-            participant = stack.enter_context(open_participant(_KEY, book, signals.descriptor))
+            participant = stack.enter_context(Participant.open(_KEY, book, signals.descriptor))
             try:
                 outlets = participant.bind("delay_node@slave"), participant.bind(_KEY)
             except TelenanoError as error:
@@ -96,11 +96,11 @@ def udp(
             link = UdpLink(participant.context(bus), settings, outlets, ports, Path(), duration_s=duration)
             typer.echo(
                 f"ready: datagrams to {_shown(ports)} are forwarded to {there} over the network "
-                f"{network_name(settings)}; "
+                f"{settings.network_name}; "
                 "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
                 err=as_json,
             )
-            run_loop(link, bus, signals, realtime, guarded=True)
+            signals.run(link, bus, realtime, guarded=True)
             document = {
                 **link.summary(),
                 "clients_refused": ports.refused,

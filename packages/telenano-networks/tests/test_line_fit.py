@@ -28,7 +28,7 @@ from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.engine import fates_of
 from telenano.link.fate import Direction
 from telenano.link.profiles import Profile
@@ -158,7 +158,7 @@ def test_a_round_trip_becomes_two_ways_whose_delays_add_up_to_it() -> None:
     (part,) = made_log(4).segments
     log = LineLog((part,), round_trip=True)
     ways = fit(log).ways(round_trip=True)
-    settings = parse_settings({"seed": 3, **ways})
+    settings = LinkSettings.of({"seed": 3, **ways})
     # the engine itself, there and then back at the times of arrival
     times_ns = [round(1e9 * t) for t in part.sent_s.tolist()]
     there = [one for one in fates_of(settings, "forward", "udp", times_ns, 200) if not one.dropped]
@@ -332,7 +332,7 @@ def recorded():  # type: ignore[no-untyped-def]
             name: {"delay_s": delay_s, "jitter": {"scale_s": 1e-4}, "loss": {"probability": 0.1}}
             for name, delay_s in (("forward", 0.02), ("backward", 0.005))
         }
-        settings = parse_settings(ways)
+        settings = LinkSettings.of(ways)
         writer = RecordingWriter.create("recorder@master", FileSettings(directory=path.parent, file_name=path.name))
         channel = writer.channel("link/fates", "delay_node@master", "master")
         for way in WAYS:
@@ -405,7 +405,7 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     assert done.exit_code in (0, 3), done.output
     assert "stalls per minute" in done.output
     way = json.loads((tmp_path / "line" / "way.json").read_text(encoding="utf-8"))
-    settings = parse_settings({"forward": way})
+    settings = LinkSettings.of({"forward": way})
     assert settings.forward.outage.mode == "hold"
     assert settings.forward.jitter.correlation_time_s == pytest.approx(TIME_S, rel=0.3)
     profile = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))
@@ -499,7 +499,7 @@ LINES = [
 
 @pytest.mark.parametrize("name", LINES)
 def test_the_delays_of_a_line_are_those_that_the_engine_gives(name: str) -> None:
-    settings = parse_settings({"profile": name, "seed": 3})
+    settings = LinkSettings.of({"profile": name, "seed": 3})
     # a minute, a pause after which nothing is left of a score, and what is sent while a stall lasts
     times_ns = [*range(5 * 10**9, 65 * 10**9, 2 * 10**7), *range(10**15, 10**15 + 120 * 10**9, 10**8)]
     fates = fates_of(settings, "forward", "udp", times_ns, 200)
@@ -513,6 +513,6 @@ def test_a_stall_that_holds_more_than_the_queue_drops_as_the_engine_does() -> No
         "queue": {"limit_messages": 40},
         "outage": {"mean_up_s": 1.0, "mean_down_s": 1.0, "down_spread": 0.1, "mode": "hold"},
     }
-    settings = parse_settings({"forward": way, "seed": 3})
+    settings = LinkSettings.of({"forward": way, "seed": 3})
     found = delays_ns(settings, "udp", range(0, 30 * 10**9, 10**7), 200)
     assert 0.1 < np.isnan(found).mean() < 0.5

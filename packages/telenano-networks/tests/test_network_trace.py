@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.engine import fates_of
 from telenano.timing.clock_offset import Exchange, OffsetFilter
 from telenano.wire.errors import TelenanoError
@@ -54,7 +54,7 @@ def reports(direction: str, count: int = 4000, per_report: int = 500, *, valid: 
 
 def test_the_link_replays_the_delays_and_losses_that_were_measured(tmp_path: Path) -> None:
     traces = traces_of([*reports("forward"), *reports("backward")])
-    settings = parse_settings(write_traces(traces, tmp_path))
+    settings = LinkSettings.of(write_traces(traces, tmp_path))
     for direction in DIRECTIONS:
         trace = traces[direction]
         assert len(trace.sent_s) > 3990

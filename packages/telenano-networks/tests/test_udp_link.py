@@ -20,7 +20,7 @@ from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from telenano.link.config import LinkSettings, changed
+from telenano.link.config import LinkSettings
 from telenano.link.fate import Direction
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.loop.node import resident_bytes
@@ -53,7 +53,7 @@ class Line:
     def __init__(self, bounds: Bounds | None = None, **settings: Any) -> None:
         self.bench = NodeBench("delay_node@master")
         self.ports = RecordedPorts(self.bench)
-        link = changed(LinkSettings(), settings)
+        link = LinkSettings().changed(settings)
         outlet: Any = self.bench
         self.node = UdpLink(self.bench.context, link, (outlet, outlet), self.ports, bounds=bounds or Bounds())
 

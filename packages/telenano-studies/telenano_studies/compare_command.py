@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from telenano.analysis import FigureOptions, figure_options
+from telenano.analysis import FigureOptions
 from telenano.cli import (
     FormatOption,
     JsonOption,
@@ -18,7 +18,7 @@ from telenano.cli import (
     report_errors,
     table_formats,
 )
-from telenano.wire import ConfigError, ReportError
+from telenano.wire import ConfigError
 from telenano_studies.repetitions import CONFIDENCE, statistics_of
 
 
@@ -52,7 +52,7 @@ def compare(
         if len(sessions) < 2 and not paper and not published:
             raise ConfigError("compare: give two sessions or more, or one with --paper or --published")
         comparison = compare_sessions(
-            sessions, out, figure_options(formats, style), published or (), paper=paper, tables=table
+            sessions, out, FigureOptions.of(formats, style), published or (), paper=paper, tables=table
         )
     print_comparison(comparison, out, as_json=as_json)
 
@@ -78,7 +78,7 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from telenano.analysis import described, drawn, write_files
+    from telenano.analysis import write_files
     from telenano_studies.comparison import beside, compare_figure, rows_of
     from telenano_studies.comparison import compare as read
     from telenano_studies.published import paper_points, read_published
@@ -90,17 +90,14 @@ def compare_sessions(
     rows = rows_of(comparison)
     statistics = statistics_of(rows, [session.scenario for session in comparison])
     summaries = {session.name: session.summary for session in comparison}
-    origin = "\n".join(f"{name}: {described(summary['scenario'], summary)}" for name, _, summary, _ in comparison)
-    files = drawn(compare_figure(comparison, options, points), "compare", options, origin)
+    origin = "\n".join(f"{row.name}: {row.session.origin}" for row in comparison)
+    files = options.drawn(compare_figure(comparison, options, points), "compare", origin)
     files |= table_files("compare", rows, kinds)
     files |= table_files("statistics", statistics, kinds) if statistics else {}
     files["compare.json"] = _json(summaries)
     if points:
         files["published.json"] = _json([beside(comparison, part) for part in points])
-    try:
-        write_files(out, files)
-    except OSError as error:
-        raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", {}) from error
+    write_files(out, files)
     return Comparison(rows, statistics)
 
 

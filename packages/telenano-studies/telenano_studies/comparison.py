@@ -5,22 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from telenano.analysis import (
-    COLUMN_IN,
-    ON_SCREEN,
-    REFERENCE,
-    FigureOptions,
-    Session,
-    SessionSeries,
-    lettered,
-    read_session,
-    scenario_in,
-    styled,
-    summarise,
-)
+from telenano.analysis import FigureOptions, Session, scenario_in
 from telenano.recording import open_recordings
 from telenano.wire import ConfigError
-from telenano_studies.figure_colours import LINES
+from telenano_studies.figure_colours import LINES, ON_SCREEN, REFERENCE
 from telenano_studies.published import PANELS, Published, nearest
 
 if TYPE_CHECKING:
@@ -100,9 +88,9 @@ def compare(paths: Sequence[Path]) -> list[Compared]:
     rows = []
     for name, path in zip(names_of(paths), paths, strict=True):
         recording = open_recordings(recordings_of(path))
-        session = read_session(recording)
+        session = Session.of(recording)
         scenario = scenario_in(recording).model_dump(mode="json")
-        rows.append(Compared(name, session, summarise(session, recording), scenario))
+        rows.append(Compared(name, session, session.summary(recording), scenario))
     return rows
 
 
@@ -131,10 +119,7 @@ def beside(sessions: Sequence[Compared], published: Published) -> dict[str, Any]
     """Return published points with the nearest point of each session, for JSON; None for a number that is not known."""
     rows = []
     for point in published.points:
-        own = {
-            name: dict(zip("xy", _known(nearest(session.series(), point)), strict=True))
-            for name, session, *_ in sessions
-        }
+        own = {name: dict(zip("xy", _known(nearest(session, point)), strict=True)) for name, session, *_ in sessions}
         x_error, y_error = _known((point.x_error, point.y_error))
         facts = {"x": point.x, "y": point.y, "x_error": x_error, "y_error": y_error, "note": point.note}
         rows.append({"curve": PANELS[point.panel], **facts, "nearest": own})
@@ -155,8 +140,8 @@ def compare_figure(
     from matplotlib.figure import Figure
 
     paper = options.style == "paper"
-    with styled(options):
-        figure = Figure(figsize=(COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
+    with options.styled():
+        figure = Figure(figsize=(FigureOptions.COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
         panels = figure.subplots(3, 1)
         first = sessions[0].session.series()
         panels[0].plot(
@@ -165,7 +150,7 @@ def compare_figure(
         for number, (name, session, summary, _) in enumerate(sessions):
             colour, style = LINES[number % len(LINES)]
             look = {"color": colour, "ls": style, "lw": 1.0}
-            _draw(panels, session.series(), look, f"{name}: {summary['verdict'].replace('_', ' ')}")
+            _draw(panels, session, look, f"{name}: {summary['verdict'].replace('_', ' ')}")
         for number, point in enumerate(published, start=1):
             label = "published" if len(published) == 1 else f"published {number}"
             _draw_published(panels, point, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
@@ -173,7 +158,7 @@ def compare_figure(
                                           ("tip-sample distance h (nm)", r"$F_s$ (nN)")), strict=True):  # fmt: skip
             panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
             panel.set(xlabel=x, ylabel=y)
-        lettered(list(panels), options)
+        options.lettered(list(panels))
         named: dict[str, Any] = {}
         for panel in panels:
             handles, labels = panel.get_legend_handles_labels()
@@ -195,7 +180,8 @@ def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[s
             )
 
 
-def _draw(panels: "Sequence[Axes]", series: SessionSeries, look: Mapping[str, Any], label: str) -> None:
+def _draw(panels: "Sequence[Axes]", session: Session, look: Mapping[str, Any], label: str) -> None:
+    series = session.series()
     panels[0].plot(series.tip_time_s, series.force_scale * series.tip_force_n, label=label, **look)
     panels[1].plot(series.hand_time_s, 100.0 * series.hand_position_m, **look)
     path = series.tip_path()

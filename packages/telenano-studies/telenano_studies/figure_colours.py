@@ -1,7 +1,11 @@
-"""The colours of verdicts and of curves in the figures of studies."""
+"""The colours of verdicts and of curves in the figures of studies, and how these are written by default."""
 
 from typing import Any
 
+from telenano.analysis import FigureOptions
+
+# how figures are written unless an option of the command states another way
+ON_SCREEN = FigureOptions()
 # found by a search for the greatest least difference, with these three first: stable is light, what diverges dark
 VERDICTS = {
     "stable": "#99e6ff",
@@ -12,6 +16,8 @@ VERDICTS = {
     "no_data": "#ffffe6",
     "cannot_say": "#4d4d00",
 }
+# what other curves are compared with
+REFERENCE = "#9a9a9a"
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (
     ("#000000", "-"),

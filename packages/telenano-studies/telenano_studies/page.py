@@ -8,10 +8,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from telenano.analysis import ON_SCREEN, FigureOptions, drawn
+from telenano.analysis import FigureOptions
 from telenano.recording import versions
 from telenano.settings import flatten
-from telenano_studies.figure_colours import VERDICTS
+from telenano_studies.figure_colours import ON_SCREEN, VERDICTS
 from telenano_studies.table_files import table_files
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def write_images(
     versions_here = versions()
     origin = f"{command}; telenano {versions_here['package telenano']}, commit {versions_here['commit']}"
     for stem, figure in figures.items():
-        for name, content in drawn(figure, stem, options, origin).items():
+        for name, content in options.drawn(figure, stem, origin).items():
             (out / name).write_bytes(content)
     return {f"{stem}.png": png_of(figure) for stem, figure in figures.items()}
 

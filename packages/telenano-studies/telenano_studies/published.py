@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import SessionSeries
+from telenano.analysis import Session
 from telenano.files import read_regular
 from telenano.wire import ConfigError
 
@@ -104,8 +104,9 @@ def _number(text: str | None, place: str, least: float = -math.inf) -> float:
     return value
 
 
-def curve_of(series: SessionSeries, panel: str) -> tuple[Series, Series]:
+def curve_of(session: Session, panel: str) -> tuple[Series, Series]:
     """Return x and y of the curve of a session that a panel has, in the units of PANELS."""
+    series = session.series()
     if panel == "tip_force":
         return series.tip_time_s, series.force_scale * series.tip_force_n
     if panel == "hand_force":
@@ -116,12 +117,12 @@ def curve_of(series: SessionSeries, panel: str) -> tuple[Series, Series]:
     return 1e9 * path.separation_m, 1e9 * path.force_n
 
 
-def nearest(series: SessionSeries, point: Point) -> tuple[float, float]:
+def nearest(session: Session, point: Point) -> tuple[float, float]:
     """Return the point of a session's curve that is nearest to a published one; NaN where it has none.
 
     Distances count in errors of the published point, or in spans of the curve where an error is not known.
     """
-    x, y = curve_of(series, point.panel)
+    x, y = curve_of(session, point.panel)
     is_finite = np.isfinite(x) & np.isfinite(y)
     if not is_finite.any():
         return math.nan, math.nan

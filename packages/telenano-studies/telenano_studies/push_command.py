@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.analysis import figure_options, styled
+from telenano.analysis import FigureOptions
 from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.page import Page, write_images
@@ -53,11 +53,11 @@ def push(
         records = [row._asdict() for row in rows]
         summary = {"study": "push", "seeds": rows[0].trials, "rows": records}
         lines = [(r.law, r.round_trip_ms, f"{100 * r.loss:g} %", r.placed, *r[3:4], *r[5:]) for r in rows]
-        options = figure_options(formats, style)
+        options = FigureOptions.of(formats, style)
         page = Page("Particles placed by a delayed hand")
         page.code(command_line())
         with results_in(out) as folder:
-            with styled(options):
+            with options.styled():
                 images = write_images(folder, {"push": push_figure(rows)}, command_line(), options)
             page.image(
                 images["push.png"],

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from telenano.recording import RecordedChannel, RecordedMessage, Recording, Selection, Tolerances, first_difference
+from telenano.recording import RecordedChannel, RecordedMessage, Recording, Selection, Tolerances
 
 
 class ChannelDifference(BaseModel):
@@ -87,11 +87,11 @@ def _compare(
     for key in left.keys() & right.keys():
         if left[key].payload == right[key].payload:
             continue
-        difference = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
+        difference = tolerances.first_difference(left[key].fields(), right[key].fields(), ignore)
         if difference is not None:
             different += 1
     for key in sorted(left.keys() & right.keys()) if different else ():
-        difference = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
+        difference = tolerances.first_difference(left[key].fields(), right[key].fields(), ignore)
         if difference is not None:
             first = f"seq {key[0]}: {difference.text}"
             break

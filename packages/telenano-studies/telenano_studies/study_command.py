@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.analysis import figure_options, styled
+from telenano.analysis import FigureOptions
 from telenano.cli import (
     EXIT_FAILED,
     FormatOption,
@@ -91,7 +91,7 @@ def stability(
         axes.check()
         with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
-        summary = write_stability(results, out, command_line(), figure_options(formats, style), tables)
+        summary = write_stability(results, out, command_line(), FigureOptions.of(formats, style), tables)
         over_seeds = ("link, over seeds [ms]",) if axes.seeds > 1 else ()
         head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]", *over_seeds)
         rows = [
@@ -123,14 +123,14 @@ def transparency(
         axes, tables = validated(Feel, given), table_formats(table)
         warn_of(*axes.check())
         rows, spectra = measure_all(axes)
-        options = figure_options(formats, style)
+        options = FigureOptions.of(formats, style)
         records = [
             {**asdict(row), "hand": axes.hand, **z_width_of(spectrum)}
             for row, spectrum in zip(rows, spectra, strict=True)
         ]
         summary = {"study": "transparency", "rows": records}
         with results_in(out) as folder:
-            with styled(options):
+            with options.styled():
                 images = write_images(folder, spectrum_figures(spectra), command_line(), options)
             page = Page("Transparency under delay")
             page.code(command_line())

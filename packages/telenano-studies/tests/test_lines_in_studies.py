@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.link import profiles
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.profiles import profile_named
 
 # What takes a network by its name; NAME stands for what a person gives.
@@ -99,7 +99,7 @@ def _own_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[N
 def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one() -> None:
     # the parts that each of the commands begins with
     assert profile_named("my_line").round_trip_ms == 60.0
-    assert parse_settings({"profile": "my_line"}).forward.order == "link"
+    assert LinkSettings.of({"profile": "my_line"}).forward.order == "link"
     assert Question.model_validate({"network": "my_line", "sample": "ordinary"}).round_trip_ms == 60.0
     assert "my_line" in str(
         scenario_of(

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 
-from telenano.hand import DeviceConfig, MotorParams, closed_loop_coefficients
+from telenano.hand import MotorParams
+from telenano.hand.config import DeviceConfig
 
 
 def device(preset: Any = "paper_bandwidth", **changes: Any) -> MotorParams:
@@ -30,7 +31,7 @@ def test_bandwidth_of_the_default_preset_is_the_printed_one() -> None:
 @pytest.mark.parametrize("gain", [1e4, 1.917e5, 2.7e5, 3e6])
 def test_poles_solve_the_characteristic_equation_and_bandwidth_halves_the_power(gain: float) -> None:
     params = device(servo_gain_v_per_m=gain)
-    a2, b = closed_loop_coefficients(params)
+    a2, b = params.closed_loop_coefficients()
     for pole in closed_loop_poles(params):
         assert abs(pole * pole + b * pole + a2) < 1e-12 * a2
     s = 2j * math.pi * bandwidth_hz(params)

@@ -64,9 +64,9 @@ def test_the_nearest_point_counts_in_errors() -> None:
     point = paper_points().points[0]
     # F_m is 0 before 0.8 s: within 10 s of error the next sample with 0.5 N or more is near enough in time
     far = point._replace(y=1.0, x=0.5, x_error=10.0, y_error=0.01)
-    assert nearest(Session().series(), far) == (pytest.approx(0.81), 1.0)
+    assert nearest(Session(), far) == (pytest.approx(0.81), 1.0)
     close = point._replace(y=1.0, x=0.5, x_error=0.01, y_error=10.0)
-    assert nearest(Session().series(), close) == (pytest.approx(0.5), 0.0)
+    assert nearest(Session(), close) == (pytest.approx(0.5), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ import math
 from typing import Any
 
 import pytest
+from answered_sweep import Answered
 from telenano_studies.loops import cells
 from telenano_studies.loops.advice import CANDIDATES, Question, advise, in_words
 from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_of
-from telenano_studies.loops.sweep import Journal, Sweep
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import COMPARED_LAWS, Jitter
@@ -79,39 +79,30 @@ def test_tuned_loop_bears_twice_the_delay(law: str, delay_s: float) -> None:
     assert model.damping_n_s_per_m == pytest.approx(4.0 * model.gain_n_per_m * delay_s / math.pi, rel=0.01, abs=0.0)
 
 
-class Told(Sweep):
-    """A sweep in which the laws do as the test says: (verdict, force at the tip, greatest force)."""
+def laws(**held: tuple[str, float, float]) -> Answered:
+    """Return a sweep in which the laws end with a verdict, a force at the tip and a greatest force; others diverge."""
 
-    def __init__(self, told: dict[str, tuple[str, float, float]], folder: Any) -> None:
-        super().__init__(Journal(folder / "journal.jsonl"), 1)
-        self.told = told
-        self.cells: list[Cell] = []
+    def answer(asked: Cell) -> dict[str, Any]:
+        verdict, tip_n, peak_n = held.get(asked.law, ("diverged", 1.0, 9.0))
+        reason = "it grows" if verdict != "stable" else ""
+        return {"verdict": verdict, "reason": reason, "tip_n": tip_n, "peak_n": peak_n, "hand_n": 1.0}
 
-    def run(self, cells: Any) -> list[CellResult]:
-        self.cells = list(cells)
-        found = []
-        for asked in cells:
-            verdict, tip_n, peak_n = self.told.get(asked.law, ("diverged", 1.0, 9.0))
-            reason = "it grows" if verdict != "stable" else ""
-            found.append(
-                CellResult(asked, verdict, None, 0.0, 0.0, 1.0, 0.0, False, reason, peak_n, tip_n, 1.0, 0.0, 0.0)
-            )
-        return found
+    return Answered(answer)
 
 
 @pytest.mark.usefixtures("plain")
 def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cells, "judge_holds", lambda *course: [])
+    monkeypatch.setattr(cells, "holds_of", lambda *course, **known: [])
     result = run_cell(cell("force", session_s=2.0))
     assert (result.verdict, result.outcome) == ("stable", "nothing_moved")
     assert result.reason == "the hand does not press, and the tip does not touch"
 
 
-def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited(tmp_path: Any) -> None:
+def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited() -> None:
     question = Question(round_trip_ms=120.0, loss=0.03, stiffness_n_per_m=80.0)
-    sweep = Told({"wave": ("stable", 0.6, 1.0), "model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
+    sweep = laws(wave=("stable", 0.6, 1.0), model_mediated=("stable", 0.97, 1.1))
     found = advise(question, sweep)
     assert [candidate.law for candidate in found[:3]] == ["model_mediated", "model_mediated", "wave"]
     assert [candidate.clamp for candidate in found[:2]] == [False, True]
@@ -126,9 +117,9 @@ def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suite
     assert found[0].price() == pytest.approx(0.03 + 0.1, rel=1e-9, abs=0.0)
 
 
-def test_a_law_is_suited_only_if_all_its_runs_are_stable(tmp_path: Any) -> None:
+def test_a_law_is_suited_only_if_all_its_runs_are_stable() -> None:
     question = Question(round_trip_ms=300.0, jitter=Jitter(0.5, relative=True), stiffness_n_per_m=80.0)
-    found = advise(question, Told({}, tmp_path))
+    found = advise(question, laws())
     assert all(candidate.price() == math.inf for candidate in found)
     assert (
         in_words(question, found)[0]
@@ -137,15 +128,15 @@ def test_a_law_is_suited_only_if_all_its_runs_are_stable(tmp_path: Any) -> None:
     assert found[0].as_dict()["price"] is None
 
 
-def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
-    sweep = Told({}, tmp_path)
+def test_without_chance_one_seed_is_enough() -> None:
+    sweep = laws()
     advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0, instrument="ideal"), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4
     assert {one.disturbances for one in sweep.cells} == {()}
 
 
-def test_advice_is_for_an_instrument_with_its_disturbances_and_a_seed_decides_them(tmp_path: Any) -> None:
-    sweep = Told({}, tmp_path)
+def test_advice_is_for_an_instrument_with_its_disturbances_and_a_seed_decides_them() -> None:
+    sweep = laws()
     advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
     assert ("drift.enabled", True) in sweep.cells[0].disturbances
@@ -153,8 +144,8 @@ def test_advice_is_for_an_instrument_with_its_disturbances_and_a_seed_decides_th
         advise(Question(round_trip_ms=50.0, instrument="reel"), sweep)
 
 
-def test_a_network_stands_in_the_place_of_delay_jitter_and_loss(tmp_path: Any) -> None:
-    sweep = Told({"model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
+def test_a_network_stands_in_the_place_of_delay_jitter_and_loss() -> None:
+    sweep = laws(model_mediated=("stable", 0.97, 1.1))
     question = Question(network="Starlink_driving", stiffness_n_per_m=20.0)
     words = in_words(question, advise(question, sweep))
     assert words[0].startswith("starlink_driving, wall of 20 N/m, instrument real: take model_mediated")

@@ -21,9 +21,8 @@ from telenano_studies.loops.cells import (
 
 from telenano.extend.virtual_mass import FOLLOWED_M
 from telenano.laws.model_mediated import ModelMediatedConfig
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.lockstep.link import Schedule, schedule_from
-from telenano.lockstep.lockstep import simulate
 
 PERIOD_NS = 1_000_000
 # a tenth of a microjoule is what the servo of the device makes of a ripple
@@ -35,7 +34,7 @@ def held(law: str, stiffness: float, direction: dict[str, Any], hand: str = "for
     cell = Cell(
         law=law, environment="spring", hand=hand, round_trip_ms=20.0, stiffness_n_per_m=stiffness, jitter_ms=1e-3
     )
-    link = parse_settings({"seed": 1, "forward": {"delay_s": 0.01, **direction}, "backward": {"delay_s": 0.01}})
+    link = LinkSettings.of({"seed": 1, "forward": {"delay_s": 0.01, **direction}, "backward": {"delay_s": 0.01}})
     return judged(cell, course_of(cell, cell.hand_points(), cell.hold_s()[1], measured=(link, Path())))
 
 
@@ -88,7 +87,7 @@ def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     for begin_ms in (0, pause_ms // 3, 2 * pause_ms // 3):
         settle = settle_ticks(cell, rig.period_s) + begin_ms
         ticks = settle + round(cell.hold_s()[1] / rig.period_s)
-        result = judged(cell, simulate(rig, bursts(ticks, pause_ms, 1000 * apart_us), settle))
+        result = judged(cell, rig.run(bursts(ticks, pause_ms, 1000 * apart_us), settle))
         assert result.lowest_energy_j > least_j[law]
         assert result.peak_n is not None
         assert result.peak_n < 1.02 + lag_n

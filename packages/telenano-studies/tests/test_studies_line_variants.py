@@ -9,7 +9,7 @@ from telenano_studies.loops import line_variants
 from telenano_studies.loops.line_variants import between, half_of, stalls_of_both, variants
 
 from telenano.link import profile_named
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.engine import fates_of
 
 PERIOD_S, TIME_S = 0.2, 0.4
@@ -36,7 +36,7 @@ def test_the_variants_share_a_round_trip_as_they_say(tmp_path: Path) -> None:
 
     def delays_ms(one: tuple[str, str], direction: str) -> np.ndarray:  # type: ignore[type-arg]
         ways = {"forward": found[one].forward, "backward": found[one].backward}
-        settings = parse_settings({"seed": 1, **ways})
+        settings = LinkSettings.of({"seed": 1, **ways})
         fates = fates_of(settings, direction, "udp", range(0, 30 * 10**9, 10**7), 200, folder=tmp_path)  # type: ignore[arg-type]
         return np.array([1e-6 * fate.delay_ns for fate in fates if not fate.dropped])
 
@@ -63,7 +63,7 @@ def test_the_stalls_of_both_ways_come_as_often_and_last_as_long_as_those_of_the_
     # some 180 stalls
     assert np.diff(begins_s).mean() == pytest.approx(0.5 * outage["mean_up_s"] + outage["mean_down_s"], rel=0.25)
     assert lengths_s.mean() == pytest.approx(outage["mean_down_s"], rel=0.05)
-    parse_settings({"forward": {"outage": {"schedule": schedule, "mode": "hold"}}})
+    LinkSettings.of({"forward": {"outage": {"schedule": schedule, "mode": "hold"}}})
 
 
 @pytest.mark.parametrize(

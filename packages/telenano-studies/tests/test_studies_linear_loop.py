@@ -12,7 +12,6 @@ from telenano_studies.loops.theory import Arm, Device, arm_response, loop_model
 from telenano_studies.option_values import Jitter
 
 from telenano.hand.config import DeviceConfig
-from telenano.hand.motor import closed_loop_coefficients
 from telenano.hand.operator_config import ARMS
 from telenano.wire.errors import ConfigError
 
@@ -52,7 +51,7 @@ def test_an_arm_is_in_the_transfer_function_as_in_the_study(law: str) -> None:
         undelayed = loop.response(OMEGA) * np.exp(1j * OMEGA * loop.delay_s)
         model = loop_model(law, loop.parameters, 20.0)
         assert model is not None
-        device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+        device = Device(*DeviceConfig().to_params().closed_loop_coefficients())
         other = arm_response(model, getattr(loop.parameters, "force_gain", 1.0), Arm(*ARMS[hand]), device)
         assert np.allclose(undelayed, [other(w) for w in OMEGA], rtol=1e-12, atol=0)
 

@@ -1,13 +1,14 @@
 """The promises of docs/laws.md over bad links: which law makes no energy there, and which holds every sample."""
 
 import re
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
-from telenano_studies.loops.cells import Cell, CellResult, Hand, course_of, energies_of, run_cell, scales_of
+from answered_sweep import Answered
+from telenano_studies.loops.cells import Cell, Hand, course_of, energies_of, run_cell, scales_of
 from telenano_studies.loops.promises import (
     BURST_LOSSES,
     HANDS,
@@ -134,24 +135,15 @@ def test_wave_over_slots_rests_or_pays_for_the_holds_of_the_instrument(stiffness
     assert pressed[1] == pytest.approx(0.968, abs=0.005)
 
 
-class Told(Sweep):
-    """A sweep in which every run ends as the test says: verdict, least energy [J], force at the tip [N]."""
-
-    def __init__(self, folder: Path, *told: tuple[str, float, float]) -> None:
-        super().__init__(Journal(folder / "journal.jsonl"), 1)
-        self.told = told
-
-    def run(self, cells: Any) -> list[CellResult]:
-        found = []
-        for n, cell in enumerate(cells):
-            verdict, energy_j, tip_n = self.told[n % len(self.told)]
-            found.append(CellResult(cell, verdict, None, 0.0, 0.0, 1.0, energy_j, False, "", 1.0, tip_n, 1.0, 1e-3))
-        return found
+def ending(*ends: tuple[str, float, float]) -> Answered:
+    """Return a sweep whose runs end with these in turn: verdict, least energy [J], force at the tip [N]."""
+    turns = cycle({"verdict": verdict, "lowest_energy_j": least_j, "tip_n": tip_n} for verdict, least_j, tip_n in ends)
+    return Answered(lambda _: {"peak_n": 1.0, "hand_n": 1.0, "apart_m": 1e-3, **next(turns)})
 
 
-def test_a_law_that_promises_passivity_and_makes_energy_is_named(tmp_path: Path) -> None:
+def test_a_law_that_promises_passivity_and_makes_energy_is_named() -> None:
     for energy_j, fails in ((-0.9e-6, False), (-1.1e-6, True)):
-        sweep = Told(tmp_path, ("stable", energy_j, 0.5), ("drifting", 0.0, 9.0))
+        sweep = ending(("stable", energy_j, 0.5), ("drifting", 0.0, 9.0))
         rows = outcomes(["wave"], 5, sweep)
         assert bool(broken(rows)) is fails
         assert sum(row.runs for row in rows) == 5 * len(SAMPLES)
@@ -159,7 +151,7 @@ def test_a_law_that_promises_passivity_and_makes_energy_is_named(tmp_path: Path)
         assert min(row.lowest_energy_j for row in rows) == energy_j
         # what was not stable has no force to speak of
         assert {row.share for row in rows if row.stable} <= {0.5, 0.25, 0.375}
-    assert broken(outcomes(["position_force"], 5, Told(tmp_path, ("diverged", -1.0, 1.0)))) == []
+    assert broken(outcomes(["position_force"], 5, ending(("diverged", -1.0, 1.0)))) == []
 
 
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "studies.md").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from telenano_studies.loops.recorded_link import recorded_schedule
 
 from telenano.link.engine import fates_of
 from telenano.link.fate import Fate
-from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of
+from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, Schedule
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
@@ -66,7 +66,7 @@ def recorded(folder: Path, *, told: bool = True) -> Path:
     tape.write(FORWARD_TOPIC, "controller@master", [{"hand_t_ns": stamp} for stamp in stamps])
     grid = [EPOCH_NS + n * MS for n in range(ticks)]
     forward = fates_of(SETTINGS, "forward", FORWARD_TOPIC, grid, MESSAGE_BYTES)
-    schedule = schedule_of(SETTINGS, ticks, PERIOD_S)
+    schedule = Schedule.of(SETTINGS, ticks, PERIOD_S)
     backward_at = (EPOCH_NS + schedule.forward_ns).tolist()
     tape.write(BACKWARD_TOPIC, "controller@slave", [{"hand_t_ns": stamps[n]} for n in schedule.forward_of.tolist()])
     backward = fates_of(SETTINGS, "backward", BACKWARD_TOPIC, backward_at, MESSAGE_BYTES)
@@ -80,7 +80,7 @@ def recorded(folder: Path, *, told: bool = True) -> Path:
 
 def test_arrivals_are_those_of_the_link(tmp_path: Path) -> None:
     found = recorded_schedule(recorded(tmp_path), SETTLE, SETTLE + SESSION, PERIOD_S)
-    made = schedule_of(SETTINGS, SETTLE + SESSION, PERIOD_S)
+    made = Schedule.of(SETTINGS, SETTLE + SESSION, PERIOD_S)
     assert 40 < len(made.forward_ns) < 240
     for name in ("forward_ns", "forward_of", "backward_ns", "backward_of"):
         # the grid is that of the sample that was least late

@@ -7,8 +7,7 @@ import pytest
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, run_cell, settle_ticks
 from telenano_studies.loops.links import symmetric_link
 
-from telenano.lockstep.link import schedule_of
-from telenano.lockstep.lockstep import simulate
+from telenano.lockstep.link import Schedule
 
 # the model is there as soon as the tip touches
 AT_ONCE = ("smith.stiffness_rate_n_per_m_s", 1e5)
@@ -41,8 +40,8 @@ def with_ideal_device(cell: Cell) -> CellResult:
     rig = dataclasses.replace(rig, haptic=rig.haptic._replace(plant=plant._replace(motor=motor)))
     settle = settle_ticks(cell, rig.period_s)
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
-    link = schedule_of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, 0), ticks, rig.period_s)
-    return judged(cell, simulate(rig, link, settle))
+    link = Schedule.of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, 0), ticks, rig.period_s)
+    return judged(cell, rig.run(link, settle))
 
 
 @pytest.mark.check("long sessions until a slow cycle shows")

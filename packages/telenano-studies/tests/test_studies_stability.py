@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +11,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from answered_sweep import Answered
 from telenano_studies.figure_colours import VERDICTS
 from telenano_studies.loops import sweep as sweep_module
 from telenano_studies.loops.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
@@ -93,22 +94,21 @@ def test_paper_in_the_contact_is_steady_at_40_ms_and_cycles_at_60_ms() -> None:
     assert cycling.out_of_contact_share > 0.1
 
 
-class Told(Sweep):
-    """A sweep whose cells are stable up to a delay that goes with the seed: 40, 50, 60 ms."""
+def stable_up_to(edge_ms: Callable[[Cell], float], growth_per_s: Callable[[float], float]) -> Answered:
+    """Return a sweep whose cells are stable up to a delay that is known; beyond it they grow."""
 
-    def run(self, cells: Sequence[Cell]) -> list[CellResult]:
-        found = []
-        for cell in cells:
-            over_ms = cell.round_trip_ms - 40.0 - 10.0 * cell.seed
-            verdict = "stable" if over_ms <= 0.0 else "diverged"
-            found.append(CellResult(cell, verdict, over_ms - 0.5, 0.0, 0.0, 1.0, 0.0, False))
-        return found
+    def answer(cell: Cell) -> dict[str, Any]:
+        over_ms = cell.round_trip_ms - edge_ms(cell)
+        return {"verdict": "stable" if over_ms <= 0.0 else "diverged", "growth_per_s": growth_per_s(over_ms)}
+
+    return Answered(answer)
 
 
-def test_over_seeds_an_edge_has_a_mean_an_interval_and_a_share_of_what_is_stable(tmp_path: Path) -> None:
-    told = Told(Journal(tmp_path / "journal.jsonl"), workers=1)
+def test_over_seeds_an_edge_has_a_mean_an_interval_and_a_share_of_what_is_stable() -> None:
+    # by the seed at 40, 50, 60 ms
+    found = stable_up_to(lambda cell: 40.0 + 10.0 * cell.seed, lambda over_ms: over_ms - 0.5)
     spring = {"stiffnesses_n_per_m": (10.0,), "seeds": 3}
-    constant, lossy = run_stability(axes(**spring, losses=(0.0, 0.1)), told)
+    constant, lossy = run_stability(axes(**spring, losses=(0.0, 0.1)), found)
     assert (constant.seeds, constant.stable_shares) == (None, ())
     assert "over_seeds" not in constant.as_dict()
     assert [cell.verdict for cell in lossy.cells] == ["stable", "diverged", "diverged"]
@@ -177,36 +177,23 @@ def test_neutral_point_between_samples() -> None:
     assert neutral(Edge(-1, 0), None, 1.0) == 0.0
 
 
-class Steps(Sweep):
-    """A sweep over a law that is stable up to a delay that is known."""
-
-    def __init__(self, edge_ms: float) -> None:
-        super().__init__(Journal(Path("nowhere")), 1)
-        self.edge_ms = edge_ms
-        self.asked: list[float] = []
-
-    def run(self, cells: Any) -> list[CellResult]:
-        self.asked += [cell.round_trip_ms for cell in cells]
-        return [
-            CellResult(cell, "stable" if cell.round_trip_ms < self.edge_ms else "diverged",
-                       0.1 * (cell.round_trip_ms - self.edge_ms), 1.0, 0.0, None, 0.0, False)
-            for cell in cells
-        ]  # fmt: skip
+def steps_to(edge_ms: float) -> Answered:
+    return stable_up_to(lambda _: edge_ms, lambda over_ms: 0.1 * over_ms)
 
 
 @pytest.mark.parametrize("edge_ms", [0.5, 17.25, 199.0, 43.999])
 def test_search_closes_in_on_the_edge(edge_ms: float) -> None:
     lines = axes(stiffnesses_n_per_m=(10.0,), delays_ms=(0.0, 200.0)).lines()
-    steps = Steps(edge_ms)
+    steps = steps_to(edge_ms)
     rows = [tuple(steps.run([lines[0].cell(ms) for ms in (0.0, 200.0)]))]
     assert find_edges(lines, rows, steps) == pytest.approx([edge_ms], rel=1e-9, abs=0.0)
-    assert len(steps.asked) < 2 + 9 + 2
+    assert len(steps.cells) < 2 + 9 + 2
 
 
 def test_search_looks_below_the_first_delay_and_gives_up_above_the_last() -> None:
     lines = axes(stiffnesses_n_per_m=(10.0,), delays_ms=(50.0, 200.0)).lines()
     for edge_ms, found in ((20.5, 20.5), (300.0, None), (-1.0, 0.0)):
-        steps = Steps(edge_ms)
+        steps = steps_to(edge_ms)
         rows = [tuple(steps.run([lines[0].cell(ms) for ms in (50.0, 200.0)]))]
         assert find_edges(lines, rows, steps)[0] == (pytest.approx(found, rel=1e-9, abs=0.0) if found else found)
 

@@ -25,7 +25,6 @@ from telenano_studies.loops.theory import (
 
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.hand.config import DeviceConfig
-from telenano.hand.motor import closed_loop_coefficients
 from telenano.laws.position_force import PositionForceConfig
 from telenano.laws.wave import WaveConfig
 
@@ -202,7 +201,7 @@ ARMS = {
 )
 def test_an_arm_bears_more_delay_than_a_hand_of_constant_force(stiffness: float, arm: str, delay_ms: float) -> None:
     config = VirtualImpedanceConfig()
-    device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+    device = Device(*DeviceConfig().to_params().closed_loop_coefficients())
     response = arm_response(paper_loop(stiffness), config.force_gain, Arm(*ARMS[arm]), device)
     assert 1e3 * margin_of(response).delay_s == pytest.approx(delay_ms, rel=5e-3, abs=0.0)
 

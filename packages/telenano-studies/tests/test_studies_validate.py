@@ -25,7 +25,7 @@ from telenano_studies.loops.validate import (
 from telenano.afm.config import AfmConfig
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.lockstep.lockstep import Trajectory
 from telenano.settings.config import validate
 from telenano.settings.scenario import Scenario
@@ -48,13 +48,13 @@ def test_scenario_says_what_the_cell_says() -> None:
     scenario = validate(Scenario, scenario_of(example), "test")
     controller = validate(ControllerConfig, scenario.controller, "test", "controller")
     assert controller == example.controller()
-    assert parse_settings(scenario.delay_node).model_dump() == symmetric_link(0.04, 3e-3, 0.1, 4).model_dump()
+    assert LinkSettings.of(scenario.delay_node).model_dump() == symmetric_link(0.04, 3e-3, 0.1, 4).model_dump()
     assert validate(AfmConfig, scenario.afm_node, "test").cantilever.stiffness_n_per_m == 40.0
     operator = validate(HapticConfig, scenario.haptic_node, "test").operator
     assert tuple((p.time_s, p.force_n) for p in operator.points) == example.hand_points()
     assert scenario.duration_s == 6.0
     in_bursts = validate(Scenario, scenario_of(cell(loss=0.1, seed=4, burst=30.0)), "test").delay_node
-    assert parse_settings(in_bursts).model_dump() == symmetric_link(0.04, 0.0, 0.1, 4, 30.0).model_dump()
+    assert LinkSettings.of(in_bursts).model_dump() == symmetric_link(0.04, 0.0, 0.1, 4, 30.0).model_dump()
 
 
 def test_the_same_course_agrees() -> None:

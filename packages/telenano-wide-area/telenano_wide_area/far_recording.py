@@ -14,15 +14,7 @@ import zmq
 from telenano.console import console_of
 from telenano.launcher import FAR_LIST
 from telenano.recording import Recording, merge_sites
-from telenano.runtime import (
-    AddressBook,
-    Command,
-    CommandClient,
-    FetchRecording,
-    Participant,
-    ZmqPublisher,
-    open_participant,
-)
+from telenano.runtime import AddressBook, Command, CommandClient, FetchRecording, Participant, ZmqPublisher
 from telenano.wire import (
     LINK,
     TOPICS,
@@ -208,7 +200,7 @@ def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
     """
     endpoint = f"{LINK}@slave"
     for key in (endpoint, None):
-        with open_participant(key or console_of(book, "master"), book) as participant:
+        with Participant.open(key or console_of(book, "master"), book) as participant:
             try:
                 publisher = participant.bind(participant.key)
             except EndpointError:

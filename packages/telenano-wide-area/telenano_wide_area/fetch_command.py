@@ -8,7 +8,7 @@ import typer
 from telenano.cli import JsonOption, SiteFileOption, print_document, report_errors
 from telenano.launcher import own_recordings
 from telenano.recording import open_recordings
-from telenano.runtime import load_site
+from telenano.runtime import AddressBook
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import RecordingError
 from telenano_wide_area.far_recording import checked_names, fetch_and_merge
@@ -36,6 +36,6 @@ def fetch(
         if not own:
             raise RecordingError(f"{folder}: has no recording of the master's site: {'; '.join(faults) or 'no file'}")
         show = (lambda text: None) if as_json else (lambda text: typer.echo(text, err=True))
-        whole = fetch_and_merge(load_site(site_file), folder, own, kbit_per_s, show, names)
+        whole = fetch_and_merge(AddressBook.load(site_file), folder, own, kbit_per_s, show, names)
         info = open_recordings([whole]).info()
         print_document(info.model_dump(mode="json"), info.path, as_json=as_json)

@@ -30,7 +30,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
-from telenano.runtime.wiring.participant import NO_REALTIME, open_participant
+from telenano.runtime.wiring.participant import NO_REALTIME, Participant
 from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
 from telenano.wire.messages import Array
 from telenano.wire.network_messages import RecordingPiece
@@ -285,7 +285,7 @@ class FarSite:
 
     def _run(self) -> None:
         wake, write = os.pipe()
-        with open_participant("launcher@slave", self._book, wake) as participant:
+        with Participant.open("launcher@slave", self._book, wake) as participant:
             bus = participant.bus(SiteNode.inputs)
             supervisor = Supervisor(participant.clock, (), NoChildren())
             loop = NodeLoop(SiteNode(participant.context(bus), supervisor, self._folder, PieceSender), bus, NO_REALTIME)

@@ -63,6 +63,10 @@ class ContactTable(NamedTuple):
     force_error: float  # largest measured relative error against the direct solution
     stiffness_error: float
 
+    def force(self, indentation_m: float) -> tuple[float, float]:
+        """Return force [N] and stiffness [N/m] at an indentation [m], as `table_force`."""
+        return table_force(self, indentation_m)
+
 
 @compiled
 def table_force(table: ContactTable, indentation_m: float) -> tuple[float, float]:

@@ -42,6 +42,41 @@ class MaugisDugdale(NamedTuple):
     indentation_unit_m: float  # (pi^2 w^2 R / K^2)^(1/3)
     radius_unit_m: float  # (pi w R^2 / K)^(1/3)
 
+    @classmethod
+    def of(
+        cls, radius_m: float, work_of_adhesion_j_per_m2: float, reduced_modulus_pa: float, cohesive_stress_pa: float
+    ) -> "MaugisDugdale":
+        """Transition parameter lambda = 2 sigma0 (9 R / 16 pi w E*^2)^(1/3) (Eq. 8) and the units of Eq. 7-11 (E6).
+
+        Raises:
+            ValueError: An argument is not finite and positive; the message names it.
+        """
+        R, w, E, sigma0 = radius_m, work_of_adhesion_j_per_m2, reduced_modulus_pa, cohesive_stress_pa
+        named = (
+            ("radius", R, "m"),
+            ("work of adhesion", w, "J/m^2"),
+            ("reduced modulus", E, "Pa"),
+            ("stress", sigma0, "Pa"),
+        )
+        for name, value, unit in named:
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} = {value} {unit} must be finite and > 0 {unit}")
+        K = 4.0 * E / 3.0
+        return cls(
+            transition=2.0 * sigma0 * (R / (math.pi * w * K**2)) ** (1.0 / 3.0),
+            force_unit_n=math.pi * w * R,
+            indentation_unit_m=(math.pi**2 * w**2 * R / K**2) ** (1.0 / 3.0),
+            radius_unit_m=(math.pi * w * R**2 / K) ** (1.0 / 3.0),
+        )
+
+    def pull_off(self) -> tuple[float, float]:
+        """Return the most attractive force [N] and its indentation [m], as the function of this module."""
+        return pull_off(self)
+
+    def indentation_m(self, force_n: float) -> float:
+        """Return the indentation [m] at a force [N], as the function of this module."""
+        return indentation_m(self, force_n)
+
 
 class Contact(NamedTuple):
     """One point of the contact branch, nondimensional; the slopes are d/ds divided by cos s, finite on (0, pi/2]."""
@@ -76,33 +111,6 @@ def reduced_modulus_pa(
 def cohesive_stress_pa(work_of_adhesion_j_per_m2: float, contact_distance_m: float) -> float:
     """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the print lost the w)."""
     return 1.03 * work_of_adhesion_j_per_m2 / contact_distance_m
-
-
-def maugis_dugdale(
-    radius_m: float, work_of_adhesion_j_per_m2: float, reduced_modulus_pa: float, cohesive_stress_pa: float
-) -> MaugisDugdale:
-    """Transition parameter lambda = 2 sigma0 (9 R / 16 pi w E*^2)^(1/3) (Eq. 8) and the units of Eq. 7-11 (E6).
-
-    Raises:
-        ValueError: An argument is not finite and positive; the message names it.
-    """
-    R, w, E, sigma0 = radius_m, work_of_adhesion_j_per_m2, reduced_modulus_pa, cohesive_stress_pa
-    named = (
-        ("radius", R, "m"),
-        ("work of adhesion", w, "J/m^2"),
-        ("reduced modulus", E, "Pa"),
-        ("stress", sigma0, "Pa"),
-    )
-    for name, value, unit in named:
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value} {unit} must be finite and > 0 {unit}")
-    K = 4.0 * E / 3.0
-    return MaugisDugdale(
-        transition=2.0 * sigma0 * (R / (math.pi * w * K**2)) ** (1.0 / 3.0),
-        force_unit_n=math.pi * w * R,
-        indentation_unit_m=(math.pi**2 * w**2 * R / K**2) ** (1.0 / 3.0),
-        radius_unit_m=(math.pi * w * R**2 / K) ** (1.0 / 3.0),
-    )
 
 
 @compiled

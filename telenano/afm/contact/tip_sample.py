@@ -22,7 +22,7 @@ import numpy as np
 from telenano.afm.contact.capillary import meniscus_force, printed_meniscus_force
 from telenano.afm.contact.contact_table import ContactTable, build_contact_table, table_force
 from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force
-from telenano.afm.contact.maugis_dugdale import FOLD_TRANSITION, cohesive_stress_pa, maugis_dugdale
+from telenano.afm.contact.maugis_dugdale import FOLD_TRANSITION, MaugisDugdale, cohesive_stress_pa
 from telenano.numerics.compiler import compiled
 
 CONSISTENT = 0
@@ -60,6 +60,14 @@ class TipSample(NamedTuple):
     as_printed: bool
     has_meniscus: bool
     table: ContactTable
+
+    def branch(self, distance_m: float, *, contact: bool, meniscus: bool) -> tuple[float, float]:
+        """Return force [N] and gradient [N/m] at h [m] on a branch, as `branch_force`."""
+        return branch_force(self, distance_m, contact, meniscus)
+
+    def bridge(self, distance_m: float) -> tuple[float, float]:
+        """Return force [N] and gradient [N/m] of the meniscus alone at h [m]."""
+        return meniscus_force(distance_m, self.capillary_force_n, self.meniscus_width_m, self.contact_distance_m)
 
 
 @compiled
@@ -110,7 +118,7 @@ def build_tip_sample(properties: TipSampleProperties, largest_force_n: float) ->
     _check(p)
     a0 = contact_distance_m(p.sigma_m)
     stress = cohesive_stress_pa(p.work_of_adhesion_j_per_m2, a0)
-    contact = maugis_dugdale(p.radius_m, p.work_of_adhesion_j_per_m2, p.reduced_modulus_pa, stress)
+    contact = MaugisDugdale.of(p.radius_m, p.work_of_adhesion_j_per_m2, p.reduced_modulus_pa, stress)
     table = build_contact_table(contact, largest_force_n)
     as_printed = p.reading == AS_PRINTED
     hand_over, release = (a0, a0) if as_printed else _hand_over(p, table, a0)

@@ -15,10 +15,6 @@ from pydantic import Field
 
 from telenano.extend.feedback import carried_out, feedback_step, gain_fault, integral_share
 from telenano.extend.programs import (
-    APPROACH,
-    ARRIVED,
-    RISE,
-    WAY_TEXTS,
     Begun,
     FinishedLine,
     Force,
@@ -31,7 +27,7 @@ from telenano.extend.programs import (
     Progress,
     Speed,
     Wanted,
-    way_to_surface,
+    Way,
 )
 from telenano.extend.stage import LateralParams, Place, moved
 from telenano.wire.errors import RefusedError
@@ -39,7 +35,7 @@ from telenano.wire.errors import RefusedError
 Array = npt.NDArray[np.float64]
 
 # the phases after the way to the surface
-SETTLE, LINES, DONE = range(ARRIVED, ARRIVED + 3)
+SETTLE, LINES, DONE = range(Way.ARRIVED, Way.ARRIVED + 3)
 # The names of the gains as the user knows them, by `set`, in a scenario, or on the command line.
 GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
 
@@ -159,7 +155,7 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
             f"an image of {s.pixels} x {s.lines} pixels begins, {2.0 * s.lines * plan.line_s:.0f} s for its lines after"
             f" an approach of at most {plan.approach_s:.3g} s"
         )
-        return Begun(plan, ScanState(RISE, 0, False, 0.0, *_no_samples(plan)), text)
+        return Begun(plan, ScanState(Way.RISE, 0, False, 0.0, *_no_samples(plan)), text)
 
     def step(self, plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float) -> Wanted[ScanState]:
         state, base_m, target, line = scan_step(plan, state, inputs, dt)
@@ -167,7 +163,7 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
 
     def progress(self, plan: ScanPlan, state: ScanState) -> Progress:
         texts = (
-            *WAY_TEXTS,
+            *Way.TEXTS,
             "the amplitude settles" if plan.settings.mode == "tapping" else "the force settles",
             "lines",
             "done",
@@ -178,7 +174,7 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
         return Progress(texts[state.phase], min(done / (2.0 * lines), 1.0), state.line, lines)
 
     def searching_s(self, plan: ScanPlan, state: ScanState) -> tuple[float, float]:
-        return (state.elapsed_s if state.phase == APPROACH else 0.0), plan.approach_s
+        return (state.elapsed_s if state.phase == Way.APPROACH else 0.0), plan.approach_s
 
 
 def scan_step(
@@ -193,9 +189,9 @@ def scan_step(
     """
     s, phase, elapsed = plan.settings, state.phase, state.elapsed_s + dt
     base_m, place, first = inputs.base_m, inputs.place, begin_of(plan)
-    if phase <= APPROACH:
+    if phase <= Way.APPROACH:
         error_m, step_m = missing_m(plan, inputs), s.approach_m_per_s * dt
-        way = way_to_surface(phase, state.elapsed_s, inputs, first, plan.clear_m, step_m, error_m <= 0.0, dt)
+        way = Way.to_surface(phase, state.elapsed_s, inputs, first, plan.clear_m, step_m, error_m <= 0.0, dt)
         state = state._replace(phase=way.phase, elapsed_s=way.elapsed_s)
         if way.phase == SETTLE:
             state = state._replace(reference_m=base_m, proportional_m=s.proportional * error_m)

@@ -14,10 +14,6 @@ from pydantic import Field
 
 from telenano.extend.feedback import gain_fault, integral_share
 from telenano.extend.programs import (
-    APPROACH,
-    ARRIVED,
-    RISE,
-    WAY_TEXTS,
     Begun,
     Force,
     Inputs,
@@ -29,14 +25,14 @@ from telenano.extend.programs import (
     Progress,
     Speed,
     Wanted,
-    way_to_surface,
+    Way,
 )
 from telenano.extend.stage import LateralParams, Place, moved
 from telenano.wire.errors import RefusedError
 
 # These phases come after the way to the surface.
-FEEL = ARRIVED
-DONE = ARRIVED + 1
+FEEL = Way.ARRIVED
+DONE = Way.ARRIVED + 1
 # The names of the gains as the user knows them.
 _GAINS = ("tactile.gain_per_s", "")
 
@@ -142,7 +138,7 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
             limited = f"its speed is limited from {s.speed_m_per_s:g} to {speed:g} m/s"
             limited += f": features of {s.feature_m:g} m at {s.bandwidth_hz:g} Hz (Eq. 14)" if speed == felt else ""
         text = f"the tip touches the sample and goes along {'a pointer' if plan.by_pointer else 'a line'}"
-        return Begun(plan, TactileState(RISE, False), "; ".join(filter(None, (text, limited))), limited)
+        return Begun(plan, TactileState(Way.RISE, False), "; ".join(filter(None, (text, limited))), limited)
 
     def step(self, plan: TactilePlan, state: TactileState, inputs: Inputs, dt: float) -> Wanted[TactileState]:
         was_limited = state.is_limited
@@ -154,11 +150,11 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
         return Wanted(state, base_m, target, state.phase == DONE, notice=notice)
 
     def progress(self, plan: TactilePlan, state: TactileState) -> Progress:
-        texts = (*WAY_TEXTS, "the surface is felt", "done")
+        texts = (*Way.TEXTS, "the surface is felt", "done")
         return Progress(texts[state.phase], state.phase / DONE)
 
     def searching_s(self, plan: TactilePlan, state: TactileState) -> tuple[float, float]:
-        return (state.approached_s if state.phase == APPROACH else 0.0), plan.approach_s
+        return (state.approached_s if state.phase == Way.APPROACH else 0.0), plan.approach_s
 
 
 def tactile_step(
@@ -166,9 +162,9 @@ def tactile_step(
 ) -> tuple[TactileState, float, Place]:
     """Take what was measured and return the state, and where base [m] and stage are to go in the next dt [s]."""
     s, base_m, place = plan.settings, inputs.base_m, inputs.place
-    if state.phase <= APPROACH:
+    if state.phase <= Way.APPROACH:
         touches, step_m = inputs.force_n >= s.setpoint_n, s.approach_m_per_s * dt
-        way = way_to_surface(state.phase, state.approached_s, inputs, plan.start, plan.clear_m, step_m, touches, dt)
+        way = Way.to_surface(state.phase, state.approached_s, inputs, plan.start, plan.clear_m, step_m, touches, dt)
         return TactileState(way.phase, False, way.elapsed_s), way.base_m, way.place
     if state.phase == DONE:
         return state, base_m, place

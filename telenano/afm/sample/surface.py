@@ -42,6 +42,37 @@ class Surface(NamedTuple):
     def depth_m(self) -> float:
         return self.step_y_m * int(self.height_m.shape[0])
 
+    def dilated(self, radius_m: float) -> "Surface":
+        """Return what a sphere of radius_m [m] sees of the surface; beyond the map that is taken as level.
+
+        Raises:
+            ValueError: The radius is not finite, negative, or spans so many pixels that this would take minutes.
+        """
+        if not (math.isfinite(radius_m) and radius_m >= 0.0):
+            raise ValueError(f"tip radius = {radius_m} m must be finite and >= 0 m")
+        heights = self.height_m
+        rows, columns = heights.shape
+        span = float(heights.max() - heights.min())
+        # a neighbour further away would have to be higher than the highest to reach the sphere
+        reach = radius_m if span >= radius_m else math.sqrt(max(2.0 * radius_m * span - span * span, 0.0))
+        n, m = (min(int(reach / step), size) for step, size in ((self.step_x_m, columns), (self.step_y_m, rows)))
+        if n == 0 and m == 0:
+            return self
+        if 3.2 * n * m * heights.size > _MOST_COMPARISONS:
+            raise ValueError(
+                f"a tip of radius {radius_m:g} m spans {2 * n} x {2 * m} pixels of a map of {columns} x {rows}: take a"
+                " coarser map or a smaller tip"
+            )
+        padded = np.pad(heights, ((m, m), (n, n)), mode="edge")
+        result = heights.copy()
+        for dy in range(-m, m + 1):
+            for dx in range(-n, n + 1):
+                squared = radius_m**2 - (dx * self.step_x_m) ** 2 - (dy * self.step_y_m) ** 2
+                if squared >= 0.0:
+                    rise = math.sqrt(squared) - radius_m
+                    np.maximum(result, padded[m + dy : m + dy + rows, n + dx : n + dx + columns] + rise, out=result)
+        return Surface(result, self.step_x_m, self.step_y_m)
+
 
 # a plane at height 0
 PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
@@ -162,35 +193,3 @@ def plane_levelled(surface: Surface) -> Surface:
     tilt_x = math.fsum((heights * x[None, :]).ravel().tolist()) / (rows * math.fsum((x * x).tolist()))
     tilt_y = math.fsum((heights * y[:, None]).ravel().tolist()) / (columns * math.fsum((y * y).tolist()))
     return surface._replace(height_m=heights - mean - tilt_x * x[None, :] - tilt_y * y[:, None])
-
-
-def dilated(surface: Surface, radius_m: float) -> Surface:
-    """Return what a sphere of radius_m [m] sees of a surface; beyond the map the surface is taken as level.
-
-    Raises:
-        ValueError: The radius is not finite, negative, or spans so many pixels that this would take minutes.
-    """
-    if not (math.isfinite(radius_m) and radius_m >= 0.0):
-        raise ValueError(f"tip radius = {radius_m} m must be finite and >= 0 m")
-    heights = surface.height_m
-    rows, columns = heights.shape
-    span = float(heights.max() - heights.min())
-    # a neighbour further away would have to be higher than the highest to reach the sphere
-    reach = radius_m if span >= radius_m else math.sqrt(max(2.0 * radius_m * span - span * span, 0.0))
-    n, m = (min(int(reach / step), size) for step, size in ((surface.step_x_m, columns), (surface.step_y_m, rows)))
-    if n == 0 and m == 0:
-        return surface
-    if 3.2 * n * m * heights.size > _MOST_COMPARISONS:
-        raise ValueError(
-            f"a tip of radius {radius_m:g} m spans {2 * n} x {2 * m} pixels of a map of {columns} x {rows}: take a"
-            " coarser map or a smaller tip"
-        )
-    padded = np.pad(heights, ((m, m), (n, n)), mode="edge")
-    result = heights.copy()
-    for dy in range(-m, m + 1):
-        for dx in range(-n, n + 1):
-            squared = radius_m**2 - (dx * surface.step_x_m) ** 2 - (dy * surface.step_y_m) ** 2
-            if squared >= 0.0:
-                rise = math.sqrt(squared) - radius_m
-                np.maximum(result, padded[m + dy : m + dy + rows, n + dx : n + dx + columns] + rise, out=result)
-    return Surface(result, surface.step_x_m, surface.step_y_m)

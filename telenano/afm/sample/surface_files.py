@@ -17,7 +17,7 @@ from numpy.lib import format as npy
 
 from telenano.afm.sample.surface import MOST_PIXELS, Surface, checked
 from telenano.files.regular_files import open_regular
-from telenano.files.text_tables import as_number, read_table
+from telenano.files.text_tables import TextTable, as_number
 from telenano.files.units import unit_of
 from telenano.settings.file_readers import read_by_package
 from telenano.wire.errors import ConfigError, probably_meant
@@ -136,7 +136,7 @@ def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
 def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
     """Read a matrix of heights in text: rows from the top down; a head may say its sizes and the unit of its values."""
     try:
-        table = read_table(path)
+        table = TextTable.read(path)
     except ConfigError:
         # a format of its own, which a package may know
         return _read_by_package(path, size_m)

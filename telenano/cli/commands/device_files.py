@@ -23,6 +23,6 @@ def run_ahead() -> None:
 
 def section_of(scenario: Path | None, name: str, model: type[Section]) -> Section:
     """Return a section of a scenario that is named or a file, or its defaults; ConfigError names what is wrong."""
-    from telenano.settings.scenario import load_scenario
+    from telenano.settings.scenario import LoadedScenario
 
-    return model() if scenario is None else load_scenario(find_scenario(str(scenario))).section(name, model)
+    return model() if scenario is None else LoadedScenario.load(find_scenario(str(scenario))).section(name, model)

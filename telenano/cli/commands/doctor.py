@@ -192,10 +192,10 @@ def _installed(name: str) -> str | None:
 
 def rig(site_file: Path) -> list[Finding]:
     """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
-    from telenano.runtime.bus.address_book import load_site
+    from telenano.runtime.bus.address_book import AddressBook
 
     try:
-        return _addresses(load_site(site_file))
+        return _addresses(AddressBook.load(site_file))
     except (ConfigError, EndpointError) as error:
         return [Finding("site file", "problem", str(error), "correct it, or name another with --site-file")]
 

@@ -76,7 +76,7 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
         known_law(law)
         if not as_json:
             typer.echo(
-                "checking the rules; the first time takes up to a minute, because the steps are compiled", err=True
+                "checking the rules; the first time needs a minute or less, because the steps are compiled", err=True
             )
         broken = broken_rules(law)
         limit_of = ControllerConfig(law=law).stiffness_limit_n_per_m

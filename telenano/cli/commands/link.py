@@ -14,7 +14,7 @@ from telenano.cli.output import print_answer, report_errors
 from telenano.cli.tables import counts_text
 from telenano.link.profiles import PROFILES, profile_named
 from telenano.recording.tables import json_fields
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.observer import RIG_HINT, Observer, messages_of
 from telenano.settings.config import flatten
 from telenano.settings.included import DEFAULT_SITE_FILE
@@ -43,7 +43,7 @@ def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = Fa
         with open_observer(site_file, "link/status") as observer:
             status = current_status(observer)
         network: dict[str, dict[str, Any]] = {}
-        if load_site(site_file).spans_machines:
+        if AddressBook.load(site_file).spans_machines:
             with open_observer(site_file, "link/network") as observer:
                 network = current_network(observer)
     document = {**status, "network": network} if network else status

@@ -1,5 +1,6 @@
 """`telenano new`: a package that extends telenano, ready to install."""
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -35,4 +36,7 @@ def new(
         return
     for path in written:
         typer.echo(path)
-    typer.echo(f"next: pip install -e {folder} && pytest {folder}")
+    # Where the backend is installed already, as in a checkout, pip need not fetch it into an environment of its own.
+    ready = all(find_spec(name) is not None for name in ("hatchling", "editables"))
+    option = "--no-build-isolation " if ready else ""
+    typer.echo(f"next: pip install {option}-e {folder} && pytest {folder}")

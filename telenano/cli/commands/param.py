@@ -84,9 +84,9 @@ def get(
 
 def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:
     from telenano.launcher.scenario_keys import filled, value_at, with_meant
-    from telenano.settings.scenario import load_scenario
+    from telenano.settings.scenario import LoadedScenario
 
-    document = filled(load_scenario(find_scenario(scenario), settings or ()))
+    document = filled(LoadedScenario.load(find_scenario(scenario), settings or ()))
     try:
         return document if key is None else value_at(document, key)
     except ConfigError as error:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.analysis.figure_style import figure_options
+from telenano.analysis.figure_style import FigureOptions
 from telenano.analysis.report import write_report
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import fail_with_summary, print_summary, report_errors
@@ -22,7 +22,7 @@ def report(
     """Write figure and summary of a recording again, and print it; exit code 3 if something is missing in it."""
     with report_errors(as_json):
         try:
-            summary = write_report(files, out, options=figure_options(formats, style))
+            summary = write_report(files, out, options=FigureOptions.of(formats, style))
         except ReportError as error:
             fail_with_summary(error, str(out), as_json=as_json)
     print_summary(summary, str(out), tables=True, as_json=as_json)

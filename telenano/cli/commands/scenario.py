@@ -51,9 +51,9 @@ def check(name: NameArgument, settings: SettingsOption = None, as_json: JsonOpti
     with report_errors(as_json):
         # the models of all nodes take a second to import
         from telenano.launcher.plan import check_sections
-        from telenano.settings.scenario import load_scenario
+        from telenano.settings.scenario import LoadedScenario
 
-        loaded = load_scenario(find_scenario(name), settings or ())
+        loaded = LoadedScenario.load(find_scenario(name), settings or ())
         check_sections(loaded)
     document = {"scenario": loaded.scenario.name, "valid": True, "origin": loaded.origin}
     print_answer(document, f"{loaded.origin}: valid, {loaded.scenario.duration_s:g} s", as_json=as_json)

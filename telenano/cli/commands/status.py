@@ -17,7 +17,7 @@ from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
 from telenano.launcher.processors import fits_text, held, permitted, shared_folder
 from telenano.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
 from telenano.launcher.rigs import RigFacts, about_rig, running_rigs
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings.included import DEFAULT_SITE_FILE
@@ -47,7 +47,7 @@ def status(
         print_rigs(running_rigs(), as_json=as_json)
         return
     with report_errors(as_json):
-        book = load_site(site_file)
+        book = AddressBook.load(site_file)
         with contextlib.closing(Observer(book, NEEDED)) as observer:
             rig_status = listen(observer, duration)
     about = about_rig(os.environ.get(RIG_VARIABLE) or FIRST_RIG) if book.uses_runtime_directory else {}

@@ -22,7 +22,6 @@ from telenano.cli.output import print_answer, print_document, print_json, print_
 from telenano.launcher.scenario_keys import value_at
 from telenano.recording.quantities import quantity
 from telenano.recording.tables import json_fields, json_value
-from telenano.runtime.bus.address_book import load_site
 from telenano.runtime.wiring.observer import (
     RIG_HINT,
     Observer,
@@ -30,7 +29,6 @@ from telenano.runtime.wiring.observer import (
     list_topics,
     measure,
     messages_of,
-    require_rig,
 )
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS, Message
@@ -145,9 +143,7 @@ def hz(
 def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
     """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
     wanted = (known_name(topic, unknown=True)[0],) if topic else None
-    book = load_site(site_file)
-    require_rig(book, site_file)
-    with contextlib.closing(Observer(book, wanted) if wanted else Observer(book)) as observer:
+    with contextlib.closing(Observer.of_rig(site_file, wanted)) as observer:
         # Sockets that a killed rig left behind, or a machine that is switched off, are not noticed before.
         timer = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
         timer.daemon = True

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.analysis.figure_style import FigureOptions, figure_options
+from telenano.analysis.figure_style import FigureOptions
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
@@ -80,7 +80,7 @@ def up(
         # the nodes inherit it, and so do the sessions of a sweep
         permit_code()
     with report_errors(as_json):
-        options = figure_options(formats, style)
+        options = FigureOptions.of(formats, style)
         request = validated(UpRequest, {**given, "page": not (no_view or as_json or headless)})
         repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
         if sweep or repeated:

@@ -34,6 +34,18 @@ class AfmCapabilities(NamedTuple):
     retracts: str
     scans: bool = False
 
+    @staticmethod
+    def of(driver: str) -> "AfmCapabilities | None":
+        """Return what a driver declares of its instrument; None where it declares nothing.
+
+        Raises:
+            ValueError: The driver of a package cannot be used.
+        """
+        driver_row = DRIVERS.find(driver)
+        if driver_row is None or driver_row.capabilities is None:
+            return TABLE.get(driver)
+        return AfmCapabilities(*driver_row.capabilities)
+
 
 TABLE: Mapping[str, AfmCapabilities] = {
     "simulated": AfmCapabilities(1000.0, 1000.0, 0.0, True, True, True, ("deflection",), "nothing has to"),
@@ -41,18 +53,6 @@ TABLE: Mapping[str, AfmCapabilities] = {
         500.0, 500.0, 2.5e-3, False, False, True, ("deflection",), "a script on a T7; a watchdog of 1 s elsewhere"
     ),
 }
-
-
-def capabilities_of(driver: str) -> AfmCapabilities | None:
-    """Return what a driver declares of its instrument; None where it declares nothing.
-
-    Raises:
-        ValueError: The driver of a package cannot be used.
-    """
-    driver_row = DRIVERS.find(driver)
-    if driver_row is None or driver_row.capabilities is None:
-        return TABLE.get(driver)
-    return AfmCapabilities(*driver_row.capabilities)
 
 
 def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
@@ -63,7 +63,7 @@ def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
         law: The name of the law.
         instead: The laws that close no such loop, of which one may be taken.
     """
-    able = capabilities_of(driver)
+    able = AfmCapabilities.of(driver)
     if able is None or able.sample_hz >= LEAST_LOOP_HZ:
         return ""
     return (
@@ -80,7 +80,7 @@ def refusal(driver: str, program: str) -> str:
         driver: The value of `afm_node.driver`.
         program: The name of a program of the instrument, empty for none.
     """
-    capabilities = capabilities_of(driver)
+    capabilities = AfmCapabilities.of(driver)
     if capabilities is None:
         return ""
     if program in PROGRAMS and PROGRAMS[program].moves_across and not capabilities.lateral:

@@ -1,17 +1,14 @@
 """Calibration of an instrument behind converters (`stage.yaml`): volts of stage and deflection in SI units."""
 
 import math
-from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 from pydantic import AwareDatetime, Field, model_validator
 
 from telenano.devices.afm.register_map import MapName, RegisterMap
 from telenano.extend.instruments import SafetyParams
 from telenano.extend.samples import AfmSample
-from telenano.settings.config import Settings, read_yaml, validate
-
-_C = TypeVar("_C", bound=Settings)
+from telenano.settings.config import Settings
 
 LEAST_HEARTBEAT_S = 0.02
 
@@ -190,13 +187,3 @@ class InstrumentCalibration(Settings):
                 f"instrument.serial is missing: {registers.model} has one, and another device must be refused"
             )
         return faults
-
-
-def read_stage_calibration(path: Path) -> InstrumentCalibration:
-    """Read a calibration file; ConfigError names file and key."""
-    return validate(InstrumentCalibration, read_yaml(path), str(path))
-
-
-def read_controller(path: Path, model: type[_C]) -> _C:
-    """Read the calibration file of a controller; ConfigError names file and key, and a file of another controller."""
-    return validate(model, read_yaml(path), str(path))

@@ -101,10 +101,10 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
         from telenano.devices.afm.modbus_driver import ModbusAfm
     except ImportError as error:
         raise ConfigError(f"afm_node.driver: modbus needs pymodbus: {how_to_install('afm')}") from error
-    from telenano.devices.afm.converter_calibration import read_stage_calibration
+    from telenano.devices.afm.converter_calibration import InstrumentCalibration
     from telenano.devices.afm.register_map import read_map
 
-    calibration = read_stage_calibration(Path(section.calibration))
+    calibration = InstrumentCalibration.from_file(Path(section.calibration))
     own = {"host": section.host, "port": section.port}
     network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
     calibration = calibration.model_copy(update={"network": network})
@@ -113,11 +113,11 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
 
 def calibration_of_file(calibration: Path) -> Any:
     """Return the calibration of a real instrument, whichever kind it is; ConfigError names what is wrong."""
-    from telenano.devices.afm.converter_calibration import read_stage_calibration
+    from telenano.devices.afm.converter_calibration import InstrumentCalibration
 
     document = read_yaml(calibration)
     if (kind := document.get("controller")) is None:
-        return read_stage_calibration(calibration)
+        return InstrumentCalibration.from_file(calibration)
     return validate(_calibrated(kind, calibration)[1], document, str(calibration))
 
 

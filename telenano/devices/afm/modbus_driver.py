@@ -12,7 +12,7 @@ from telenano.devices.afm.modbus_frames import Answer, Conversation, Operation
 from telenano.devices.afm.modbus_handshake import EXCEPTIONS, Handshake, heartbeat_of, is_retracted
 from telenano.devices.afm.modbus_line import Line
 from telenano.devices.afm.register_map import RegisterMap
-from telenano.devices.afm.tcp_driver import STALE_CYCLES, TcpDriver
+from telenano.devices.afm.tcp_driver import TcpDriver
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 
 _MS = 1_000_000
@@ -243,7 +243,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
     def _judge(self, now_ns: int) -> None:
         age_s = self._age_s(now_ns)
         # an exchange in the loop's time takes whole periods
-        is_fresh = age_s <= STALE_CYCLES * (self._map.device_cycle_s + self._period_s)
+        is_fresh = age_s <= self.STALE_CYCLES * (self._map.device_cycle_s + self._period_s)
         volts = self._output_v, self._readings.sample.bridge_voltage_v
         status = AfmReport("ok" if is_fresh else "stale", age_s, self._readings.in_range, self._text, *volts)
         self._report = status if self._ready else status._replace(status="lost", force_valid=True)

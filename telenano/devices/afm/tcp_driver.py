@@ -11,12 +11,11 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from telenano.devices.afm import modbus_line
 from telenano.devices.afm.converter_calibration import Readings
-from telenano.devices.afm.modbus_line import Connect, Line, TcpConnector, continue_connecting
+from telenano.devices.afm.modbus_line import LOST_NS, STEP_NS, Connect, Line, TcpConnector, continue_connecting
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano.extend.samples import AfmSample
 from telenano.wire.errors import cause
 
-STALE_CYCLES = 3
 # A retraction on the connection that is there waits for its answer for this time.
 _CLOSE_S = 0.1
 # A retraction on a new connection waits for this time.
@@ -61,6 +60,12 @@ class TcpDriver(ABC, Generic[C]):
         now_ns: The monotonic clock [ns]; a test replaces it.
         sleep: Waits in `open`, `retract` and `close`, and nowhere else.
     """
+
+    # An instrument that is silent for longer than this is lost, and one that does not answer an order of the handshake.
+    LOST_NS: ClassVar[int] = LOST_NS
+    STEP_NS: ClassVar[int] = STEP_NS
+    # A reading is fresh up to an age of this number of cycles.
+    STALE_CYCLES: ClassVar[int] = 3
 
     state = None
     vibration = None

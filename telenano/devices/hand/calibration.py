@@ -1,13 +1,12 @@
 """Calibration of a serial handle (`handle.yaml`): what a raw count of one particular device is in SI units."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AwareDatetime, Field, model_validator
 
 from telenano.devices.hand import wire
 from telenano.hand.config import LimitsConfig
-from telenano.settings.config import Settings, read_yaml, validate
+from telenano.settings.config import Settings
 
 _COUNT_LIMIT = 2**31 - 1
 _Q16 = 65536.0
@@ -136,11 +135,6 @@ class HandleCalibration(Settings):
             servo_gain_q16=max(1, _count(self._gain_q16)),
             servo_damping_q16=_count(damping * _Q16),
         )
-
-
-def read_handle_calibration(path: Path) -> HandleCalibration:
-    """Read a calibration file; ConfigError names file and key."""
-    return validate(HandleCalibration, read_yaml(path), str(path))
 
 
 def _count(value: float) -> int:

@@ -16,10 +16,6 @@ RandomDelay = Callable[[int], float]
 _SMALLEST_STEP = 1e-13
 # Newton's method ends after at most this number of steps.
 _MOST_STEPS = 100
-# A delay that lasts is drawn this many times in its correlation time.
-DRAWS_IN_CORRELATION_TIME = 8
-# A pause of more draws than this is jumped over.
-LONGEST_WALK = 10_000
 
 
 def uniform_quantile(u: float) -> float:
@@ -105,8 +101,8 @@ class JitterSource:
     def __init__(self, settings: Jitter, samples: Sequence[float], draw: Draw, now_ns: int = 0) -> None:
         self._scale_ns = settings.scale_s * 1e9
         self._quantile = _quantile_of(settings, samples)
-        self._step_ns = round(settings.correlation_time_s * 1e9 / DRAWS_IN_CORRELATION_TIME)
-        rho = math.exp(-1.0 / DRAWS_IN_CORRELATION_TIME) if self._step_ns else settings.correlation
+        self._step_ns = round(settings.correlation_time_s * 1e9 / Jitter.DRAWS_IN_CORRELATION_TIME)
+        rho = math.exp(-1.0 / Jitter.DRAWS_IN_CORRELATION_TIME) if self._step_ns else settings.correlation
         self._uniform = CorrelatedUniform(rho, draw, normal_quantile)
         # The draws in time count from here, so that no message shifts those of another.
         self._step = now_ns // self._step_ns - 1 if self._step_ns else 0
@@ -139,7 +135,7 @@ class JitterSource:
 
     def _advance(self, now_ns: int) -> float:
         behind = now_ns // self._step_ns - self._step
-        if behind > LONGEST_WALK:
+        if behind > Jitter.LONGEST_WALK:
             # Nothing is left of a score after this long.
             self._uniform.score, behind = None, 1
         for _ in range(behind):

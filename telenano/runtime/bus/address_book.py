@@ -298,14 +298,14 @@ class AddressBook(Settings):
             reachable.append(link)
         return reachable
 
-
-def load_site(path: Path) -> AddressBook:
-    """Read a site file; ConfigError names file and key."""
-    book = validate(AddressBook, read_yaml(path), str(path))
-    if book.spans_machines:
-        relayed = book.relay is not None
-        check_link(book.link.transport, book.link.model_extra or {}, str(path), relayed=relayed)
-    return book
+    @classmethod
+    def load(cls, path: Path) -> "AddressBook":
+        """Read a site file; ConfigError names file and key."""
+        book = validate(AddressBook, read_yaml(path), str(path))
+        if book.spans_machines:
+            relayed = book.relay is not None
+            check_link(book.link.transport, book.link.model_extra or {}, str(path), relayed=relayed)
+        return book
 
 
 def is_relayed(endpoint: str) -> bool:

@@ -55,11 +55,11 @@ def endpoint_of(node: str, site_file: Path | None) -> str:
     """
     if site_file is not None:
         # models of every message come with these: a third of a second of processor time
-        from telenano.runtime.bus.address_book import load_site
+        from telenano.runtime.bus.address_book import AddressBook
         from telenano.wire.errors import TelenanoError
 
         try:
-            return load_site(site_file).endpoint(node)
+            return AddressBook.load(site_file).endpoint(node)
         except TelenanoError as error:
             raise LookupError(str(error)) from error
     folder = os.environ.get(RUNTIME_DIRECTORY_VARIABLE)

@@ -54,12 +54,15 @@ def is_linux() -> bool:
     return sys.platform == "linux"
 
 
-def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> RealtimeStatus:
+def apply_realtime(config: RealtimeConfig | None, log: StructuredLog, node: str) -> RealtimeStatus:
     """Request scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
+
+    Without a configuration it requests what a rig does by default.
 
     Raises:
         ConfigError: `fifo` or `on` is configured and not permitted, or the processor does not exist.
     """
+    config = config or RealtimeConfig()
     if not is_linux():
         if config.scheduler == "fifo" or config.memory_lock == "on":
             raise ConfigError(f"realtime: {sys.platform} has no real-time scheduling: give scheduler auto or normal")

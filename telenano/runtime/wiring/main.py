@@ -12,7 +12,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
@@ -25,16 +25,10 @@ from telenano.runtime.loop.realtime import (
     use_huge_pages,
 )
 from telenano.runtime.security.private_files import check_rig_name
-from telenano.runtime.wiring.participant import (
-    SITES,
-    Participant,
-    StopSignals,
-    open_participant,
-    run_loop,
-)
+from telenano.runtime.wiring.participant import SITES, Participant, StopSignals
 from telenano.settings.included import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from telenano.settings.plugins import fault_of_package
-from telenano.settings.scenario import RealtimeConfig, load_scenario
+from telenano.settings.scenario import LoadedScenario, RealtimeConfig
 from telenano.signals.children import die_with_parent
 from telenano.wire.errors import TelenanoError
 from telenano.wire.nodes import module_of, sites_of
@@ -180,8 +174,8 @@ def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> Non
         os.environ[RIG_VARIABLE] = check_rig_name(arguments.rig)
     site_file = site_file_named(arguments.site_file) or DEFAULT_SITE_FILE
     scenario_file = find_scenario(str(arguments.scenario))
-    book = load_site(site_file)
-    loaded = load_scenario(scenario_file, arguments.set)
+    book = AddressBook.load(site_file)
+    loaded = LoadedScenario.load(scenario_file, arguments.set)
     config = loaded.section(kind.name, kind.config)
     wanted = (
         loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
@@ -193,7 +187,7 @@ def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> Non
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     raise_file_limit()
-    with open_participant(key, book, signals.descriptor) as participant:
+    with Participant.open(key, book, signals.descriptor) as participant:
         values = {**vars(participant), "period_s": loaded.scenario.period_s}
         wiring = Wiring(**values, site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
@@ -201,5 +195,5 @@ def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> Non
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
-        run_loop(node, bus, signals, status, freeze=not kind.observer, guarded=kind.realtime)
+        signals.run(node, bus, status, freeze=not kind.observer, guarded=kind.realtime)
     log.info("stopped")

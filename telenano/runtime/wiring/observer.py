@@ -6,7 +6,7 @@ import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import zmq
@@ -14,7 +14,7 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.local_endpoint import local_endpoint
-from telenano.runtime.wiring.participant import OBSERVER, open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.settings.package_topics import installed_topics, problem_with, row_of
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RigError, known_names, probably_meant
@@ -65,12 +65,19 @@ class Observer:
         """
         self.notices: list[ConnectionEvent] = []
         self._open = contextlib.ExitStack()
-        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
         self.subscribers = participant.observe(lambda topic, node: wanted is None or topic in wanted, shared=shared)
         self._poller = zmq.Poller()
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)
+
+    @classmethod
+    def of_rig(cls, site_file: Path, wanted: Collection[str] | None = None) -> Self:
+        """Connect to the rig of a site file; RigError at once where no rig can be running."""
+        book = AddressBook.load(site_file)
+        require_rig(book, site_file)
+        return cls(book, wanted)
 
     def listen(self, duration_s: float | None) -> Iterator[ObservedMessage]:
         """Return the messages received within a time [s], None for no end."""

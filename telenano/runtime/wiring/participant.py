@@ -157,38 +157,45 @@ class Participant:
         """Return where emergency stops of a device are kept; None for other nodes, and without an ipc endpoint."""
         return self.book.kept_stop(self.key) if self.key in DEVICES else None
 
+    @classmethod
+    @contextlib.contextmanager
+    def open(
+        cls, key: str, book: AddressBook, wake_descriptor: int = -1, *, publisher: bool = True
+    ) -> "Iterator[Participant]":
+        """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
 
-@contextlib.contextmanager
-def open_participant(
-    key: str, book: AddressBook, wake_descriptor: int = -1, *, publisher: bool = True
-) -> Iterator[Participant]:
-    """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
+        Args:
+            key: The participant as node@site.
+            book: The addresses of the rig.
+            wake_descriptor: The descriptor that wakes the loop.
+            publisher: False for a participant that has no endpoint in the site file; it only listens and may be on any
+                machine.
 
-    Args:
-        key: The participant as node@site.
-        book: The addresses of the rig.
-        wake_descriptor: The descriptor that wakes the loop.
-        publisher: False for a participant that has no endpoint in the site file; it only listens and may be on any
-            machine.
+        Raises:
+            EndpointError: The node is not in the book.
+            ConfigError: Its machine lacks a key that the rig needs.
+        """
+        clock = SystemClock()
+        machine = _machine_of(book, key) if publisher else this_machine(Keyring())
+        with contextlib.ExitStack() as resources:
+            context = resources.enter_context(open_context(serves_network=publisher and book.spans_machines))
+            network = resources.enter_context(contextlib.closing(Transport(context, clock, book, machine)))
+            yield Participant(
+                key=key,
+                book=book,
+                clock=clock,
+                log=StructuredLog(key),
+                network=network,
+                wake_descriptor=wake_descriptor,
+                resources=resources,
+            )
 
-    Raises:
-        EndpointError: The node is not in the book.
-        ConfigError: Its machine lacks a key that the rig needs.
-    """
-    clock = SystemClock()
-    machine = _machine_of(book, key) if publisher else this_machine(Keyring())
-    with contextlib.ExitStack() as resources:
-        context = resources.enter_context(open_context(serves_network=publisher and book.spans_machines))
-        network = resources.enter_context(contextlib.closing(Transport(context, clock, book, machine)))
-        yield Participant(
-            key=key,
-            book=book,
-            clock=clock,
-            log=StructuredLog(key),
-            network=network,
-            wake_descriptor=wake_descriptor,
-            resources=resources,
-        )
+    @classmethod
+    def observing(
+        cls, book: AddressBook, wake_descriptor: int = -1
+    ) -> contextlib.AbstractContextManager["Participant"]:
+        """Open a part that only listens, or publishes what it binds itself, on any machine of a rig."""
+        return cls.open(OBSERVER, book, wake_descriptor, publisher=False)
 
 
 def _machine_of(book: AddressBook, key: str) -> str:
@@ -212,6 +219,37 @@ class StopSignals:
         if self._received:
             self._receive()
 
+    def run(
+        self,
+        node: Node,
+        bus: NodeBus,
+        realtime: RealtimeStatus = NO_REALTIME,
+        *,
+        freeze: bool = True,
+        guarded: bool = False,
+    ) -> None:
+        """Run a node until it or a signal requests its stop.
+
+        Args:
+            node: The node.
+            bus: The bus of the node.
+            realtime: The scheduling that the process has.
+            freeze: False for a process that needs the garbage collector for work after the loop.
+            guarded: Whether the process is ended when it computes without end.
+        """
+        guard = HangGuard()
+        note_alive = guard.renew if guarded else lambda: None
+        starting_ns = STARTING_PERIOD_NS
+        loop = NodeLoop(node, bus, realtime, starting_period_ns=starting_ns, note_alive=note_alive)
+        self.interrupt(node)
+        if freeze:
+            # The garbage collector looks at every object of the process, and the others on its processor have their
+            # periods to keep.
+            with ordinary_scheduling():
+                freeze_garbage()
+        with guard if guarded else contextlib.nullcontext():
+            loop.run()
+
     def _receive(self) -> None:
         self._received = True
         if self._node is None:
@@ -221,36 +259,3 @@ class StopSignals:
             # the descriptor ends every wait until it is read, and this loop continues waiting after a signal
             with contextlib.suppress(BlockingIOError):
                 os.read(self.descriptor, 64)
-
-
-def run_loop(
-    node: Node,
-    bus: NodeBus,
-    signals: StopSignals,
-    realtime: RealtimeStatus = NO_REALTIME,
-    *,
-    freeze: bool = True,
-    guarded: bool = False,
-) -> None:
-    """Run a node until it or a signal requests its stop.
-
-    Args:
-        node: The node.
-        bus: The bus of the node.
-        signals: The signals that request a stop.
-        realtime: The scheduling that the process has.
-        freeze: False for a process that needs the garbage collector for work after the loop.
-        guarded: Whether the process is ended when it computes without end.
-    """
-    guard = HangGuard()
-    note_alive = guard.renew if guarded else lambda: None
-    starting_ns = STARTING_PERIOD_NS
-    loop = NodeLoop(node, bus, realtime, starting_period_ns=starting_ns, note_alive=note_alive)
-    signals.interrupt(node)
-    if freeze:
-        # The garbage collector looks at every object of the process, and the others on its processor have their periods
-        # to keep.
-        with ordinary_scheduling():
-            freeze_garbage()
-    with guard if guarded else contextlib.nullcontext():
-        loop.run()

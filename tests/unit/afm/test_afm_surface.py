@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from telenano.afm.sample.surface import checked, dilated, dots, flat, grating, height_at
+from telenano.afm.sample.surface import checked, dots, flat, grating, height_at
 
 NM = 1e-9
 
@@ -48,7 +48,7 @@ def test_a_grating_has_its_period_and_duty():
 
 def test_a_sphere_is_kept_up_beside_a_step_by_its_own_shape():
     surface = checked(grating(100 * NM, 2000, 100 * NM, 4 * NM).height_m[:8], 100 * NM, 100 * NM)
-    seen = dilated(surface, 10 * NM)
+    seen = surface.dilated(10 * NM)
     # the ridge begins at 25 nm: at a distance d before it the sphere is up by step + sqrt(R^2 - d^2) - R
     for distance in (1.0, 3.0, 6.0):
         expected = max(0.0, 4.0 + np.sqrt(100.0 - distance**2) - 10.0) * NM
@@ -61,7 +61,7 @@ def test_a_sphere_on_a_sphere_is_seen_with_the_sum_of_the_radii():
     x, y = np.meshgrid((np.arange(160) - 79.5) * 0.5 * NM, (np.arange(160) - 79.5) * 0.5 * NM)
     squared = x**2 + y**2
     cap = np.sqrt(np.maximum((20 * NM) ** 2 - squared, (16 * NM) ** 2)) - 16 * NM
-    seen = dilated(checked(cap, 80 * NM, 80 * NM), 10 * NM).height_m
+    seen = checked(cap, 80 * NM, 80 * NM).dilated(10 * NM).height_m
     expected = np.sqrt(np.maximum((30 * NM) ** 2 - squared, 0.0)) - 26 * NM
     inside = squared < (15 * NM) ** 2
     assert np.abs(seen - expected)[inside].max() < 0.02 * NM
@@ -69,13 +69,13 @@ def test_a_sphere_on_a_sphere_is_seen_with_the_sum_of_the_radii():
 
 def test_dilation_never_lowers_and_leaves_coarse_and_level_maps_alone():
     surface = dots(150 * NM, 128, 5, 5 * NM, 10 * NM, 1)
-    assert np.all(dilated(surface, 7 * NM).height_m >= surface.height_m)
-    assert np.array_equal(dilated(surface, 0.0).height_m, surface.height_m)
-    assert np.array_equal(dilated(flat(1e-6, 16), 50 * NM).height_m, np.zeros((16, 16)))
+    assert np.all(surface.dilated(7 * NM).height_m >= surface.height_m)
+    assert np.array_equal(surface.dilated(0.0).height_m, surface.height_m)
+    assert np.array_equal(flat(1e-6, 16).dilated(50 * NM).height_m, np.zeros((16, 16)))
     with pytest.raises(ValueError, match=r"tip radius = -1.0 m must be finite and >= 0 m"):
-        dilated(surface, -1.0)
+        surface.dilated(-1.0)
     with pytest.raises(ValueError, match="take a coarser map or a smaller tip"):
-        dilated(grating(1e-6, 2048, 1e-7, 1e-6), 1e-6)
+        grating(1e-6, 2048, 1e-7, 1e-6).dilated(1e-6)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ A0 = contact_distance_m(3.49e-10)
 @pytest.fixture(scope="module")
 def table_2():
     modulus = md.reduced_modulus_pa(E_TIP, 0.5, E_SAMPLE, 0.3)
-    return md.maugis_dugdale(R, W, modulus, md.cohesive_stress_pa(W, A0))
+    return md.MaugisDugdale.of(R, W, modulus, md.cohesive_stress_pa(W, A0))
 
 
 def printed_contact(lam, A):
@@ -172,7 +172,7 @@ def test_impossible_contacts_are_named(position, bad):
     values = [R, W, 4e9, 4e8]
     values[position] = bad
     with pytest.raises(ValueError, match="must be finite and > 0"):
-        md.maugis_dugdale(*values)
+        md.MaugisDugdale.of(*values)
 
 
 @pytest.mark.parametrize(

@@ -45,10 +45,18 @@ def test_a_tip_that_is_withdrawn_follows_no_more_until_it_is_there() -> None:
     for _ in range(200):
         guard.follow(0.0, PERIOD_S, force_n=0.0)
     base_m = guard.retract(PERIOD_S, force_n=0.0)
-    assert not guard.follows
+    assert not guard.follows and guard.reason == "retract_requested"
     while guard.base_m > LIMITS.retract_position_m:
         later_m = guard.follow(0.0, PERIOD_S, force_n=0.0)
         assert later_m <= base_m
         base_m = later_m
     guard.follow(0.0, PERIOD_S, force_n=0.0)
     assert guard.follows
+
+
+def test_a_tip_at_rest_that_is_to_retract_stays_where_it_is_and_is_not_armed() -> None:
+    guard = TipGuard(LIMITS)
+    before_m, before = guard.base_m, guard.reason
+    for _ in range(3):
+        assert guard.retract(PERIOD_S, force_n=0.0) == before_m
+        assert not guard.follows and guard.reason == before == "start"

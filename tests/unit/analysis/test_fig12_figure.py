@@ -11,8 +11,8 @@ from figure_layout import arrows, faults
 from matplotlib.text import Text
 
 from telenano.analysis.fig12 import SessionSeries, TipStates, draw_fig12, retracting
-from telenano.analysis.figure_style import figure_options, styled
-from telenano.analysis.report import read_session
+from telenano.analysis.figure_style import FigureOptions
+from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 
 Series = npt.NDArray[np.float64]
@@ -93,7 +93,7 @@ def made(seed: int) -> Made:
 @pytest.mark.parametrize("seed", range(8))
 def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_does(seed: int) -> None:
     session = made(seed)
-    options = figure_options("png", "paper" if seed % 2 else "screen")
+    options = FigureOptions.of("png", "paper" if seed % 2 else "screen")
     figure = draw_fig12(session.series, "title " * 40, options)
     path = figure.axes[2]
     expected = {
@@ -114,7 +114,7 @@ def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_
     if session.both_ways is not None:
         assert named == (["approach", "retraction"] if session.both_ways else ["approach"])
     # a label of an axis is made when it is drawn, in the style of the figure
-    with styled(options):
+    with options.styled():
         assert faults(figure) == []
     frame = path.get_window_extent()
     boxes = [Text.get_window_extent(text) for text in path.texts]
@@ -124,7 +124,7 @@ def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_
 
 
 def test_the_recorded_demonstration_has_its_meniscus_at_2_4_nm_and_both_ways() -> None:
-    series = read_session(open_recordings([DEMO])).series()
+    series = Session.of(open_recordings([DEMO])).series()
     figure = draw_fig12(series, "title")
     path = figure.axes[2]
     found = arrows(figure.axes[2])

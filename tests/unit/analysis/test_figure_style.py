@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from telenano.analysis.fig12 import SessionSeries, draw_fig12, fig12_files
-from telenano.analysis.figure_style import COLUMN_IN, drawn, figure_options
+from telenano.analysis.figure_style import FigureOptions
 from telenano.wire.errors import ConfigError
 
 
@@ -33,8 +33,8 @@ def test_the_figure_has_letters_and_two_styles_of_line_for_the_two_ways() -> Non
 
 
 def test_a_figure_for_paper_is_a_column_wide_with_letters_of_8_points_and_no_title() -> None:
-    figure = draw_fig12(series(), "title", figure_options("png", "paper"))
-    assert figure.get_size_inches()[0] == COLUMN_IN
+    figure = draw_fig12(series(), "title", FigureOptions.of("png", "paper"))
+    assert figure.get_size_inches()[0] == FigureOptions.COLUMN_IN
     assert figure.get_suptitle() == ""
     texts: list[Any] = figure.findobj(lambda part: hasattr(part, "get_fontsize") and bool(part.get_text()))
     assert len(texts) > 12
@@ -42,7 +42,7 @@ def test_a_figure_for_paper_is_a_column_wide_with_letters_of_8_points_and_no_tit
 
 
 def test_every_format_is_written_and_the_same_figure_gives_the_same_bytes() -> None:
-    options = figure_options("svg, pdf,png", "screen")
+    options = FigureOptions.of("svg, pdf,png", "screen")
     files = fig12_files(series(), "title", options, "wave, K_f 20 µ, seed 3")
     assert list(files) == ["fig12.svg", "fig12.pdf", "fig12.png"]
     assert files["fig12.png"].startswith(b"\x89PNG")
@@ -58,9 +58,9 @@ def test_every_format_is_written_and_the_same_figure_gives_the_same_bytes() -> N
 
 def test_unknown_formats_and_styles_are_refused_with_those_that_there_are() -> None:
     with pytest.raises(ConfigError, match="--format gif: is not one of png, pdf, svg"):
-        figure_options("png,gif")
+        FigureOptions.of("png,gif")
     with pytest.raises(ConfigError, match="--style poster: is not one of screen, paper"):
-        figure_options("png", "poster")
+        FigureOptions.of("png", "poster")
     with pytest.raises(ConfigError, match="at least one"):
-        figure_options(" ,")
-    assert drawn(Figure(), "x", figure_options("png,png")).keys() == {"x.png"}
+        FigureOptions.of(" ,")
+    assert FigureOptions.of("png,png").drawn(Figure(), "x").keys() == {"x.png"}

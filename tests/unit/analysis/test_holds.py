@@ -8,13 +8,19 @@ import pytest
 from telenano.analysis.holds import (
     _WORST_FIRST,
     Guard,
+    Incident,
     Instrument,
     Late,
     Limits,
     SessionContext,
+    _landed,
+    _Session,
+    _without_hand,
     constant_stretches,
+    episodes_of,
     guard_of,
     judge_holds,
+    outside,
     verdict_of,
 )
 from telenano.analysis.interruptions import Interruption
@@ -39,6 +45,21 @@ def verdicts(tip_n: np.ndarray) -> list[str]:
 def test_the_holds_are_where_the_hand_stands_still() -> None:
     found = constant_stretches(TIME_S, HAND_N, 0.01)
     assert [(round(a, 1), round(b, 1)) for a, b in found] == [(0.0, 1.0), (1.5, 4.5), (5.0, 9.0)]
+
+
+def test_a_hand_stands_still_for_half_a_second_at_least() -> None:
+    for last, found in ((500, 1), (499, 0)):
+        assert len(constant_stretches(TIME_S, np.where(np.arange(9000) <= last, 1.0, TIME_S), 0.01)) == found
+    assert outside((0.0, 1.0), [(0.5, 2.0)]) == [(0.0, 0.5)]
+    assert outside((0.0, 1.0), [(0.499, 2.0)]) == []
+
+
+def test_a_hold_that_was_planned_is_whole_where_the_hand_trembles_in_most_of_it() -> None:
+    """For a third of the time it stands still: a hold by itself, which shows less than half of what was planned."""
+    hand_n = HAND_N + np.where((TIME_S > 2.5) & (TIME_S < 4.5), 0.05 * np.sin(56.0 * TIME_S), 0.0)
+    for planned, ends in (([(1.5, 4.5, 1.0)], (1.5, 4.5)), ([], (1.5, 2.5))):
+        hold = judge_holds(TIME_S, hand_n, TIME_S, hand_n, instrument(), SessionContext(planned=planned))[0]
+        assert (hold.start_s, hold.end_s) == pytest.approx(ends, abs=0.02)
 
 
 def test_a_loop_that_follows_is_stable_in_each_of_them() -> None:
@@ -171,9 +192,11 @@ def test_a_hold_in_which_nothing_moves_and_a_hand_that_has_parted_say_so() -> No
     stuck = np.where(TIME_S < 4.5, HAND_N, 1.0)
     first, second = judge_holds(TIME_S, HAND_N, TIME_S, stuck, instrument())
     assert (first.has("nothing_moved"), second.has("nothing_moved")) == (False, True)
-    apart = instrument()._replace(apart_m=np.full(9000, 9e-3))
+    apart = instrument()._replace(apart_m=np.full(9000, 1.1e-3))
     (fact,) = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, apart)[0].facts
-    assert (fact.kind, fact.text) == ("parted", "hand and tip parted by 9 mm")
+    assert (fact.kind, fact.text) == ("parted", "hand and tip parted by 1.1 mm")
+    near = apart._replace(apart_m=np.full(9000, 0.9e-3))
+    assert judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, near)[0].facts == ()
 
 
 @pytest.mark.parametrize("arrived_s", [1.6, 2.4, 3.4, 4.0])
@@ -183,7 +206,8 @@ def test_a_tip_that_meets_the_surface_late_in_a_hold_is_judged_from_then_on(arri
     tip_n = np.where(since_s < 0.0, -0.3 * np.exp(np.minimum(since_s, 0.0) / 0.01), landing)
     hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(touching=since_s >= 0.0))[0]
     assert hold.verdict == "stable", hold
-    assert hold.has("arrived_late")
+    (late,) = [fact for fact in hold.facts if fact.kind == "arrived_late"]
+    assert late.value == pytest.approx(arrived_s - 1.5, abs=0.02)
     assert hold.judged_from_s == pytest.approx(arrived_s, abs=0.002)
 
 
@@ -214,6 +238,76 @@ def test_what_an_interruption_makes_the_tip_do_is_not_the_laws(at_s: float, leng
     swinging = HAND_N + swing(1.5, 4.5, 0.0, 0.4)
     before = judge_holds(TIME_S, HAND_N, TIME_S, swinging, instrument(), starved(at_s, length_s))[0]
     assert before.verdict == "limit_cycle" and before.has("interrupted"), before
+
+
+def test_the_loop_is_open_from_the_last_command_on_until_the_tip_follows_again() -> None:
+    """A deadline of 50 ms and a way of 40 ms before the interruption was noticed; both ends tell of the same one."""
+    session = _Session(TIME_S, HAND_N, TIME_S, HAND_N, instrument(), starved(2.2, 0.2), 2.0, 0.0, [])
+
+    def parts(start_s: float) -> list[tuple[str, float, float]]:
+        # whether the tip touches is known at the next sample
+        found = [part for part in episodes_of(session, start_s, 4.5) if part.end_s - part.start_s > 1.5e-3]
+        return [(part.kind, round(part.start_s, 2), round(part.end_s, 2)) for part in found]
+
+    assert parts(1.5) == [("contact", 1.5, 2.18), ("open", 2.18, 2.42), ("contact", 2.42, 4.5)]
+    assert parts(2.3) == [("open", 2.3, 2.42), ("contact", 2.42, 4.5)]
+    assert parts(2.5) == [("contact", 2.5, 4.5)]
+
+
+def test_of_two_reports_of_the_guard_the_nearer_one_is_the_reason() -> None:
+    following = TIME_S < 3.1
+    for guards, reason in (
+        ([Guard(2.95, "lateral_limit"), Guard(3.11, "force_limit")], "force_limit"),
+        ([Guard(3.05, "lateral_limit"), Guard(3.3, "force_limit")], "lateral_limit"),
+    ):
+        tip = instrument(following, following & (HAND_N > 0.0))
+        hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, SessionContext(guards=guards, limits=LIMITS))[0]
+        assert hold.verdict == "guarded" and f"({reason}" in hold.reason
+
+
+@pytest.mark.parametrize(("reason", "verdict"), [("force_limit", "diverged"), ("lateral_limit", "guarded")])
+def test_a_motion_without_a_line_that_has_grown_to_the_force_limit_has_diverged(reason: str, verdict: str) -> None:
+    """A blow of twice the size at the end of what the guard ends is growth; another limit says nothing of it."""
+    following = TIME_S < 3.1
+    size_n = np.where(TIME_S > 2.3, 0.6, 0.15)
+    noise_n = size_n * np.sin(np.cumsum(np.random.default_rng(5).uniform(0.0, 0.6, 9000)))
+    tip_n = np.where(following, HAND_N + np.where(TIME_S > 1.5, noise_n, 0.0), 0.0)
+    tip = instrument(following, following & (HAND_N > 0.0))
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, SessionContext(guards=[Guard(3.1, reason)], limits=LIMITS))[
+        0
+    ]
+    assert hold.verdict == verdict, hold.reason
+    assert ("until then the motion grew from 0.3 N to 1.2 N" in hold.reason) is (verdict == "diverged"), hold.reason
+
+
+def test_what_happened_within_seconds_of_a_lack_of_samples_is_named_as_its_cause() -> None:
+    there = (TIME_S < 2.5) | (TIME_S > 3.5)
+    incidents = [Incident(at_s, f"{at_s:g}") for at_s in (-0.6, -0.4, 5.4, 5.6)]
+    context = SessionContext(incidents=incidents)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S[there], HAND_N[there], context=context)[0]
+    assert hold.verdict == "no_data"
+    assert hold.reason.split("; ")[1:] == ["at -0.400 s: -0.4", "at 5.400 s: 5.4"]
+
+
+def test_a_tip_has_landed_where_its_last_contact_is_long_however_short_those_before_were() -> None:
+    touches = np.concatenate([np.zeros(5), np.ones(10), np.zeros(5), np.ones(100)]).astype(bool)
+    assert _landed(touches) == 20
+    assert _landed(touches[:35]) == 0
+
+
+def test_what_follows_the_trembling_of_the_hand_is_taken_off_with_its_delay() -> None:
+    tremor = 0.1 * np.sin(56.0 * TIME_S)
+    tip_n = HAND_N + np.interp(TIME_S - 0.02, TIME_S, 0.8 * tremor)
+    known = SessionContext(transit_s=0.04)
+    session = _Session(TIME_S, HAND_N + tremor, TIME_S, tip_n, instrument(), known, 2.0, 0.0, [])
+    assert float(np.ptp(_without_hand(session, 2.0, 4.0))) < 0.01 * float(np.ptp(tip_n[2000:4000]))
+
+
+def test_what_was_late_at_the_end_of_a_hold_is_none_of_it() -> None:
+    end_s = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N)[0].end_s
+    for at_s, is_late in ((end_s, False), (end_s - 0.01, True)):
+        hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, context=SessionContext(late=[Late(at_s, 0.03)]))[0]
+        assert hold.has("machine_late") is is_late
 
 
 def test_a_machine_that_is_late_is_named_and_blamed() -> None:
@@ -323,6 +417,8 @@ def test_a_swing_of_a_persons_hand_has_a_verdict_although_nothing_stands_still(
     assert found.frequency_hz == pytest.approx(0.8, rel=0.05)
     assert "from peak to peak at 0.8" in found.reason
     assert (found.start_s, found.end_s) == pytest.approx((1.6, 8.3), abs=0.8)
+    swung = (found.start_s <= TIME_S) & (found.end_s >= TIME_S)
+    assert found.hand_force_n == pytest.approx(float(hand_n[swung].mean()), rel=1e-9)
     assert verdict_of(holds)[0] == verdict
     # a programme that goes to and fro is what was asked for, and no oscillation
     assert all(hold.frequency_hz is None for hold in judge_holds(TIME_S, hand_n, TIME_S, tip_n))

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from telenano.analysis import report
 from telenano.analysis.holds import Hold
-from telenano.analysis.report import Session, read_session, summarise, write_report
+from telenano.analysis.report import Session, write_report
 from telenano.analysis.summary import Package, Summary, markdown, rows_of, summary_schema
 from telenano.analysis.verdict import Kind
 from telenano.recording.channel_filter import ALL
@@ -50,8 +50,8 @@ MADE: dict[str, Made] = {
 
 
 def summary_of(recording: RecordingSource) -> dict[str, Any]:
-    session = read_session(recording)
-    return summarise(session, recording)
+    session = Session.of(recording)
+    return session.summary(recording)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str,
 @pytest.fixture(scope="module")
 def stable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, RecordingSource]:
     recording = open_recordings([MADE["stable"].write(tmp_path_factory.mktemp("session"))])
-    return read_session(recording), recording
+    return Session.of(recording), recording
 
 
 def test_the_traffic_of_a_session_is_what_was_sent_in_it_by_index_and_as_a_whole(
@@ -162,7 +162,7 @@ def test_the_traffic_of_a_session_is_what_was_sent_in_it_by_index_and_as_a_whole
         one.channel_topic for one in recording.messages() if session.start_ns <= one.publish_ns < session.end_ns
     )
     by_index = open_indexed([recording.path])
-    for summary in (summarise(session, recording), summarise(read_session(by_index), by_index)):
+    for summary in (session.summary(recording), Session.of(by_index).summary(by_index)):
         assert summary["rate_hz"] == {name: round(sent[name] / session.duration_s, 3) for name in sorted(sent)}
         share = round(sent["haptic/state"] / (1000.0 * session.duration_s), 5)
         assert summary["completeness"]["haptic/state"] == share
@@ -176,7 +176,7 @@ def test_every_verdict_is_one_that_a_summary_may_have(
     session, recording = stable
     hold = Hold(0.5, 1.5, 1.0, kind, None if kind == "no_data" else -1.0, 0.0, 0.0, "in words")
     monkeypatch.setattr(report, "judge_holds", lambda *given: [hold])
-    summary = summarise(session, recording)
+    summary = session.summary(recording)
     assert (summary["verdict"], summary["reason"], summary["stable"]) == (
         kind,
         "in words",
@@ -216,7 +216,7 @@ def test_a_key_without_a_row_is_refused_by_name(
     session, recording = stable
     change(session, monkeypatch)
     with pytest.raises(ValidationError, match=re.escape(name)):
-        summarise(session, recording)
+        session.summary(recording)
 
 
 def test_a_key_that_is_left_out_is_named(
@@ -225,7 +225,7 @@ def test_a_key_that_is_left_out_is_named(
     session, recording = stable
     monkeypatch.delitem(session.conditions, "link_seed")
     with pytest.raises(ValidationError, match="link_seed"):
-        summarise(session, recording)
+        session.summary(recording)
 
 
 def test_schema_and_page_in_the_repository_are_those_of_the_model() -> None:

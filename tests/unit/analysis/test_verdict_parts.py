@@ -1,5 +1,6 @@
 """The parts of a verdict: how far a force goes in eight windows, which lines rise, and what is not known."""
 
+import itertools
 import math
 
 import numpy as np
@@ -9,9 +10,13 @@ from telenano.analysis.modes import Fit, Mode
 from telenano.analysis.verdict import (
     Verdict,
     _approaching,
+    _by_modes,
     _by_windows,
     _even,
+    _falls_as_noise,
     _gone,
+    _has_line,
+    _left,
     _rises,
     _sizes,
     _undecided,
@@ -24,6 +29,7 @@ PERIOD_S = 1e-3
 SMALL_N = 0.05
 # each of the eight windows is a tenth of a second
 WINDOW = 100
+NOTHING_LEFT = np.zeros(300)
 
 
 def windows(*sizes_n: float) -> np.ndarray:
@@ -42,6 +48,102 @@ def line(**changes: object) -> Mode:
 def fit(left_n: float = 0.0, noise_n: float = 0.0) -> Fit:
     left = left_n * (-1.0) ** np.arange(300)
     return Fit([], 1.0, left, left, noise_n, True)
+
+
+def by_modes(
+    mode: Mode, left: np.ndarray = NOTHING_LEFT, length_s: float = 1.0, unrounded_n: float = SMALL_N
+) -> Verdict:
+    """Judge one mode of a stretch that ends at 7 s, over what its fit leaves, of a force that moves as far as it."""
+    found = Fit([mode], 1.0, left, left, 0.0, True)
+    return _by_modes(found, (length_s, 7.0), (SMALL_N, 0.0, unrounded_n), windows(*[mode.end_n] * 8), 0.0)
+
+
+def test_what_a_growth_stands_out_of_is_left_at_the_end() -> None:
+    grows = line(growth_per_s=1.0, error_per_s=0.0, thirds_n=(0.1, 0.15, 0.25))
+    for sizes_n, kind in (((0.2, 0.0), "diverged"), ((0.0, 0.2), "cannot_say")):
+        left = np.concatenate([np.full(150, sizes_n[0]), np.full(150, sizes_n[1])])
+        assert by_modes(grows, left).kind == kind
+
+
+def test_a_small_growth_that_stands_out_for_less_than_two_turns_is_not_said_to_become_large() -> None:
+    # 2.5 of what is left are e^3.5 below the end: of ten turns in which it grows by e^20 the last 1.75 are seen.
+    left = np.full(300, 0.04 / 2.5 / math.exp(3.5))
+    grows = line(growth_per_s=10.0, error_per_s=0.0, begin_n=0.0, end_n=0.04, thirds_n=(0.0, 0.0, 0.04))
+    assert by_modes(grows, left, 2.0).kind == "stable"
+    assert by_modes(grows._replace(end_n=0.06), 1.5 * left, 2.0).kind == "diverged"
+
+
+def test_a_motion_has_to_change_by_more_than_the_bounds_to_grow_or_die_out() -> None:
+    """The bounds of docs/studies.md: at one of them a motion does not exceed it."""
+    turns = line(frequency_hz=5.0, error_per_s=0.0, begin_n=0.3, thirds_n=(0.1, 0.2, 0.3))
+    assert by_modes(turns._replace(growth_per_s=0.15)).kind == "limit_cycle"
+    assert by_modes(turns._replace(growth_per_s=0.15 + 1e-9)).kind == "diverged"
+    # a fifth of the least change is all that a motion which goes on may lose
+    assert by_modes(turns._replace(growth_per_s=-0.03)).kind == "cannot_say"
+    assert by_modes(turns._replace(growth_per_s=-0.03 + 1e-9)).kind == "limit_cycle"
+    # an error counts against a decay that is greater than the least change
+    assert by_modes(turns._replace(growth_per_s=-0.2, error_per_s=0.06)).kind == "stable"
+    assert by_modes(turns._replace(growth_per_s=-0.2, error_per_s=0.06 + 1e-9)).kind == "cannot_say"
+
+
+def test_a_motion_that_is_just_small_is_rest_whatever_it_does() -> None:
+    small = line(frequency_hz=5.0, growth_per_s=0.0, error_per_s=0.0, begin_n=SMALL_N, end_n=SMALL_N)
+    assert by_modes(small).kind == "stable"
+    assert by_modes(small._replace(begin_n=1.001 * SMALL_N, end_n=1.001 * SMALL_N)).kind == "limit_cycle"
+    seen_once = small._replace(frequency_hz=0.8, growth_per_s=4.0)
+    assert by_modes(seen_once).kind == "stable"
+    assert by_modes(seen_once._replace(end_n=1.001 * SMALL_N)).kind == "diverged"
+
+
+def test_two_turns_show_a_swing_within_a_step_of_the_read_out() -> None:
+    """Whether it grows is not known where it is small only because of the step; what turns less often may be chance."""
+    rounded = line(growth_per_s=0.0, error_per_s=1.0, begin_n=0.04, end_n=0.04)
+    assert by_modes(rounded._replace(frequency_hz=2.0), unrounded_n=0.02).kind == "cannot_say"
+    assert by_modes(rounded._replace(frequency_hz=1.9), unrounded_n=0.02).kind == "stable"
+    assert by_modes(rounded._replace(frequency_hz=2.0), unrounded_n=0.05).kind == "stable"
+
+
+def test_a_cycle_has_the_size_of_its_last_turn() -> None:
+    time_s = PERIOD_S * np.arange(1000)
+    values = np.where(time_s < 0.5, 3.0, 0.2) * np.sin(2.0 * np.pi * 5.0 * time_s)
+    cycles = Fit([line(growth_per_s=0.0, error_per_s=0.0)], 1.0, NOTHING_LEFT, NOTHING_LEFT, 0.0, True)
+    found = _by_modes(cycles, (1.0, 7.0), (SMALL_N, 0.0, SMALL_N), values, 0.0)
+    assert (found.kind, found.peak_to_peak_n) == ("limit_cycle", pytest.approx(0.4, rel=1e-3))
+
+
+def test_a_rest_of_less_than_a_millionth_of_a_newton_is_not_told() -> None:
+    assert (_left(1e-6), _left(0.9e-6)) == (", 1e-06 N are left", "")
+
+
+def falling(exponent: float) -> np.ndarray:
+    """Return noise whose density falls with the frequency by an exponent."""
+    frequencies = np.arange(1, 4097)
+    turns = np.exp(2j * np.pi * np.random.default_rng(4).random(4096))
+    return np.fft.irfft(np.concatenate([[0.0], turns / frequencies ** (0.5 * exponent)]), 8192)
+
+
+@pytest.mark.parametrize(
+    ("exponent", "is_noise"), [(0.36, False), (0.65, True), (1.0, True), (1.7, True), (2.4, False)]
+)
+def test_noise_falls_by_a_quarter_of_the_steepest_at_least(exponent: float, is_noise: bool) -> None:
+    assert _falls_as_noise(falling(exponent), 0.0) is is_noise
+
+
+def test_noise_that_is_just_small_is_rest() -> None:
+    values = falling(1.0)
+    sizes = _sizes(values, 0.0)
+    for small_n, kind in ((max(sizes[-2:]), "stable"), (0.999 * max(sizes[-2:]), "cannot_say")):
+        assert _by_windows(values, PERIOD_S, 0.0, small_n, 7.0).kind == kind
+
+
+def test_a_line_stands_out_of_all_others_but_its_two_neighbours() -> None:
+    power = np.ones(16)
+    power[8] = 40.0
+    assert _has_line(power)
+    for beside, is_line in ((7, True), (9, True), (6, False), (10, False)):
+        wide = power.copy()
+        wide[beside] = 35.0
+        assert _has_line(wide) is is_line
 
 
 def test_how_far_a_force_goes_is_taken_in_eight_windows() -> None:
@@ -138,6 +240,11 @@ def test_a_force_on_its_way_is_stable_where_that_is_to_the_rest_of_the_law(end_n
     assert kind == "cannot_say" or f"{end_n - 1.0:.1f}" in after.reason
 
 
+def test_the_ends_of_a_short_force_on_its_way_are_single_samples() -> None:
+    found = Verdict("cannot_say", -0.1, 1.0, 0.0, "the force was on its way, 1 N")
+    assert _approaching(found, np.linspace(2.0, 1.1, 20), 1.0).reason.endswith(", 0.1 N are left")
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_how_far_a_force_goes_that_does_not_slow_down(sign: float) -> None:
     # from the mean of the first eighth, 1/192, to that of the last, 169/192
@@ -148,12 +255,19 @@ def test_how_far_a_force_goes_that_does_not_slow_down(sign: float) -> None:
 
 
 def test_the_period_of_an_even_grid_is_the_time_over_the_steps_between_the_samples() -> None:
-    for times_s in ([0.0, 1.0, 2.0], [0.0, 0.9, 2.0]):
-        values, period_s = _even(np.array(times_s), np.array([0.0, 1.0, 2.0]))
-        assert period_s == 1.0
+    for times, apart_s in itertools.product(([0.0, 1.0, 2.0], [0.0, 0.9, 2.0]), (1.0, 2.0**-10)):
+        values, period_s = _even(apart_s * np.array(times), np.array([0.0, 1.0, 2.0]))
+        assert period_s == apart_s
         assert len(values) == 3
-    # at 1 s, a tenth of a second of 1.1 s after the second sample
-    assert values[1] == pytest.approx(1.0 + 0.1 / 1.1)
+        # a tenth of a period of 1.1 periods after the second sample
+        assert values[1] == pytest.approx(1.0 if times[1] == 1.0 else 1.0 + 0.1 / 1.1)
+
+
+def test_no_part_of_less_than_sixteen_samples_is_judged() -> None:
+    """The last eight samples after a blow lie still, and 26 are too few to say that the force does."""
+    time_s = 1e-3 * np.arange(26)
+    blow = 1.0 + 0.5 * np.exp(-(((time_s / time_s[-1] - 0.5) / 0.05) ** 2))
+    assert judge(time_s, blow, 1.0).reason.startswith("26 samples were taken of a motion")
 
 
 def test_a_cycle_that_noise_hides_in_each_turn_has_the_size_of_its_line() -> None:

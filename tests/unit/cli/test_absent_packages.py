@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 
 from telenano.afm import config as afm
 from telenano.afm.sample.surface_files import read_surface
-from telenano.cli import lazy_commands
 from telenano.cli.commands.device import package_rows
 from telenano.cli.root import app
 from telenano.devices.afm.instrument import calibration_of_file
@@ -103,31 +102,6 @@ def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_pat
     file.write_text("controller: somebodys\n")
     with pytest.raises(ConfigError, match="no driver is installed that has calibration files of this name"):
         calibration_of_file(file)
-
-
-@pytest.mark.parametrize(
-    ("words", "package"),
-    [
-        ("device accept", "telenano-acceptance"),
-        ("device approach", PACKAGE),
-        ("device calibrate stage", "telenano-calibration"),
-        ("device guard nanonis", PACKAGE),
-        ("device probe --device haply", "telenano-acceptance"),
-        ("device simulate gwyscope", PACKAGE),
-        ("link probe", "telenano-networks"),
-        ("reproduce equations", "telenano-studies"),
-        ("sample import", "telenano-afm-files"),
-        ("scan --live", "telenano-microscopy"),
-        ("study stability", "telenano-studies"),
-    ],
-)
-def test_a_command_that_needs_a_package_names_it_and_its_command(
-    words: str, package: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lazy_commands, "package_commands", dict)
-    done = CliRunner().invoke(app, words.split())
-    assert done.exit_code == 2
-    assert f"is in the package {told(package)}" in " ".join(done.stderr.split())
 
 
 def test_every_command_of_every_package_names_its_package_where_it_is_absent() -> None:

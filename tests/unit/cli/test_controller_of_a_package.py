@@ -10,7 +10,7 @@ PACKAGE = """
 from pathlib import Path
 from typing import Literal
 from telenano.settings import DeviceDriver
-from telenano.devices import AfmCapabilities, read_controller
+from telenano.devices import AfmCapabilities
 from telenano.afm import AfmControllerConfig as ControllerSettings
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_driver import RequestDriver
@@ -37,7 +37,7 @@ class LineAfm(RequestDriver[Calibration]):
             self.take_sample(z_m, value, asked_ns)
 
 def build(settings, limits, **told):
-    found = read_controller(Path(settings.calibration), Calibration).reached_at(settings.host, settings.port)
+    found = Calibration.from_file(Path(settings.calibration)).reached_at(settings.host, settings.port)
     return LineAfm(found, limits, cut, "controller of lines", **told)
 
 LINE_AFM = DeviceDriver(

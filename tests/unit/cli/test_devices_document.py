@@ -8,7 +8,7 @@ import pytest
 
 from telenano.afm.config import AfmConfig
 from telenano.hand.config import HapticConfig
-from telenano.settings.scenario import load_scenario
+from telenano.settings.scenario import LoadedScenario
 
 ROOT = Path(__file__).parents[3]
 
@@ -21,6 +21,6 @@ def test_scenarios_of_the_pages_are_valid(page: str, tmp_path: Path) -> None:
     assert len(scenarios) == 1
     path = tmp_path / "scenario.yaml"
     path.write_text(scenarios[0])
-    found = load_scenario(path)
+    found = LoadedScenario.load(path)
     found.section("afm_node", AfmConfig)
     found.section("haptic_node", HapticConfig)

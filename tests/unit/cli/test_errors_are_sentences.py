@@ -10,23 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command_line import run
 from rich.console import Console
-from typer.testing import CliRunner
 
 from telenano.cli import live_view, output
 from telenano.cli.live_view import LineView, LiveView
-from telenano.cli.root import app
 
 MakeFile = Callable[..., Path]
-RUNNER = CliRunner()
 FULL = Path("/dev/full")
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
-
-
-def run(*arguments: str | Path) -> tuple[int, str, str]:
-    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def refused(*arguments: str | Path) -> str:
@@ -61,7 +53,7 @@ def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
         code, table, err = run("report", session, "--out", out)
         assert (code, err) == (1, f"telenano: {out}: cannot be written: {reason}\n")
         assert "scenario" in table
-    monkeypatch.setattr("telenano.analysis.report.write_files", no_space)
+    monkeypatch.setattr("telenano.analysis.report.whole_results", no_space)
     code, table, err = run("report", session, "--out", in_the_way.with_name("out"))
     assert code == 1 and "cannot be written: No space left on device" in err and "scenario" in table
     assert in_the_way.read_text() == "kept"

@@ -39,9 +39,9 @@ import json, pathlib, telenano
 session = telenano.open(sys.argv[1])
 tip = session.table("afm/state")
 from telenano_studies.comparison import compare, compare_figure, rows_of
-from telenano.analysis.figure_style import FigureOptions, drawn
+from telenano.analysis.figure_style import FigureOptions
 found = compare([pathlib.Path(sys.argv[1])] * 2)
-files = drawn(compare_figure(found), "compare", FigureOptions(("svg",), "paper"))
+files = FigureOptions(("svg",), "paper").drawn(compare_figure(found), "compare")
 print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdict"], "law": rows_of(found)[0]["law"],
                   "figure": len(files["compare.svg"])}))
 """

@@ -12,8 +12,12 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from stranger_package import said
+from typer.testing import CliRunner
 
+from telenano.cli.commands import new as new_command
 from telenano.cli.new_package import Kind, new_package
+from telenano.cli.root import app
 from telenano.extend.samples import AfmSample
 from telenano.wire.errors import ConfigError
 
@@ -154,12 +158,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         new_package(kind, name, site / name)
         put_on_path(site / name, site)
         folders.append(site / name)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
-    command = [sys.executable, "-W", "error", "-c", PROGRAM]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    document: dict[str, Any] = said(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
+    return document
 
 
 def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str, Any]) -> None:
@@ -287,6 +287,15 @@ def test_a_name_that_cannot_be_one_and_a_folder_that_is_there_are_refused(tmp_pa
     with pytest.raises(ConfigError, match="exists already"):
         new_package("law", "my_law", tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("absent", "option"), [((), "--no-build-isolation "), (("editables",), "")])
+def test_the_next_line_fetches_a_build_backend_only_where_it_is_absent(
+    absent: tuple[str, ...], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(new_command, "find_spec", lambda name: None if name in absent else name)
+    result = CliRunner().invoke(app, ["new", "law", "my_law", "--out", str(tmp_path / "p")])
+    assert result.stdout.splitlines()[-1] == f"next: pip install {option}-e {tmp_path / 'p'} && pytest {tmp_path / 'p'}"
 
 
 def test_the_command_beside_a_kind_of_driver_makes_a_package_with_one(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ The circle of `telenano new program` is that package. What is asked of it comes 
 and of a scenario, the form of the page, the command. It runs on the node's bench, behind the guard, in virtual time.
 """
 
-import json
 import os
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stranger_package import said
 from test_package_commands import ROOT, put_on_path
 
 from telenano.cli.new_package import new_package
@@ -86,13 +86,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (site / "broken" / "telenano_broken" / "__init__.py").write_text("BROKEN = 7\n")
     tests = ROOT / "tests" / "unit"
     folders = [site, site / "circle", site / "broken", ROOT, tests, tests / "afm"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
-    environment["XDG_CACHE_HOME"] = str(site / "cache")
-    command = [sys.executable, "-W", "error", "-c", ON_THE_BENCH]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
+    paths = {"PYTHONPATH": os.pathsep.join(map(str, folders)), "XDG_CACHE_HOME": str(site / "cache")}
+    document: dict[str, Any] = said(ON_THE_BENCH, site, **paths)
+    return document
 
 
 def test_the_tip_goes_round_at_a_constant_force_and_retracts(found: dict[str, Any]) -> None:

@@ -10,24 +10,15 @@ from typing import Any
 import pytest
 import scenario_page
 import yaml
-from rig_graph import edges
-from typer.testing import CliRunner
+from command_line import run
 
 from telenano.cli import completion
-from telenano.cli.root import app
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
 from telenano.settings.config import read_yaml
 from telenano.settings.included import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import SERVICES
-
-RUNNER = CliRunner()
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    result = RUNNER.invoke(app, arguments)
-    return result.exit_code, result.stdout, result.stderr
 
 
 @pytest.fixture(scope="module")
@@ -154,20 +145,6 @@ def test_a_wrong_scenario_is_refused_by_key() -> None:
     names = [row["scenario"] for row in json.loads(run("scenario", "list", "--json")[1])["scenarios"]]
     assert {"fig12", "touch"} <= set(names)
     assert "duration_s: 8.0" in run("scenario", "show", "fig12")[1]
-
-
-def test_the_graph_is_the_loop() -> None:
-    found = {edge[:3] for edge in edges()}
-    assert ("haptic_node@master", "controller@master", "haptic/state") in found
-    assert ("controller@master", "delay_node@master", "teleop/forward") in found
-    assert ("delay_node@master", "controller@slave", "teleop/forward") in found
-    assert ("delay_node@master", "controller@master", "law/status") in found
-    # what crosses does so by the link, and no node speaks to itself
-    for source, reader, _ in found:
-        assert source != reader
-        link = "delay_node@master" in (source, reader)
-        assert link or source.partition("@")[2] == reader.partition("@")[2]
-    assert {edge.rate_hz for edge in edges() if edge.topic == "afm/state"} == {1000.0}
 
 
 def test_the_shell_completes_names() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
+import command_line
 import msgspec
 import pytest
 import zmq
@@ -22,14 +23,13 @@ from telenano.launcher.rig_status import (
     stalled_inputs,
 )
 from telenano.launcher.rigs import RigFacts
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.timing.clock import SystemClock
 from telenano.wire.codec import fields_of
-from telenano.wire.errors import RigError
 from telenano.wire.messages import InputHealth, Message, NodeHealth
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
@@ -124,20 +124,18 @@ class FakeObserver:
 def run(monkeypatch: pytest.MonkeyPatch, *messages: Message, arguments: tuple[str, ...] = ()) -> tuple[int, str, str]:
     monkeypatch.setattr(status, "Observer", FakeObserver)
     monkeypatch.setattr(FakeObserver, "messages", messages)
-    result = CliRunner().invoke(app, ["status", *arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
+    return command_line.run("status", *arguments)
 
 
 def test_the_nodes_that_report_while_a_rig_runs() -> None:
-    nodes = list(load_site(DEFAULT_SITE_FILE).nodes)
+    nodes = list(AddressBook.load(DEFAULT_SITE_FILE).nodes)
     assert expected_nodes(nodes, nodes) == RIG
     assert "recorder@master" not in expected_nodes([node for node in nodes if node != "recorder@master"], nodes)
     assert expected_nodes([*nodes, "recorder@slave", "launcher@slave"], [*nodes, "recorder@slave"]) == RIG
 
 
 def test_what_a_machine_cannot_reach_is_not_expected_of_it() -> None:
-    nodes = load_site(DEFAULT_SITE_FILE).nodes
+    nodes = AddressBook.load(DEFAULT_SITE_FILE).nodes
     assert expected_nodes(nodes, ["delay_node@slave", "afm_node@slave"]) == ["afm_node@slave"]
     # the link brings the health of the slave's nodes to the master
     at_master = ["haptic_node@master", "delay_node@master"]
@@ -404,13 +402,6 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
     assert received.events
     # the commands of the law are for the age of the loop, and this node publishes nothing else
     assert topics == {"node/health", "session/event", "haptic/command"}
-
-
-def test_nobody_publishes(tmp_path: Path) -> None:
-    observer = Observer(AddressBook(nodes={"controller@master": f"ipc://{tmp_path}/node"}))
-    with pytest.raises(RigError, match="no node reports"):
-        listen(observer, 0.0)
-    observer.close()
 
 
 def test_all_rigs_are_listed_with_what_each_has(monkeypatch: pytest.MonkeyPatch) -> None:

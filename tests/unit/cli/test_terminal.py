@@ -1,31 +1,23 @@
 """What others wrote reaches a terminal as text: it colours, erases and titles nothing."""
 
 import io
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import damaged_files as files
 import pytest
+from command_line import run_apart
 from rich.console import Console
 from stranger_package import install
 
 from telenano.cli import output, terminal
-from telenano.cli.tables import rows_table
+from telenano.cli.tables import rows_table, summary_tables
 from telenano.files.printable import printable
 
 ROOT = Path(__file__).parents[3]
 # sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction
 HOSTILE = "\x1b]0;mine\x07\x1b[2J\rover\x9b31m\u202eright"
 SHOWN = r"\x1b]0;mine\x07\x1b[2J\rover\x9b31m\u202eright"
-
-
-def telenano(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "telenano", *arguments], cwd=ROOT, env={**os.environ, **environment},
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8", timeout=120, check=False,
-    )  # fmt: skip
 
 
 def test_numbers_in_a_list_have_as_many_digits_as_others() -> None:
@@ -71,7 +63,7 @@ def package(folder: Path, source: str) -> Path:
 
 def test_texts_of_a_package_are_shown_as_text(tmp_path: Path) -> None:
     folder = package(tmp_path / "site", f"raise ValueError({HOSTILE!r})\n")
-    done = telenano("law", "list", PYTHONPATH=str(folder), XDG_CACHE_HOME=str(tmp_path))
+    done = run_apart("law", "list", PYTHONPATH=str(folder), XDG_CACHE_HOME=str(tmp_path))
     assert done.returncode == 0
     assert done.stderr.startswith(
         "telenano: hostile of the package hostile 1.2 cannot be used: ValueError: \\x1b]0;mine"
@@ -83,7 +75,7 @@ def test_titles_of_a_file_are_shown_as_text(tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
     channel = files.mcap_channel(1, "\x1b[2Ja\x07")
     path.write_bytes(files.mcap(channel, files.mcap_record(5, bytes([1, 0]) + bytes(20)), summary=channel))
-    done = telenano("bag", "info", str(path))
+    done = run_apart("bag", "info", str(path))
     assert done.returncode == 0
     assert r"\x1b[2Ja\x07" in done.stdout
     assert not set(done.stdout) & set("\x1b\x07\r\x9b\u202e")
@@ -93,8 +85,22 @@ def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path) 
     """`up` printed nothing, ran nothing and returned 0."""
     site = package(tmp_path / "site", "raise SystemExit(0)\n")
     environment = {"PYTHONPATH": str(site), "XDG_CACHE_HOME": str(tmp_path)}
-    done = telenano("up", "--scenario", "fig12", "--set", "controller.law=hostile", **environment)
+    done = run_apart("up", "--scenario", "fig12", "--set", "controller.law=hostile", **environment)
     assert done.returncode == 2
     assert "controller.law: hostile of the package hostile 1.2 cannot be used: its import ends the whole" in done.stderr
-    done = telenano("scenario", "check", "fig12", **environment)
+    done = run_apart("scenario", "check", "fig12", **environment)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_long_row_of_a_summary_is_drawn_upright_and_a_fact_by_its_text() -> None:
+    fact = {"kind": "arrived_late", "value": 0.38861, "text": "arrived late, 0.39 s after the hand stood still"}
+    hold = {f"key_{number}": 3.25944e-10 for number in range(12)} | {"facts": [fact]}
+    drawn = io.StringIO()
+    Console(file=drawn, width=100).print(
+        summary_tables({"holds": [hold, {**hold, "facts": []}], "drops": [{"count": 3}]}, "title")
+    )
+    lines = drawn.getvalue().splitlines()
+    assert sum(line.count("3.25944e-10") for line in lines) == 24
+    assert sum(fact["text"] in line for line in lines) == 1
+    assert "kind" not in drawn.getvalue()
+    assert any(line.split() == ["┃", "count", "┃"] for line in lines)

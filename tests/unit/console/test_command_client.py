@@ -6,7 +6,7 @@ import pytest
 from recorder_samples import sample
 
 from telenano.console.command_client import Attention, addressed, console_of, parse_parameters, send_control
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.commands import Command
 from telenano.runtime.security.keyring import Keyring
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
@@ -25,16 +25,16 @@ from telenano.wire.errors import ConfigError
     ],
 )
 def test_a_target_means_nodes_of_the_site(target: str, nodes: set[str]) -> None:
-    assert set(addressed(load_site(DEFAULT_SITE_FILE), target)) == nodes
+    assert set(addressed(AddressBook.load(DEFAULT_SITE_FILE), target)) == nodes
 
 
 def test_a_target_that_means_nobody_lists_the_nodes() -> None:
     with pytest.raises(ConfigError, match=r"'hand'.*haptic_node@master"):
-        addressed(load_site(DEFAULT_SITE_FILE), "hand")
+        addressed(AddressBook.load(DEFAULT_SITE_FILE), "hand")
 
 
 def test_a_console_at_the_slave_reaches_the_nodes_there() -> None:
-    book = load_site(TWO_SITES_FILE)
+    book = AddressBook.load(TWO_SITES_FILE)
     assert set(addressed(book, "*", "slave")) == {"afm_node@slave", "controller@slave", "recorder@slave"}
     assert addressed(book, "controller", "slave") == ["controller@slave"]
     assert set(addressed(book, "controller")) == {"controller@master", "controller@slave"}

@@ -11,7 +11,7 @@ from recorder_samples import fields_of
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.link.config import LinkSettings, parse_settings
+from telenano.link.config import LinkSettings
 from telenano.runtime.link_node import DelayNode
 from telenano.timing.freshness import Freshness
 from telenano.wire import decode, encode
@@ -74,7 +74,7 @@ class Link:
 
 @pytest.fixture
 def link_of(bench_of: Any) -> Any:
-    return lambda **tree: Link(bench_of("delay_node@master"), parse_settings(tree))
+    return lambda **tree: Link(bench_of("delay_node@master"), LinkSettings.of(tree))
 
 
 def test_clean_link_sends_the_very_bytes_at_once(link_of: Any) -> None:

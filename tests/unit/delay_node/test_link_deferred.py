@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.runtime.link_node import TRAIN, DelayNode
 from telenano.wire.errors import RefusedError
 
@@ -36,7 +36,7 @@ class Link:
         # of both endpoints and of the link itself, in the order of sending
         self.sent: list[tuple[str, int]] = []
         outlets = (Endpoint(self.bench, self.sent), Endpoint(self.bench, self.sent))
-        self.node = DelayNode(self.bench.context, parse_settings({}), *outlets, Path())
+        self.node = DelayNode(self.bench.context, LinkSettings.of({}), *outlets, Path())
         self.node.publish = self.noted
 
     def noted(self, topic: str, **fields: Any) -> Any:

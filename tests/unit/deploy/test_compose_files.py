@@ -14,11 +14,11 @@ import yaml
 from makefile import makefile_words
 
 from telenano.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import TWO_SITES_FILE
 from telenano.settings.config import environment_overrides, validate
-from telenano.settings.scenario import RealtimeConfig, Scenario, load_scenario
+from telenano.settings.scenario import LoadedScenario, RealtimeConfig, Scenario
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import PAGE, START_ORDER, site_of
 
@@ -254,7 +254,7 @@ def test_every_service_has_limits_of_memory_and_processes_with_room_above_what_w
 
 @pytest.mark.parametrize(("path", "machine"), [(MASTER, "master"), (SLAVE, "slave")])
 def test_published_ports_are_those_of_the_site_file(path: Path, machine: str) -> None:
-    book = load_site(TWO_SITES_FILE)
+    book = AddressBook.load(TWO_SITES_FILE)
     published = {}
     for node, service in nodes(path).items():
         faces = ["delay_node@slave"] if node == "delay_node@master" else [node]
@@ -365,7 +365,7 @@ def test_scenario_in_force_is_one_file_and_the_environment_is_spent(
     assert command[1:3] == ["-m", "services.controller"]
     assert command[-2:] == ["--site", "slave"]
     assert [name for name in os.environ if name.startswith("TELENANO__")] == []
-    loaded = load_scenario(Path(command[command.index("--scenario") + 1])).scenario
+    loaded = LoadedScenario.load(Path(command[command.index("--scenario") + 1])).scenario
     assert loaded.controller == {"law": "wave"}
     assert loaded.duration_s == 2.5
     assert loaded.delay_node == {"trace": {"file": str(tmp_path / "t.csv")}}

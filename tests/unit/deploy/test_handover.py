@@ -170,7 +170,8 @@ folder.mkdir(parents=True)
 (recordings / "session_7.mcap").write_bytes(b"mcap")
 recording = {{"file": str(recordings / "session_7.mcap")}}
 (folder / "summary.json").write_text(json.dumps({{"recording": recording}}))
-print("next: view", recordings / "session_7.mcap")
+print("the recording is", recordings / "session_7.mcap")
+print("next: `telenano view", recordings / "session_7.mcap")
 sys.exit(3)
 """
 
@@ -196,9 +197,10 @@ def test_a_session_keeps_its_exit_code_and_ends_with_its_files_and_the_page(
     (handover.RUNTIME / "view-8650.addresses").write_text("operator: http://127.0.0.1:8650/#token\nobserver: x\n")
     assert handover.run_session(["telenano", "up"], writer) == 3
     assert capsys.readouterr().out.splitlines() == [
-        "next: view out/fig12-7/session.mcap",
+        "the recording is out/fig12-7/session.mcap",
         "./out/fig12-7 has summary.json, session.mcap",
         "page: http://127.0.0.1:8650/#token",
+        handover.NEXT,
     ]
     assert [path.name for path in handover.OUT.iterdir()] == ["fig12-7"]
 

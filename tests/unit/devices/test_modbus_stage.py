@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu import ModbusPDU
-from stage_line import MS, PARAMS, Rig, StageLine, calibration
+from request_line import MS
+from stage_line import PARAMS, Rig, StageLine, calibration
 from telenano_emulators import t7_model
 
 from telenano.afm.config import AfmConfig

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import pytest
 from pymodbus.pdu import ExceptionResponse
-from stage_line import MS, PARAMS, Rig, StageLine
+from request_line import MS
+from stage_line import PARAMS, Rig, StageLine
 from telenano_emulators import t7_model
 from telenano_emulators.t7_server import respond
 

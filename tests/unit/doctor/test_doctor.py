@@ -11,10 +11,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
 from telenano.cli.commands import doctor
-from telenano.cli.root import app
 from telenano.doctor import checks
 from telenano.doctor.checks import Endpoint, KernelClock
 from telenano.extend.checks import Finding
@@ -360,18 +359,12 @@ def test_containers_are_recognised(tmp_path: Path, name: str, *, inside: bool) -
     assert checks.in_container(tree(tmp_path, {name: ""})) is inside
 
 
-def run(*arguments: str) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["doctor", *arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
-
-
 def given(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> None:
     monkeypatch.setattr(doctor, "examine", lambda site_file: list(findings))
 
 
 def test_every_check_is_made_here() -> None:
-    code, out, err = run("--json")
+    code, out, err = run("doctor", "--json")
     document = json.loads(out)
     names = {finding["name"] for finding in document["findings"]}
     assert names >= {
@@ -384,11 +377,11 @@ def test_every_check_is_made_here() -> None:
 
 def test_warnings_do_not_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     given(monkeypatch, Finding("python", "ok", "3.11.7"), Finding("clock", "warning", "not right", "do [this]"))
-    code, out, err = run()
+    code, out, err = run("doctor")
     assert (code, err) == (0, "")
     assert "→ do [this]" in out
     assert "1 warning(s): clock" in out
-    code, out, _ = run("--json")
+    code, out, _ = run("doctor", "--json")
     assert code == 0
     assert json.loads(out)["findings"][1] == {
         "name": "clock", "level": "warning", "found": "not right", "advice": "do [this]",
@@ -397,11 +390,11 @@ def test_warnings_do_not_fail(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_problem_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     given(monkeypatch, Finding("python", "problem", "3.10", "get another"))
-    code, out, err = run()
+    code, out, err = run("doctor")
     assert code == 1
     assert "3.10" in out
     assert err == "telenano: a rig cannot run here as it is: python\n"
-    code, out, _ = run("--json")
+    code, out, _ = run("doctor", "--json")
     document = json.loads(out)
     assert (code, document["ok"], document["error"]) == (1, False, err.strip().removeprefix("telenano: "))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telenano.files.limited_child import Limits, limits_for, read_in_child
+from telenano.files.limited_child import Limits, read_in_child
 
 READER = """
 import os, signal, sys, time
@@ -95,7 +95,7 @@ def test_what_is_missing_or_not_permitted_is_raised_as_it_was(file: Path) -> Non
 
 
 def test_a_larger_file_may_take_more_and_none_may_be_without_end(file: Path) -> None:
-    assert limits_for(1 << 30).memory_bytes > limits_for(1000).memory_bytes > 1 << 28
+    assert Limits.of_size(1 << 30).memory_bytes > Limits.of_size(1000).memory_bytes > 1 << 28
     with file.open("r+b") as stream:
         stream.truncate((1 << 30) + 1)
     with pytest.raises(ValueError, match="it has 1073741825 bytes; at most 1073741824 are read"):

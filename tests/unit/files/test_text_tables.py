@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from telenano.files.text_tables import parse_table
+from telenano.files.text_tables import TextTable
 from telenano.files.units import unit_of
 from telenano.wire.errors import ConfigError
 
@@ -55,7 +55,7 @@ def test_a_table_has_the_values_and_units_that_were_written(written: tuple[str, 
         if len(chosen) == 1 and mark == ",":
             # 1,5 alone may be two columns
             continue
-        table = parse_table(raw, "t")
+        table = TextTable.parse(raw, "t")
         assert len(table.columns) == len(chosen)
         for column, (name, unit, factor), truth, gone in zip(table.columns, chosen, values.T, lost.T, strict=True):
             assert column.name == name
@@ -82,7 +82,7 @@ def test_a_table_has_the_values_and_units_that_were_written(written: tuple[str, 
 )
 def test_what_is_no_table_or_could_be_two_is_refused_with_its_line(text: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason):
-        parse_table(text.encode(), "t")
+        TextTable.parse(text.encode(), "t")
 
 
 @pytest.mark.parametrize(
@@ -94,14 +94,14 @@ def test_what_is_no_table_or_could_be_two_is_refused_with_its_line(text: str, re
     ],
 )
 def test_a_unit_that_is_named_and_not_known_is_refused_with_its_line(head: str, wanted: str, reason: str) -> None:
-    table = parse_table(f"{head}\n1.5\n2.5\n".encode(), "t")
+    table = TextTable.parse(f"{head}\n1.5\n2.5\n".encode(), "t")
     with pytest.raises(ConfigError, match=reason):
         table.in_si(table.columns[0], (wanted,), "", "")
     assert table.in_si(table.columns[0], ("m",), "nm") is not None
 
 
 def test_a_word_among_numbers_is_refused_where_its_column_is_used() -> None:
-    table = parse_table(b"t_s,x_m,host\n1,2,a\n2,loud,b\n", "t")
+    table = TextTable.parse(b"t_s,x_m,host\n1,2,a\n2,loud,b\n", "t")
     assert table.in_si(table.columns[0], ("s",)) is not None
     with pytest.raises(ConfigError, match="t, line 3: 'loud' is no number"):
         table.in_si(table.columns[1], ("m",))

@@ -160,7 +160,7 @@ def test_limits_converge_with_second_order():
 def test_friction_and_winding_only_take_energy():
     """Kinetic plus servo energy falls by at least what friction takes, V_f |dx|, whatever happens in the step."""
     params = free(servo_gain_v_per_m=3e6, friction_torque_n_m=3.15e-3)
-    a2, _ = motor.closed_loop_coefficients(params)
+    a2, _ = params.closed_loop_coefficients()
     loss = a2 / params.servo_gain_v_per_m * friction_voltage(params)
     rng = np.random.default_rng(1)
     turned = 0

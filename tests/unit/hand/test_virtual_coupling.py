@@ -9,24 +9,12 @@ from coupling_theory import critical_stiffness
 
 from telenano.hand.coupled import arm_step
 from telenano.hand.coupling import (
-    GATE_ACTIVE,
-    GATE_DEADMAN,
-    GATE_DEVICE_SILENT,
-    GATE_FROZEN,
-    GATE_JUMP,
-    GATE_NOT_A_NUMBER,
-    GATE_READY,
-    GATE_REFERENCE,
-    GATE_RELEASED,
-    GATE_REST,
-    GATE_RUNAWAY,
-    GATE_SILENT,
-    GATES,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
     CouplingState,
+    Gate,
     Vector,
     coupling_at_start,
     coupling_step,
@@ -80,7 +68,7 @@ def growth(device: tuple[float, float], rate_hz: float, k: float, b: float, dela
         x, v = arm_step(*device, x, v, late[1], period_s - part)
         late.pop(0)
         places.append(abs(x))
-    assert state.gate == GATE_ACTIVE
+    assert state.gate == Gate.ACTIVE
     third = count // 3
     return max(places[-third:]) / max(places[third : 2 * third])
 
@@ -169,9 +157,9 @@ class Held:
     def engage(self) -> None:
         """Come to rest, and be engaged there."""
         self.step(count=round(self.settings.rest_s / T) + 2)
-        assert self.state.gate == GATE_READY
+        assert self.state.gate == Gate.READY
         self.reference = self.reference._replace(engaged=True)
-        assert self.step() == GATE_ACTIVE
+        assert self.step() == Gate.ACTIVE
 
     def press(self, depth_m: float, speed_m_per_s: float = 0.05) -> None:
         """Push the hand towards the sample from where the reference is."""
@@ -192,14 +180,14 @@ def test_no_force_before_the_hand_has_been_at_rest() -> None:
     held = Held()
     held.reference = held.reference._replace(engaged=True)
     for index in range(400):
-        assert held.step((0.01 * math.sin(0.05 * index), 0.0, 0.0)) == GATE_REST and held.force == ZERO
+        assert held.step((0.01 * math.sin(0.05 * index), 0.0, 0.0)) == Gate.REST and held.force == ZERO
     # Now it rests, and the node has to let go once: its reference is not where the hand is.
     held.step(count=250)
-    assert held.state.gate == GATE_RELEASED and held.force == ZERO
+    assert held.state.gate == Gate.RELEASED and held.force == ZERO
     held.reference = held.reference._replace(engaged=False)
-    assert held.step() == GATE_READY
+    assert held.step() == Gate.READY
     held.reference = held.reference._replace(engaged=True)
-    assert held.step() == GATE_ACTIVE
+    assert held.step() == Gate.ACTIVE
 
 
 def test_force_at_rest_is_the_stiffness_times_the_offset_and_pushes_the_hand_back(held: Held) -> None:
@@ -226,10 +214,10 @@ def test_clamp_keeps_the_direction_of_the_force(held: Held) -> None:
 
 
 SILENCES: dict[str, tuple[Callable[[Held], None], int]] = {
-    "the node": (lambda held: _set(held, age_s=0.0501), GATE_SILENT),
-    "the device": (lambda held: _read(held, age_s=0.0501), GATE_DEVICE_SILENT),
-    "an age that is no number": (lambda held: _read(held, age_s=math.nan), GATE_DEVICE_SILENT),
-    "a reference that is no number": (lambda held: _set(held, position_m=(0.0, math.nan, 0.0)), GATE_REFERENCE),
+    "the node": (lambda held: _set(held, age_s=0.0501), Gate.SILENT),
+    "the device": (lambda held: _read(held, age_s=0.0501), Gate.DEVICE_SILENT),
+    "an age that is no number": (lambda held: _read(held, age_s=math.nan), Gate.DEVICE_SILENT),
+    "a reference that is no number": (lambda held: _set(held, position_m=(0.0, math.nan, 0.0)), Gate.REFERENCE),
 }
 
 
@@ -247,24 +235,24 @@ def test_silence_takes_the_force_at_once_and_the_hand_has_to_rest_anew(held: Hel
     held.press(0.004)
     good = held.reference, held.reading
     _set(held, age_s=0.0499)
-    assert held.step() == GATE_ACTIVE and held.force[2] > 1.0
+    assert held.step() == Gate.ACTIVE and held.force[2] > 1.0
     make(held)
     assert held.step() == gate and held.force == ZERO
     held.reference, held.reading = good
-    assert held.step() == GATE_REST
+    assert held.step() == Gate.REST
     held.step(count=250)
     # the node was engaged all along: it would begin with the offset of before
-    assert held.state.gate == GATE_RELEASED and held.force == ZERO
-    assert GATES[gate].startswith("the device gives no force")
+    assert held.state.gate == Gate.RELEASED and held.force == ZERO
+    assert Gate(gate).text.startswith("the device gives no force")
 
 
 def test_law_that_lets_go_takes_the_force_and_begins_again_from_zero(held: Held) -> None:
     held.press(0.004)
     _set(held, engaged=False)
-    assert held.step() == GATE_READY and held.force == ZERO
+    assert held.step() == Gate.READY and held.force == ZERO
     # guards begin where the hand is
     _set(held, engaged=True, position_m=(0.0, 0.0, -0.004))
-    assert held.step() == GATE_ACTIVE and held.force == pytest.approx(ZERO, abs=1e-12)
+    assert held.step() == Gate.ACTIVE and held.force == pytest.approx(ZERO, abs=1e-12)
 
 
 def test_deadman_button_that_is_let_go_or_asleep_takes_the_force() -> None:
@@ -273,15 +261,15 @@ def test_deadman_button_that_is_let_go_or_asleep_takes_the_force() -> None:
     held.press(0.004)
     # a grip speaks at some 50 Hz, and one word may be lost
     _read(held, deadman_age_s=0.045)
-    assert held.step() == GATE_ACTIVE and held.force[2] > 1.0
+    assert held.step() == Gate.ACTIVE and held.force[2] > 1.0
     _read(held, deadman_age_s=0.11)
-    assert held.step() == GATE_DEADMAN and held.force == ZERO
+    assert held.step() == Gate.DEADMAN and held.force == ZERO
     _read(held, deadman_age_s=0.0, deadman=False)
-    assert held.step() == GATE_DEADMAN and held.force == ZERO
+    assert held.step() == Gate.DEADMAN and held.force == ZERO
     _read(held, deadman=True)
-    assert held.step() == GATE_RELEASED and held.force == ZERO
+    assert held.step() == Gate.RELEASED and held.force == ZERO
     _set(held, engaged=False)
-    assert held.step() == GATE_READY
+    assert held.step() == Gate.READY
 
 
 def jump(held: Held) -> None:
@@ -309,7 +297,7 @@ def wrong_sign(held: Held) -> None:
 
 @pytest.mark.parametrize(
     ("fault", "gate"),
-    [(jump, GATE_JUMP), (no_number, GATE_NOT_A_NUMBER), (frozen, GATE_FROZEN), (wrong_sign, GATE_RUNAWAY)],
+    [(jump, Gate.JUMP), (no_number, Gate.NOT_A_NUMBER), (frozen, Gate.FROZEN), (wrong_sign, Gate.RUNAWAY)],
 )
 def test_reading_that_cannot_be_believed_is_refused_until_armed(
     held: Held, fault: Callable[[Held], None], gate: int
@@ -319,16 +307,16 @@ def test_reading_that_cannot_be_believed_is_refused_until_armed(
     fault(held)
     assert held.state.gate == gate and held.force == ZERO
     assert all(map(math.isfinite, held.state.position_m))
-    if gate != GATE_RUNAWAY:
+    if gate != Gate.RUNAWAY:
         assert held.state.position_m == before
     # it stays refused when the readings are good again, and when the law lets go
     _set(held, engaged=False)
     held.step((0.0, 0.0, -0.004), count=500)
-    assert held.state.gate == gate and "until armed" in GATES[gate]
+    assert held.state.gate == gate and "until armed" in Gate(gate).text
     _set(held, arm_count=1)
-    assert held.step() == GATE_REST
+    assert held.step() == Gate.REST
     held.step(count=210)
-    assert held.state.gate == GATE_READY
+    assert held.state.gate == Gate.READY
 
 
 def test_fast_hand_and_a_resting_one_are_not_refused(held: Held) -> None:
@@ -337,17 +325,17 @@ def test_fast_hand_and_a_resting_one_are_not_refused(held: Held) -> None:
     for index in range(2000):
         place += 1.5 * math.sin(0.02 * index) * T
         held.step((place, 0.0, 0.0))
-        assert held.state.gate == GATE_READY
+        assert held.state.gate == Gate.READY
     # at rest under a constant force: the encoder says the same count for seconds
     _set(held, engaged=True, position_m=(place, 0.0, 0.0))
     held.step(count=3000)
-    assert held.state.gate == GATE_ACTIVE
+    assert held.state.gate == Gate.ACTIVE
 
 
 def test_late_step_of_the_servo_is_no_jump(held: Held) -> None:
     _set(held, engaged=False)
     held.step((0.03, 0.0, 0.0), dt=0.02)
-    assert held.state.gate == GATE_READY
+    assert held.state.gate == Gate.READY
 
 
 def test_time_of_a_step_must_be_positive() -> None:

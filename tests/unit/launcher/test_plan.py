@@ -7,7 +7,7 @@ import yaml
 
 from telenano.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from telenano.launcher.run import disk_warning
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.config import read_yaml
 from telenano.settings.included import SCENARIO_DIRECTORY, known_scenarios
@@ -35,7 +35,7 @@ def test_every_packaged_scenario_is_sound(tmp_path: Path) -> None:
 
 
 def test_the_packaged_site_has_the_whole_rig() -> None:
-    assert set(load_site(DEFAULT_SITE_FILE).nodes) >= {LAUNCHER, *START_ORDER}
+    assert set(AddressBook.load(DEFAULT_SITE_FILE).nodes) >= {LAUNCHER, *START_ORDER}
     assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES, PAGE}
     # the recorders receive from the others as they come and go
     assert START_ORDER[0] == RECORDER

@@ -17,7 +17,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     checked_law,
-    law_of,
     no_energy_account,
     the_hands_force,
 )
@@ -75,9 +74,9 @@ def test_a_law_says_whether_it_closes_a_loop_what_it_promises_and_what_it_must_k
 
 def test_law_without_a_step_is_not_made() -> None:
     with pytest.raises(AttributeError, match="master_start"):
-        law_of(__name__, wave.WaveConfig)
+        Law.of(__name__, wave.WaveConfig)
     with pytest.raises(AttributeError, match="slave_start"):
-        law_of(wave.__name__, wave.WaveConfig, slave=virtual_impedance)
+        Law.of(wave.__name__, wave.WaveConfig, slave=virtual_impedance)
 
 
 def test_no_two_laws_share_a_class_of_parameters() -> None:

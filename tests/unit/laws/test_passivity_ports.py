@@ -116,6 +116,10 @@ def test_both_ports_begin_with_the_starting_energy_again_when_the_tip_was_retrac
     for after in (hand.account, base.account):
         assert after.remaining_j == PARAMS.start_j
         assert after.granted_j - after.lost_j == exactly(1e-3 + PARAMS.start_j - remaining_j)
+    # what a hand has left unpaid of what was sent is granted, and nothing of it is owed after the arming
+    owes = master(Mass(0.0, 0.0, 0.0, True), account)._replace(port=HandPort(0.0, -1e-3, account.in_j, 0.0))
+    again, _ = master_receive(PARAMS, owes, HAND, retracted, T)
+    assert (again.port.credit_j, again.port.granted_j) == (0.0, exactly(1e-3))
     # a tip that still touches, or one that nothing is heard of, leaves the account as it is
     for signal in (retracted._replace(in_contact=True), retracted._replace(silence_s=1.0)):
         hand, _ = master_receive(PARAMS, master(Mass(0.0, 0.0, 0.0, True), account), HAND, signal, T)
@@ -124,6 +128,11 @@ def test_both_ports_begin_with_the_starting_energy_again_when_the_tip_was_retrac
     signal = ANSWER._replace(active=False, energy_j=6e-3)
     for tip in (away._replace(in_contact=True), FREE):
         assert slave_receive(PARAMS, held, signal, tip, T)[0].account == account
+    # up to the limit of silence a signal counts
+    last = signal._replace(silence_s=PARAMS.mass.silence_limit_s, energy_j=5e-3)
+    assert slave_receive(PARAMS, held, last, FREE, T)[0].account.received_j == 5e-3
+    hand, _ = master_receive(PARAMS, master(Mass(0.0, 0.0, 0.0, True), account), HAND, last, T)
+    assert hand.account.received_j == 5e-3
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -196,12 +205,12 @@ def test_what_the_coupling_gives_and_the_sample_does_not_get_is_kept_and_what_is
     k = PARAMS.coupling_n_per_m
     still = ANSWER._replace(position_m=0.0)
     params = PARAMS._replace(step_m=0.0)
-    for force_n in (0.02, 0.3):
-        before = slave(1e-4)._replace(last_n=0.0)
+    for force_n, last_n in ((0.02, 0.0), (0.3, 0.0), (0.02, 0.05)):
+        before = slave(1e-4)._replace(last_n=last_n)
         tip = FREE._replace(base_position_m=0.4e-4 * SCALE, force_n=force_n / PARAMS.mass.force_scale)
         state, _ = slave_receive(params, before, still, tip, T)
         gave = 0.5 * k * (1e-4**2 - 0.6e-4**2)
-        got = 0.5 * force_n * 0.4e-4
+        got = 0.5 * (force_n + last_n) * 0.4e-4
         assert state.account.remaining_j == exactly(4e-3 + gave - got)
         assert (gave > got) == (force_n < 0.1)
         assert state.stretch_m == exactly(0.6e-4)
@@ -227,6 +236,12 @@ def test_a_half_that_has_overdrawn_its_store_presses_no_further_and_gives_way_by
         poor = slave_receive(params, slave(stretch_m, remaining_j=-1e-6)._replace(last_n=0.1), ANSWER, pushed, T)[0]
         assert (rich.position_m < 0.0) == (share > 0.0)
         assert poor.position_m == exactly(share * rich.position_m)
+        # a store that is empty is not overdrawn
+        empty = slave_receive(params, slave(stretch_m, remaining_j=0.0)._replace(last_n=0.1), ANSWER, pushed, T)[0]
+        assert empty.position_m == rich.position_m
+    # a tip that feels nothing is not pressed
+    free, poor = (slave_receive(params, slave(1e-4, remaining_j=e), ANSWER, FREE, T)[0] for e in (0.0, -1e-6))
+    assert 0.0 < poor.position_m == exactly(0.25 * free.position_m)
 
 
 def test_each_side_sends_a_share_of_its_store_and_no_energy_is_made_of_it() -> None:
@@ -242,7 +257,9 @@ def test_each_side_sends_a_share_of_its_store_and_no_energy_is_made_of_it() -> N
     assert base.account.in_j == exactly(SHIPPED.shared * 4e-3)
 
 
-@pytest.mark.parametrize(("remaining_j", "share"), [(1e-3, 0.0), (2e-3, 0.0), (0.75e-3, 0.25), (0.0, 1.0)])
+@pytest.mark.parametrize(
+    ("remaining_j", "share"), [(1e-3, 0.0), (2e-3, 0.0), (0.75e-3, 0.25), (0.0, 1.0), (-1e-3, 1.0)]
+)
 def test_the_damper_of_the_hand_fills_a_store_that_is_low_with_what_it_takes(remaining_j: float, share: float) -> None:
     params = SHIPPED._replace(shared=0.0)
     hand = HAND._replace(force_n=3.0)
@@ -271,6 +288,10 @@ def test_a_device_that_is_off_for_a_moment_stands_and_the_coupling_goes_on() -> 
     state, reference = master_receive(PARAMS, pressed(4e-3), off, answer, T)
     # the reference was 0.1 mm ahead of the device: that way back is paid with the force of the channel
     assert state.account.remaining_j == exactly(4e-3 + 1e-3 - 2.0 * 0.1e-3)
+    assert (state.account.lost_j, state.account.granted_j) == (0.0, 1e-3)
+    # of the way to where it stands nothing is work of the hand
+    idle = pressed(4e-3)._replace(port=HandPort(0.0, 0.0, 0.0, 0.0))
+    assert master_receive(PARAMS, idle, off, answer, T)[0].port.credit_j == exactly(2.0 * 0.1e-3)
     assert (state.mass, state.stood_s) == ((0.9e-3, 0.0, 0.0, True), T)
     assert reference == (0.9e-3, 0.0, exactly(2.0), True)
     assert master_send(PARAMS, state, off, T)[1].active
@@ -278,8 +299,8 @@ def test_a_device_that_is_off_for_a_moment_stands_and_the_coupling_goes_on() -> 
     poor, _ = master_receive(PARAMS, pressed(0.0), off, answer._replace(energy_j=0.5e-4), T)
     assert (poor.account.remaining_j, poor.account.granted_j) == (exactly(0.0), exactly(1e-3 + 1.5e-4))
     # after the limit of silence the hand is let go, and a hand that follows begins to count anew
-    late, _ = master_receive(PARAMS, state._replace(stood_s=0.5), off, answer, T)
-    assert not late.mass.coupled
+    for stood_s, coupled in ((0.499, True), (0.5, False)):
+        assert master_receive(PARAMS, state._replace(stood_s=stood_s), off, answer, T)[0].mass.coupled is coupled
     back, _ = master_receive(PARAMS, state, off._replace(following=True), answer, T)
     assert (back.stood_s, back.mass.coupled) == (0.0, True)
 
@@ -350,6 +371,13 @@ def test_a_free_hand_moves_the_mass_and_charges_the_work_against_the_channel() -
     # two periods are two steps
     twice, _ = master_receive(PARAMS, pressed(4e-3), hand, ANSWER._replace(force_n=force), 2.0 * T)
     assert twice.mass == moved(PARAMS.mass, free, 8.0)
+
+
+def test_a_store_that_owes_cuts_no_motion_into_the_channel() -> None:
+    hand, answer = HAND._replace(force_n=10.0), ANSWER._replace(force_n=2.0 / PARAMS.mass.force_scale)
+    free = moved(PARAMS.mass, Mass(1e-3, 0.0, 0.0, True), 8.0)
+    for owes in (pressed(-1e-3), pressed(0.0)._replace(port=HandPort(0.0, -1e-3, 0.0, 0.0))):
+        assert master_receive(PARAMS, owes, hand, answer, T)[0].mass == free
 
 
 def test_what_the_reference_puts_in_while_the_device_is_stuck_is_neither_sent_nor_shared() -> None:
@@ -453,14 +481,14 @@ def test_each_port_sends_its_place_its_force_and_the_energy_that_went_in() -> No
 
 def test_the_energy_account_of_each_half_has_the_grants_of_both() -> None:
     account = Account(4e-4, 2e-4, 3e-4, 5e-4, 1e-3)
-    assert PASSIVITY.master_energy_account(PARAMS, master(Mass(0.0, 0.0, 0.0, True), account)) == (
-        3e-4,
-        5e-4,
-        2e-3,
-    )
+    half = master(Mass(0.0, 0.0, 0.0, True), account)
+    assert PASSIVITY.master_energy_account(PARAMS, half) == (3e-4, 5e-4, 2e-3)
+    half = half._replace(port=half.port._replace(granted_j=7e-3))
+    assert PASSIVITY.master_energy_account(PARAMS, half).granted_j == exactly(9e-3)
     assert PASSIVITY.slave_energy_account(PARAMS, slave()._replace(account=account)) == (3e-4, 5e-4, 2e-3)
-    # it fills the energy of the wire's message, and its slave half goes on between signals
-    assert (PASSIVITY.uses_energy, PASSIVITY.local_loop, PASSIVITY.uses_waves) == (True, True, False)
+    # it promises passivity, fills the energy of the wire's message, and its slave half goes on between signals
+    assert (PASSIVITY.passive, PASSIVITY.uses_energy, PASSIVITY.local_loop) == (True, True, True)
+    assert not PASSIVITY.uses_waves
 
 
 def test_a_half_that_is_taken_over_goes_on_in_the_motion_of_the_hand() -> None:

@@ -31,7 +31,6 @@ from telenano.extend.virtual_mass import (
     put_in,
     rescaled,
     resumed,
-    stiffness_limit_n_per_m,
     tip_reference,
     unpaid_j,
     worked,
@@ -234,7 +233,7 @@ def test_a_sample_at_the_limit_of_a_damper_is_swung_about_without_end(
     most_periods: int, share: float, growth: float
 ) -> None:
     config = MassConfig(position_scale=2e-6)
-    stiffness = share * stiffness_limit_n_per_m(config, 80.0, PERIOD_S, most_periods)
+    stiffness = share * config.limit_of_damper(80.0, PERIOD_S, most_periods)
     # the base goes against the force of the beginning of a step through the damper, over the longest step
     at_hand = stiffness * config.force_scale * config.position_scale
     place, swings = 1e-3, []
@@ -242,7 +241,7 @@ def test_a_sample_at_the_limit_of_a_damper_is_swung_about_without_end(
         place -= most_periods * PERIOD_S * at_hand * place / 80.0
         swings.append(place)
     assert swings == pytest.approx([1e-3 * (-growth) ** n for n in range(1, 5)], rel=1e-9)
-    assert stiffness_limit_n_per_m(config, 80.0, PERIOD_S) == stiffness_limit_n_per_m(config, 80.0, PERIOD_S, 1)
+    assert config.limit_of_damper(80.0, PERIOD_S) == config.limit_of_damper(80.0, PERIOD_S, 1)
 
 
 def test_work_that_the_channel_does_not_use_is_kept_up_to_a_millijoule() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import fates_of
 from telenano.link.fate import Fate
@@ -18,7 +18,7 @@ SAMPLES, LAW = "teleop/backward", "law/status"
 
 def carried(section: dict[str, object], messages: list[tuple[int, str]], folder: Path = Path()) -> list[Fate]:
     """Give the fates of messages (time of arrival [ns], topic), in their order."""
-    engine = DirectionEngine("backward", parse_settings({"backward": section, "seed": 3}), 0, folder=folder)
+    engine = DirectionEngine("backward", LinkSettings.of({"backward": section, "seed": 3}), 0, folder=folder)
     for seq, (now_ns, topic) in enumerate(messages):
         engine.submit(now_ns, topic, bytes(300), seq)
     while (next_ns := engine.next_release_ns()) is not None:
@@ -119,7 +119,9 @@ def test_jitter_in_order_is_that_of_a_line_over_all_topics() -> None:
 
 
 def test_outages_in_session_time_wait_for_the_session_and_begin_anew_with_each() -> None:
-    settings = parse_settings({"forward": {"outage": {"schedule": [[1.0, 0.5]], "origin": "session", "period_s": 4.0}}})
+    settings = LinkSettings.of(
+        {"forward": {"outage": {"schedule": [[1.0, 0.5]], "origin": "session", "period_s": 4.0}}}
+    )
     engine = DirectionEngine("forward", settings, 0)
     dropped = []
     for turn in range(200):
@@ -134,9 +136,9 @@ def test_outages_in_session_time_wait_for_the_session_and_begin_anew_with_each()
 
 def test_a_change_of_other_settings_in_a_session_keeps_its_time() -> None:
     outage = {"schedule": [[1.0, 0.5]], "origin": "session"}
-    engine = DirectionEngine("forward", parse_settings({"forward": {}}), 0)
+    engine = DirectionEngine("forward", LinkSettings.of({"forward": {}}), 0)
     engine.begin_session(5 * NS)
-    settings = parse_settings({"forward": {"outage": outage}})
+    settings = LinkSettings.of({"forward": {"outage": outage}})
     engine.adopt(settings, engine.files_of(settings), 5 * NS + NS // 2)
     engine.submit(6 * NS - 1, "teleop/forward", b"x", 0)
     engine.submit(6 * NS, "teleop/forward", b"x", 1)
@@ -144,6 +146,6 @@ def test_a_change_of_other_settings_in_a_session_keeps_its_time() -> None:
 
 
 def test_a_link_that_is_simulated_begins_with_the_session() -> None:
-    settings = parse_settings({"forward": {"outage": {"schedule": [[0.5, 0.1]], "origin": "session"}}})
+    settings = LinkSettings.of({"forward": {"outage": {"schedule": [[0.5, 0.1]], "origin": "session"}}})
     fates = fates_of(settings, "forward", "teleop/forward", range(7 * NS, 8 * NS, NS // 100), 300)
     assert [fate.seq for fate in fates if fate.dropped] == list(range(50, 60))

@@ -6,17 +6,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from telenano.link.config import (
-    DirectionSettings,
-    Impairment,
-    LinkSettings,
-    changed,
-    changes_text,
-    flattened,
-    network_name,
-    parse_settings,
-    profile_changes,
-)
+from telenano.link.config import DirectionSettings, Impairment, LinkSettings, changes_text, profile_changes
 from telenano.link.profiles import PROFILES
 from telenano.wire.errors import ConfigError
 
@@ -87,9 +77,9 @@ REPOSITORY = Path(__file__).parents[3]
     ],
 )
 def test_bad_setting_is_refused_naming_the_key_and_what_would_be_right(flat, key, reason):
-    good = parse_settings({"forward": {"delay_s": 0.02}})
+    good = LinkSettings.of({"forward": {"delay_s": 0.02}})
     with pytest.raises(ConfigError) as error:
-        changed(good, flat)
+        good.changed(flat)
     assert str(error.value).startswith(f"session/control: {key}")
     assert reason in str(error.value)
 
@@ -108,7 +98,7 @@ def test_bad_setting_is_refused_naming_the_key_and_what_would_be_right(flat, key
     ],
 )
 def test_settings_at_the_edge_of_what_makes_sense_are_accepted(flat):
-    settings_now = flattened(changed(LinkSettings(), flat))
+    settings_now = LinkSettings().changed(flat).flattened()
     assert {key: settings_now[key] for key in flat if key != "forward.outage.schedule"} == {
         key: value for key, value in flat.items() if key != "forward.outage.schedule"
     }
@@ -116,7 +106,7 @@ def test_settings_at_the_edge_of_what_makes_sense_are_accepted(flat):
 
 def test_every_wrong_key_gets_a_line_of_its_own():
     with pytest.raises(ConfigError) as error:
-        changed(LinkSettings(), {"forward.delay_s": -1.0, "backward.loss.probability": 2.0})
+        LinkSettings().changed({"forward.delay_s": -1.0, "backward.loss.probability": 2.0})
     assert [line.split(": ")[:2] for line in str(error.value).splitlines()] == [
         ["session/control", "forward.delay_s"],
         ["session/control", "backward.loss.probability"],
@@ -126,7 +116,7 @@ def test_every_wrong_key_gets_a_line_of_its_own():
 def test_every_contradiction_is_named_at_its_key_and_an_inherited_one_once():
     topics = {"a.b": {"delay_s": 1}, "x": {}, "y": {"outage": {"mean_up_s": 1}}}
     with pytest.raises(ConfigError) as error:
-        parse_settings({"forward": {"order": "topic", "reordering": {"probability": 1}, "topics": topics}}, "rig.yaml")
+        LinkSettings.of({"forward": {"order": "topic", "reordering": {"probability": 1}, "topics": topics}}, "rig.yaml")
     assert [line.split(": ")[:2] for line in str(error.value).splitlines()] == [
         ["rig.yaml", "forward.order"],
         ["rig.yaml", "forward.topics"],
@@ -137,17 +127,19 @@ def test_every_contradiction_is_named_at_its_key_and_an_inherited_one_once():
 
 def test_key_that_is_both_value_and_section_in_one_request_is_refused():
     with pytest.raises(ConfigError, match="session/control: loss "):
-        changed(LinkSettings(), {"forward.loss": 0.1, "forward.loss.probability": 0.2})
+        LinkSettings().changed({"forward.loss": 0.1, "forward.loss.probability": 0.2})
 
 
 def test_tree_that_is_no_mapping_is_refused():
     with pytest.raises(ConfigError, match="link settings: Input should be"):
-        parse_settings(None)
+        LinkSettings.of(None)
 
 
 def test_change_keeps_the_other_keys():
-    before = parse_settings({"seed": 7, "forward": {"delay_s": 0.02, "loss": {"probability": 0.1, "correlation": 0.5}}})
-    after = changed(before, {"forward.loss.probability": 0.2, "backward.delay_s": 1})
+    before = LinkSettings.of(
+        {"seed": 7, "forward": {"delay_s": 0.02, "loss": {"probability": 0.1, "correlation": 0.5}}}
+    )
+    after = before.changed({"forward.loss.probability": 0.2, "backward.delay_s": 1})
     assert after.forward.loss.probability == 0.2
     assert after.forward.loss.correlation == 0.5
     assert (after.forward.delay_s, after.backward.delay_s, after.seed) == (0.02, 1.0, 7)
@@ -155,20 +147,20 @@ def test_change_keeps_the_other_keys():
 
 
 def test_profile_starts_anew_but_keeps_the_seed_and_takes_the_other_keys_of_the_request():
-    before = parse_settings({"seed": 7, "forward": {"corruption": {"probability": 0.1}}})
-    after = changed(before, {"profile": "satellite", "forward.delay_s": 0.4})
-    assert after == parse_settings({"profile": "satellite", "seed": 7, "forward": {"delay_s": 0.4}})
+    before = LinkSettings.of({"seed": 7, "forward": {"corruption": {"probability": 0.1}}})
+    after = before.changed({"profile": "satellite", "forward.delay_s": 0.4})
+    assert after == LinkSettings.of({"profile": "satellite", "seed": 7, "forward": {"delay_s": 0.4}})
     assert after.forward.corruption.probability == 0.0
     assert after.forward.delay_s == 0.4
     assert after.backward.delay_s == PROFILES["satellite"].settings["backward"]["delay_s"]
 
 
 def test_profile_names_are_known_in_any_case():
-    assert changed(LinkSettings(), {"profile": "LTE"}) == parse_settings({"profile": "lte"})
+    assert LinkSettings().changed({"profile": "LTE"}) == LinkSettings.of({"profile": "lte"})
 
 
 def test_what_replaces_a_key_of_the_profile_is_named_with_both_values():
-    link = parse_settings(
+    link = LinkSettings.of(
         {
             "profile": "satellite",
             "forward": {"delay_s": 0.0, "loss": {"probability": 0.1}, "queue": {"limit_messages": 5}},
@@ -183,8 +175,8 @@ def test_what_replaces_a_key_of_the_profile_is_named_with_both_values():
 
 
 def test_keys_that_a_profile_does_not_set_replace_nothing_of_it():
-    assert changes_text(parse_settings({"forward": {"delay_s": 0.02}})) == ""
-    assert changes_text(parse_settings({"profile": "lan", "forward": {"outage": {"period_s": 5.0}}})) == ""
+    assert changes_text(LinkSettings.of({"forward": {"delay_s": 0.02}})) == ""
+    assert changes_text(LinkSettings.of({"profile": "lan", "forward": {"outage": {"period_s": 5.0}}})) == ""
 
 
 @pytest.mark.parametrize(
@@ -202,38 +194,38 @@ def test_keys_that_a_profile_does_not_set_replace_nothing_of_it():
     ],
 )
 def test_a_network_is_named_by_what_is_in_force(given, name):
-    assert network_name(parse_settings(given)) == name
+    assert LinkSettings.of(given).network_name == name
 
 
 def test_empty_lists_survive_the_flat_form():
-    link = parse_settings({"forward": {"reliable": [], "outage": {"schedule": []}}})
-    assert changed(LinkSettings(), flattened(link)) == link
+    link = LinkSettings.of({"forward": {"reliable": [], "outage": {"schedule": []}}})
+    assert LinkSettings().changed(link.flattened()) == link
     assert link.forward.reliable == ()
 
 
 def test_profile_clean_is_no_impairment_at_all():
-    assert changed(parse_settings({"profile": "lte"}), {"profile": "clean"}) == LinkSettings()
+    assert LinkSettings.of({"profile": "lte"}).changed({"profile": "clean"}) == LinkSettings()
 
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_profile_is_valid_and_stays_under_later_changes(name):
-    once = parse_settings({"profile": name})
-    twice = changed(once, {"forward.apply_probability": 0.5})
+    once = LinkSettings.of({"profile": name})
+    twice = once.changed({"forward.apply_probability": 0.5})
     assert twice.profile == name
     assert twice.backward == once.backward
     assert twice.forward.jitter == once.forward.jitter
 
 
 def test_none_takes_a_value_away():
-    limited = changed(LinkSettings(), {"forward.rate.rate_bytes_per_s": 1e6})
+    limited = LinkSettings().changed({"forward.rate.rate_bytes_per_s": 1e6})
     assert limited.forward.rate.rate_bytes_per_s == 1e6
-    assert changed(limited, {"forward.rate.rate_bytes_per_s": "none"}).forward.rate.rate_bytes_per_s is None
+    assert limited.changed({"forward.rate.rate_bytes_per_s": "none"}).forward.rate.rate_bytes_per_s is None
 
 
 def test_topic_override_inherits_what_it_does_not_name_also_later():
-    link = parse_settings({"forward": {"delay_s": 0.1, "topics": {"afm/*": {"loss": {"probability": 0.3}}}}})
+    link = LinkSettings.of({"forward": {"delay_s": 0.1, "topics": {"afm/*": {"loss": {"probability": 0.3}}}}})
     assert link.forward.block("afm/*").delay_s == 0.1
-    link = changed(link, {"forward.delay_s": 0.2, "forward.loss.correlation": 0.5})
+    link = link.changed({"forward.delay_s": 0.2, "forward.loss.correlation": 0.5})
     assert link.forward.block("afm/*").delay_s == 0.2
     assert link.forward.block("afm/*").loss.probability == 0.3
     assert link.forward.block("afm/*").loss.correlation == 0.5
@@ -251,14 +243,14 @@ def test_exact_topic_wins_then_the_first_pattern_that_fits():
 
 def test_topic_override_without_a_key_is_refused():
     with pytest.raises(ConfigError, match=r"forward\.topics\.afm/state: changes nothing"):
-        parse_settings({"forward": {"topics": {"afm/state": {}}}})
+        LinkSettings.of({"forward": {"topics": {"afm/state": {}}}})
 
 
 def test_lists_come_from_files_and_as_text():
     tree = {"forward": {"outage": {"schedule": [[1, 0.5], [2.5, 1]]}, "reliable": ["session/*", "afm/scanline"]}}
     flat = {"forward.outage.schedule": "1:0.5, 2.5:1", "forward.reliable": "session/*, afm/scanline"}
-    assert parse_settings(tree) == changed(LinkSettings(), flat)
-    assert parse_settings(tree).forward.outage.schedule == ((1.0, 0.5), (2.5, 1.0))
+    assert LinkSettings.of(tree) == LinkSettings().changed(flat)
+    assert LinkSettings.of(tree).forward.outage.schedule == ((1.0, 0.5), (2.5, 1.0))
 
 
 probability = st.floats(0.0, 1.0)
@@ -285,15 +277,15 @@ impairments = st.fixed_dictionaries(
     topics=st.dictionaries(st.sampled_from(["teleop/forward", "afm/*"]), impairments.filter(bool)),
 )
 def test_flat_form_gives_the_settings_back(profile, seed, forward, topics):
-    link = parse_settings({"profile": profile, "seed": seed, "forward": {**forward, "topics": topics}})
-    assert changed(LinkSettings(), flattened(link)) == link
-    assert changed(LinkSettings(), flattened(link, only_set=True)) == link
+    link = LinkSettings.of({"profile": profile, "seed": seed, "forward": {**forward, "topics": topics}})
+    assert LinkSettings().changed(link.flattened()) == link
+    assert LinkSettings().changed(link.flattened(only_set=True)) == link
     for pattern in ("", *topics):
-        assert changed(LinkSettings(), flattened(link)).forward.block(pattern) == link.forward.block(pattern)
+        assert LinkSettings().changed(link.flattened()).forward.block(pattern) == link.forward.block(pattern)
 
 
 def test_flat_form_holds_only_what_a_message_can_carry():
-    flat = flattened(parse_settings({"profile": "lte", "forward": {"topics": {"a": {"delay_s": 1.0}}}}))
+    flat = LinkSettings.of({"profile": "lte", "forward": {"topics": {"a": {"delay_s": 1.0}}}}).flattened()
     assert {type(value) for value in flat.values()} <= {float, int, str, bool}
     assert flat["forward.topics.a.delay_s"] == 1.0
     assert "forward.topics.a.order" not in flat
@@ -302,7 +294,7 @@ def test_flat_form_holds_only_what_a_message_can_carry():
 def test_examples_of_the_documentation_run():
     text = (REPOSITORY / "docs" / "link.md").read_text(encoding="utf-8")
     (scenario,) = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
-    assert parse_settings(yaml.safe_load(scenario)["delay_node"]).forward.block("teleop/*").loss.correlation == 0.3
+    assert LinkSettings.of(yaml.safe_load(scenario)["delay_node"]).forward.block("teleop/*").loss.correlation == 0.3
     (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     exec(compile(code, "docs/link.md", "exec"), {})
 
@@ -316,10 +308,10 @@ def test_documentation_has_every_profile():
 def test_what_could_not_be_reported_is_refused():
     many = {f"forward.topics.t{number}.delay_s": 0.1 for number in range(1025)}
     with pytest.raises(ConfigError, match=r"forward has 1025 keys .* at most 1024"):
-        changed(LinkSettings(), many)
-    settings = changed(LinkSettings(), dict(list(many.items())[:1024]))
+        LinkSettings().changed(many)
+    settings = LinkSettings().changed(dict(list(many.items())[:1024]))
     # each change alone would fit
     with pytest.raises(ConfigError, match="forward has 1025 keys"):
-        changed(settings, {"forward.delay_s": 0.1})
+        settings.changed({"forward.delay_s": 0.1})
     with pytest.raises(ConfigError, match="bytes of text, at most 1024 and 262144"):
-        changed(LinkSettings(), {"backward.reliable": "x" * 300_000})
+        LinkSettings().changed({"backward.reliable": "x" * 300_000})

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from link_bench import MS, START, TOPIC, engine, finish, stream
 
-from telenano.link.config import Impairment, changed, parse_settings
+from telenano.link.config import Impairment, LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine, fates_of
 from telenano.wire.errors import ConfigError
@@ -55,13 +55,11 @@ def test_delay_trace_table_and_delivery_come_from_files(tmp_path):
 
 def test_bad_trace_leaves_the_last_good_settings(tmp_path):
     (tmp_path / "bad.txt").write_text("0 0.01\n0 0.02\n")
-    link = LinkEngine(parse_settings({"forward": {"delay_s": 0.02}}), START, folder=tmp_path)
+    link = LinkEngine(LinkSettings.of({"forward": {"delay_s": 0.02}}), START, folder=tmp_path)
     with pytest.raises(ConfigError, match=r"^backward\.delay_trace\.file: bad\.txt, line 2: the time is not later"):
-        link.reconfigure(
-            changed(link.settings, {"backward.delay_trace.file": "bad.txt", "forward.delay_s": 0.0}), START
-        )
+        link.reconfigure(link.settings.changed({"backward.delay_trace.file": "bad.txt", "forward.delay_s": 0.0}), START)
     with pytest.raises(ConfigError, match=r"^forward\.topics\.a\.delivery_trace\.file: .*gone\.txt: is not a file"):
-        link.reconfigure(changed(link.settings, {"forward.topics.a.delivery_trace.file": "gone.txt"}), START)
+        link.reconfigure(link.settings.changed({"forward.topics.a.delivery_trace.file": "gone.txt"}), START)
     assert link.settings.forward.delay_s == 0.02
     assert link.forward.submit(START, TOPIC, b"", 0) == ()
     assert link.next_release_ns() == START + 20 * MS
@@ -139,7 +137,7 @@ def test_reordered_share_follows_from_probability_and_gap(probability, gap):
 @pytest.mark.parametrize("forward", [{}, {"order": "topic"}, {"loss": {"probability": 1e-9}}])
 def test_messages_released_together_have_not_overtaken_each_other(forward):
     fates = stream(5, period_ns=1, delay_s=0.01, **forward)
-    together = fates_of(parse_settings({"forward": {"delay_s": 0.01, **forward}}), "forward", TOPIC, [START] * 5, 9)
+    together = fates_of(LinkSettings.of({"forward": {"delay_s": 0.01, **forward}}), "forward", TOPIC, [START] * 5, 9)
     assert not any(fate.reordered for fate in (*fates, *together))
 
 
@@ -200,14 +198,14 @@ def test_one_line_serves_all_topics_under_the_same_settings_and_others_have_thei
 
 
 def test_outage_begins_when_the_settings_come_into_force():
-    link = LinkEngine(parse_settings({}), START)
-    link.reconfigure(changed(link.settings, {"forward.outage.schedule": "0.01:0.01"}), START + 100 * MS)
+    link = LinkEngine(LinkSettings.of({}), START)
+    link.reconfigure(link.settings.changed({"forward.outage.schedule": "0.01:0.01"}), START + 100 * MS)
     now = [START + 100 * MS + k * MS for k in range(30)]
     passed = [bool(link.forward.submit(at, TOPIC, b"", k)) for k, at in enumerate(now)]
     assert passed == [not 10 <= k < 20 for k in range(30)]
     # A change of another key does not move it.
-    link.reconfigure(changed(link.settings, {"forward.outage.schedule": "0.01:0.02"}), START + 200 * MS)
-    link.reconfigure(changed(link.settings, {"forward.outage.mode": "hold"}), START + 205 * MS)
+    link.reconfigure(link.settings.changed({"forward.outage.schedule": "0.01:0.02"}), START + 200 * MS)
+    link.reconfigure(link.settings.changed({"forward.outage.mode": "hold"}), START + 205 * MS)
     assert link.forward.submit(START + 212 * MS, TOPIC, b"", 0) == ()
     assert link.next_release_ns() == START + 230 * MS
 
@@ -217,7 +215,7 @@ def test_outage_begins_when_the_settings_come_into_force():
 
 def test_topics_and_directions_have_settings_of_their_own():
     link = LinkEngine(
-        parse_settings(
+        LinkSettings.of(
             {
                 "forward": {
                     "delay_s": 0.01,
@@ -357,19 +355,19 @@ def test_topics_draw_from_streams_of_their_own():
 
 
 def test_strict_order_holds_across_a_change():
-    link = LinkEngine(parse_settings({"forward": {"delay_s": 0.1, "order": "topic"}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"delay_s": 0.1, "order": "topic"}}), START)
     link.forward.submit(START, TOPIC, b"old", 0)
-    link.reconfigure(changed(link.settings, {"forward.delay_s": 0.0}), START + MS)
+    link.reconfigure(link.settings.changed({"forward.delay_s": 0.0}), START + MS)
     link.forward.submit(START + MS, TOPIC, b"new", 1)
     assert [release.payload for release in finish(link.forward)] == [b"old", b"new"]
 
 
 @pytest.mark.parametrize("rate", [1e6, "none"])
 def test_what_waits_is_sent_at_the_old_rate_and_the_line_stays_busy_for_it(rate):
-    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
     for k in range(5):
         link.forward.submit(START, TOPIC, bytes(100), k)
-    link.reconfigure(changed(link.settings, {"forward.rate.rate_bytes_per_s": rate}), START)
+    link.reconfigure(link.settings.changed({"forward.rate.rate_bytes_per_s": rate}), START)
     released = [*link.forward.submit(START, TOPIC, bytes(100), 5), *finish(link.forward)]
     times = {release.fate.seq: (release.fate.release_ns - START) / MS for release in released}
     assert times == {0: 1, 1: 2, 2: 3, 3: 4, 4: 5, 5: 5.1 if rate == 1e6 else 0}
@@ -379,10 +377,10 @@ def test_change_of_another_key_does_not_touch_the_queue_or_restart_models():
     tree = {"forward": {**HOSTILE, "queue": {"limit_messages": 20}}}
     runs = []
     for change in (False, True):
-        link = LinkEngine(parse_settings(tree), START)
+        link = LinkEngine(LinkSettings.of(tree), START)
         for k in range(400):
             if change and k == 200:
-                link.reconfigure(changed(link.settings, {"backward.delay_s": 0.3, "forward.reliable": "x"}), START)
+                link.reconfigure(link.settings.changed({"backward.delay_s": 0.3, "forward.reliable": "x"}), START)
             link.forward.submit(START + k * MS, TOPIC, bytes(150), k)
         finish(link.forward)
         runs.append(link.take_fates())
@@ -390,22 +388,22 @@ def test_change_of_another_key_does_not_touch_the_queue_or_restart_models():
 
 
 def test_new_seed_restarts_the_streams():
-    link = LinkEngine(parse_settings({"seed": 5, "forward": {"loss": {"probability": 0.5}}}), START)
+    link = LinkEngine(LinkSettings.of({"seed": 5, "forward": {"loss": {"probability": 0.5}}}), START)
     passed = []
     for _ in range(2):
         passed.append([bool(link.forward.submit(START, TOPIC, b"", k)) for k in range(200)])
-        link.reconfigure(changed(link.settings, {"seed": 6}), START)
-        link.reconfigure(changed(link.settings, {"seed": 5}), START)
+        link.reconfigure(link.settings.changed({"seed": 6}), START)
+        link.reconfigure(link.settings.changed({"seed": 5}), START)
     assert passed[0] == passed[1]
 
 
 def test_pattern_can_come_and_go_with_messages_waiting():
-    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}, "order": "topic"}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"rate": {"rate_bytes_per_s": 1e5}, "order": "topic"}}), START)
     for k in range(30):
         if k == 10:
-            link.reconfigure(changed(link.settings, {"forward.topics.teleop/*.delay_s": 0.01}), START + k)
+            link.reconfigure(link.settings.changed({"forward.topics.teleop/*.delay_s": 0.01}), START + k)
         if k == 20:
-            link.reconfigure(parse_settings({"forward": {"order": "topic"}}), START + k)
+            link.reconfigure(LinkSettings.of({"forward": {"order": "topic"}}), START + k)
         link.forward.submit(START + k, TOPIC, bytes(100), k)
     assert [release.fate.seq for release in finish(link.forward)] == list(range(30))
 
@@ -477,7 +475,7 @@ def test_every_message_has_one_fate_and_none_is_missing_from_the_counts(
     def link_settings(tree):
         if tree.get("order", "any") == "any" and override.get("order", "any") == "any":
             tree = {**tree, "reordering": {"probability": reordering}}
-        return parse_settings({"seed": seed, "forward": {**tree, "topics": {"b": override}}})
+        return LinkSettings.of({"seed": seed, "forward": {**tree, "topics": {"b": override}}})
 
     link = LinkEngine(link_settings(before), START)
     now, released = START, []
@@ -579,7 +577,7 @@ def test_every_message_has_a_fate_in_range_at_every_end_of_a_setting(key, value)
     if key == "slots.max_interval_s":
         tree["slots"]["min_interval_s"] = min(value, 1e-3)
     try:
-        settings_now = parse_settings({"forward": tree})
+        settings_now = LinkSettings.of({"forward": tree})
     except ConfigError as error:
         # what contradicts another key is refused in words
         assert "Input should" not in str(error)
@@ -589,7 +587,7 @@ def test_every_message_has_a_fate_in_range_at_every_end_of_a_setting(key, value)
         link.submit(START + number * MS, TOPIC, bytes(100), number)
     # what waits for longer than a session is let go by other settings
     link.due(START + 10**10)
-    link.adopt(parse_settings({}), link.files_of(parse_settings({})), START + 10**10)
+    link.adopt(LinkSettings.of({}), link.files_of(LinkSettings.of({})), START + 10**10)
     finish(link)
     fates = link.take_fates()
     assert {fate.seq for fate in fates} == set(range(100))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from link_bench import MS, START, TOPIC, engine, finish, stream
 
-from telenano.link.config import changed, parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.engine import LinkEngine, fates_of
 from telenano.link.fate import Release
 
@@ -72,10 +72,10 @@ def test_no_draw_delays_a_message_for_more_than_a_day(tmp_path: Path) -> None:
 
 
 def test_a_shorter_constant_delay_lets_new_messages_overtake_and_counts_them() -> None:
-    link = LinkEngine(parse_settings({"forward": {"delay_s": 0.05}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"delay_s": 0.05}}), START)
     for seq in range(3):
         link.forward.submit(START + seq * MS, TOPIC, b"ab", seq)
-    link.reconfigure(changed(link.settings, {"forward.delay_s": 0.01}), START + 3 * MS)
+    link.reconfigure(link.settings.changed({"forward.delay_s": 0.01}), START + 3 * MS)
     for seq in range(3, 6):
         link.forward.submit(START + seq * MS, TOPIC, b"ab", seq)
     assert [fate.reordered for fate in link.take_fates()] == [False, False, False, True, True, True]
@@ -132,10 +132,10 @@ def test_an_outage_that_holds_delays_by_what_it_has_left_and_one_that_drops_spar
 
 
 def test_a_line_that_new_settings_replace_is_emptied_and_stays_busy_for_what_it_sent() -> None:
-    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
     for seq in range(3):
         link.forward.submit(START, TOPIC, bytes(100), seq)
-    link.reconfigure(changed(link.settings, {"forward.rate.rate_bytes_per_s": 1e6}), START + MS // 2)
+    link.reconfigure(link.settings.changed({"forward.rate.rate_bytes_per_s": 1e6}), START + MS // 2)
     assert link.forward.stats().queued == 0
     released = list(link.forward.submit(START + MS, TOPIC, bytes(100), 3))
     assert [fate.release_ns for fate in link.take_fates()] == [START + n * MS for n in (1, 2, 3)]
@@ -148,7 +148,7 @@ def test_a_line_that_new_settings_replace_is_emptied_and_stays_busy_for_what_it_
 
 
 def test_the_next_release_of_a_link_is_the_earlier_one_of_its_directions() -> None:
-    link = LinkEngine(parse_settings({"forward": {"delay_s": 0.02}, "backward": {"delay_s": 0.01}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"delay_s": 0.02}, "backward": {"delay_s": 0.01}}), START)
     assert link.next_release_ns() is None
     link.forward.submit(START, TOPIC, b"", 0)
     assert link.next_release_ns() == START + 20 * MS
@@ -173,7 +173,7 @@ def test_a_plain_bridge_counts_what_it_passes_on_at_once() -> None:
     link.submit(START, TOPIC, b"abc", 0)
     stats = link.stats()
     assert (stats.messages_out, stats.bytes_out, stats.delay_count, stats.delay_max_s) == (1, 3, 1, 0.0)
-    assert fates_of(parse_settings({}), "forward", TOPIC, [], 9) == []
+    assert fates_of(LinkSettings.of({}), "forward", TOPIC, [], 9) == []
 
 
 def test_a_message_that_finds_the_line_free_is_on_it_at_once_and_one_that_has_left_makes_room() -> None:
@@ -213,10 +213,10 @@ def test_a_link_in_order_keeps_the_order_of_all_its_topics() -> None:
 
 def test_settings_of_a_pattern_may_go_while_messages_wait_under_them() -> None:
     line = {"rate": {"rate_bytes_per_s": 1e5}}
-    link = LinkEngine(parse_settings({"forward": {"topics": {"own/*": line}}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"topics": {"own/*": line}}}), START)
     for seq in range(3):
         link.forward.submit(START, "own/a", bytes(100), seq)
-    link.reconfigure(parse_settings({"forward": {}}), START + MS // 2)
+    link.reconfigure(LinkSettings.of({"forward": {}}), START + MS // 2)
     assert [release.fate.release_ns for release in finish(link.forward)] == [START + n * MS for n in (1, 2, 3)]
 
 

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.link.config import Outage, changed, parse_settings
+from telenano.link.config import LinkSettings, Outage
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine, fates_of
 from telenano.link.fate import Release
@@ -108,7 +108,7 @@ STALL = {"schedule": ((0.010, 0.500),), "mode": "hold"}
 def flooded(drop: str = "tail", messages: int = 400, **queue: Any) -> tuple[DirectionEngine, list[Release]]:
     """Send 100 bytes each millisecond, in turn on two topics, into a stall from 10 to 510 ms."""
     settings = {"outage": STALL, "queue": {"drop": drop, **queue}, "order": "link", "delay_s": 0.001}
-    engine = DirectionEngine("forward", parse_settings({"forward": settings}), 0)
+    engine = DirectionEngine("forward", LinkSettings.of({"forward": settings}), 0)
     released: list[Release] = []
     for seq in range(messages):
         released += engine.submit(seq * MS, "ab"[seq % 2], bytes(100), seq)
@@ -147,7 +147,7 @@ def test_a_stall_holds_the_reliable_beyond_its_limit_and_no_line_that_moves_has_
     for seq in range(20):
         engine.submit(400 * MS, "session/control", bytes(100), seq)
     assert len([release for release in ended(engine) if release.topic == "session/control"]) == 20
-    moving = parse_settings({"forward": {"outage": STALL, "queue": {"limit_messages": 0}, "delay_s": 0.05}})
+    moving = LinkSettings.of({"forward": {"outage": STALL, "queue": {"limit_messages": 0}, "delay_s": 0.05}})
     assert not any(fate.dropped for fate in fates_of(moving, "forward", "a", range(0, 9 * MS, MS // 100), 100))
 
 
@@ -163,10 +163,10 @@ def test_a_stall_holds_the_reliable_beyond_its_limit_and_no_line_that_moves_has_
     ],
 )
 def test_what_a_stall_holds_goes_on_when_the_stall_that_is_in_force_ends(change: dict[str, Any], end_ms: int) -> None:
-    link = LinkEngine(parse_settings({"forward": {"outage": STALL, "queue": {"limit_messages": 50}}}), 0)
+    link = LinkEngine(LinkSettings.of({"forward": {"outage": STALL, "queue": {"limit_messages": 50}}}), 0)
     for seq in range(80):
         link.forward.submit(11 * MS, "a", bytes(100), seq)
-    link.reconfigure(changed(link.settings, change), 20 * MS)
+    link.reconfigure(link.settings.changed(change), 20 * MS)
     released = [*link.forward.submit(21 * MS, "a", bytes(100), 80), *ended(link.forward)]
     assert [release.fate.release_ns for release in released if release.fate.seq < 80] == [end_ms * MS] * 50
     fates = {fate.seq: fate for fate in link.take_fates()}
@@ -179,14 +179,14 @@ def test_what_a_stall_holds_goes_on_when_the_stall_that_is_in_force_ends(change:
 @pytest.mark.parametrize("mode", ["drop", "hold"])
 def test_a_command_that_an_outage_holds_holds_up_none_once_the_outage_is_cleared(mode: str) -> None:
     stall = {"schedule": ((0.0, 600.0),), "mode": mode}
-    link = LinkEngine(parse_settings({"forward": {"outage": stall}}), 0)
+    link = LinkEngine(LinkSettings.of({"forward": {"outage": stall}}), 0)
     assert link.forward.submit(MS, "session/control", b"start", 0) == ()
     settings = link.settings
     for change in ({"forward.queue.limit_messages": 9}, {"forward.outage.mode": "drop"}, {"forward.delay_s": 0.0}):
-        settings = changed(settings, change)
+        settings = settings.changed(change)
         link.reconfigure(settings, 2 * MS)
     assert link.forward.due(3 * MS) == []
-    link.reconfigure(changed(settings, {"profile": "clean"}), 4 * MS)
+    link.reconfigure(settings.changed({"profile": "clean"}), 4 * MS)
     assert [release.payload for release in link.forward.submit(5 * MS, "session/control", b"arm", 1)] == [
         b"start",
         b"arm",
@@ -195,7 +195,7 @@ def test_a_command_that_an_outage_holds_holds_up_none_once_the_outage_is_cleared
 
 def test_a_session_that_begins_in_a_stall_of_the_session_before_ends_it() -> None:
     stall = {"schedule": ((0.010, 0.500),), "mode": "hold", "origin": "session"}
-    link = LinkEngine(parse_settings({"forward": {"outage": stall}}), 0)
+    link = LinkEngine(LinkSettings.of({"forward": {"outage": stall}}), 0)
     link.begin_session(0)
     assert link.forward.submit(11 * MS, "a", bytes(100), 0) == ()
     link.begin_session(20 * MS)
@@ -203,10 +203,10 @@ def test_a_session_that_begins_in_a_stall_of_the_session_before_ends_it() -> Non
 
 
 def test_settings_that_are_stamped_before_the_newest_message_count_from_that_message() -> None:
-    link = LinkEngine(parse_settings({"forward": {"delay_s": 0.001}}), 0)
+    link = LinkEngine(LinkSettings.of({"forward": {"delay_s": 0.001}}), 0)
     link.forward.submit(10 * MS, "a", b"", 0)
     link.reconfigure(
-        changed(link.settings, {"forward.outage.schedule": "0.0:0.01", "forward.outage.mode": "hold"}), 5 * MS
+        link.settings.changed({"forward.outage.schedule": "0.0:0.01", "forward.outage.mode": "hold"}), 5 * MS
     )
     released = [*link.forward.submit(16 * MS, "a", b"", 1), *ended(link.forward)]
     assert [release.fate.release_ns for release in released] == [11 * MS, 21 * MS]
@@ -214,7 +214,7 @@ def test_settings_that_are_stamped_before_the_newest_message_count_from_that_mes
 
 def test_an_overtaking_message_waits_in_a_stall_as_the_others_do() -> None:
     settings = {"outage": STALL, "reordering": {"probability": 1.0}, "delay_s": 0.02, "queue": {"limit_messages": 7}}
-    fates = fates_of(parse_settings({"forward": settings}), "forward", "a", range(11 * MS, 400 * MS, MS), 100)
+    fates = fates_of(LinkSettings.of({"forward": settings}), "forward", "a", range(11 * MS, 400 * MS, MS), 100)
     assert all(fate.delay_ns == 0 for fate in fates[:10])
     assert [fate.dropped for fate in fates[10:17]] == [""] * 7
     assert {fate.dropped for fate in fates[17:]} == {"queue"}

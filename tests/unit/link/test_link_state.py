@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from telenano.link.config import changed, parse_settings
+from telenano.link.config import LinkSettings
 from telenano.link.engine import LinkEngine, LinkState
 from telenano.link.random_streams import stream
 from telenano.wire.node_state import pack, restore
@@ -111,14 +111,14 @@ def test_an_engine_goes_on_from_a_captured_state(tmp_path: Any, models: str, cha
     (tmp_path / "numbered_losses.txt").write_text("0 0\n4 1\n5 0\n7 0\n")
     (tmp_path / "losses.txt").write_text("0 0\n0.01 1\n0.014 0\n0.04 0\n")
     (tmp_path / "delivery.txt").write_text("1\n3\n4\n9\n")
-    settings = parse_settings({"seed": 3, "forward": MODELS[models]})
+    settings = LinkSettings.of({"seed": 3, "forward": MODELS[models]})
     traffic = Traffic(200)
     link = LinkEngine(settings, START, folder=tmp_path)
     released: list[Any] = []
     states: dict[int, bytes] = {}
     for place, message in enumerate(traffic.messages):
         if place == 100 and change is not None:
-            link.reconfigure(changed(link.settings, change), message[0])
+            link.reconfigure(link.settings.changed(change), message[0])
         if place % 40 == 20:
             states[place] = packed(link)
         released += give(link, [message])
@@ -130,7 +130,7 @@ def test_an_engine_goes_on_from_a_captured_state(tmp_path: Any, models: str, cha
         restore(Holder(other), state, traffic.find)
         assert give(other, traffic.messages[place:100]) == released[place:100]
         if place <= 100 and change is not None:
-            other.reconfigure(changed(other.settings, change), traffic.messages[100][0])
+            other.reconfigure(other.settings.changed(change), traffic.messages[100][0])
         assert give(other, traffic.messages[max(place, 100) :]) == released[max(place, 100) :]
         assert other.settings == link.settings
         assert other.forward.stats() == stats
@@ -139,12 +139,12 @@ def test_an_engine_goes_on_from_a_captured_state(tmp_path: Any, models: str, cha
 
 
 def test_a_message_that_waits_under_former_settings_has_no_form_until_it_has_gone() -> None:
-    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
     for seq in range(4):
         link.forward.submit(START, "teleop/forward", bytes(100), seq)
-    link.reconfigure(changed(link.settings, {"forward.delay_s": 0.001}), START)
+    link.reconfigure(link.settings.changed({"forward.delay_s": 0.001}), START)
     assert link.capture()
-    link.reconfigure(changed(link.settings, {"forward.order": "topic"}), START)
+    link.reconfigure(link.settings.changed({"forward.order": "topic"}), START)
     with pytest.raises(ValueError, match="a message on teleop/forward waits under an order or slots"):
         link.capture()
     link.forward.due(START + 10 * MS)
@@ -152,11 +152,11 @@ def test_a_message_that_waits_under_former_settings_has_no_form_until_it_has_gon
 
 
 def test_what_has_left_its_queue_at_a_change_is_decided_under_the_former_settings() -> None:
-    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
     for seq in range(4):
         link.forward.submit(START, "teleop/forward", bytes(100), seq)
     # the change is the first call since the last one has left, after 4 ms
-    link.reconfigure(changed(link.settings, {"forward.order": "topic"}), START + 10 * MS)
+    link.reconfigure(link.settings.changed({"forward.order": "topic"}), START + 10 * MS)
     assert link.capture()
     assert [fate.release_ns for fate in link.take_fates()] == [START + n * MS for n in (1, 2, 3, 4)]
 
@@ -164,18 +164,18 @@ def test_what_has_left_its_queue_at_a_change_is_decided_under_the_former_setting
 def test_the_state_has_the_names_of_what_is_in_flight_and_the_bytes_only_where_bits_were_flipped() -> None:
     for probability in (0.0, 1.0):
         tree = {"delay_s": 1.0, "corruption": {"probability": probability}}
-        link = LinkEngine(parse_settings({"forward": tree}), START)
+        link = LinkEngine(LinkSettings.of({"forward": tree}), START)
         give(link, [(START + seq, "teleop/forward", bytes(5000), seq, "a@b") for seq in range(10)])
         assert (len(packed(link)) > 50_000) == (probability == 1.0)
 
 
 def test_a_model_that_was_switched_off_starts_anew() -> None:
     """So a model is what the settings in force and the messages since then make of it, and a state can have all."""
-    link = LinkEngine(parse_settings({"forward": {"outage": {"schedule": [[0.0, 0.01]]}}}), START)
+    link = LinkEngine(LinkSettings.of({"forward": {"outage": {"schedule": [[0.0, 0.01]]}}}), START)
     assert not link.forward.submit(START + MS, "a", b"1", 0)
-    link.reconfigure(changed(link.settings, {"forward.outage.schedule": ""}), START + 20 * MS)
+    link.reconfigure(link.settings.changed({"forward.outage.schedule": ""}), START + 20 * MS)
     assert link.forward.submit(START + 21 * MS, "a", b"1", 1)
-    link.reconfigure(changed(link.settings, {"forward.outage.schedule": "0:0.01"}), START + 30 * MS)
+    link.reconfigure(link.settings.changed({"forward.outage.schedule": "0:0.01"}), START + 30 * MS)
     assert not link.forward.submit(START + 31 * MS, "a", b"1", 2)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telenano.link.config import Jitter, parse_settings
+from telenano.link.config import Jitter, LinkSettings
 from telenano.link.engine import fates_of
 from telenano.link.models.jitter import JitterSource, hyperexponential_quantile
 from telenano.link.profiles import PROFILES, Profile, profile_named
@@ -29,14 +29,14 @@ SPARSE = tuple(
 
 
 def fates(name, way, count, seed):
-    settings = parse_settings({"profile": name, "seed": seed})
+    settings = LinkSettings.of({"profile": name, "seed": seed})
     period_ns = 50_000_000 if name in SPARSE else 1_000_000
     return fates_of(settings, way, "teleop/forward", range(0, count * period_ns, period_ns), SIZE_BYTES)
 
 
 def deviation_by_stalls_ms(name, way, seconds):
     """Return the deviation of a mean delay that the number of log-normal stalls, and their lengths, may make."""
-    outage = getattr(parse_settings({"profile": name}), way).outage
+    outage = getattr(LinkSettings.of({"profile": name}), way).outage
     if outage.mode == "drop" or outage.mean_up_s is None:
         return 0.0
     # A stall of the length L adds L^2 / 2 to the integral of the delay.
@@ -46,7 +46,7 @@ def deviation_by_stalls_ms(name, way, seconds):
 
 def deviation_by_levels(name, way, seconds):
     """Return the deviation of a mean, in deviations of the delay, that comes of how long a level of it lasts."""
-    jitter = getattr(parse_settings({"profile": name}), way).jitter
+    jitter = getattr(LinkSettings.of({"profile": name}), way).jitter
     return math.sqrt(min(1.0, 2.0 * jitter.correlation_time_s * (1.0 - jitter.second_correlation_share) / seconds))
 
 
@@ -86,7 +86,7 @@ def test_a_network_says_where_it_is_from_and_its_file_is_checked(name):
     profile = PROFILES[name]
     assert profile.source or profile.assumed or name == "clean"
     assert set(profile.statistics) == set(DIRECTIONS)
-    link = parse_settings({"profile": name})
+    link = LinkSettings.of({"profile": name})
     assert link.forward.delay_s <= 1e-3 * (profile.statistics["forward"].mean_ms or 0.0) + 1e-9
     assert f"{NETWORK_DIRECTORY / name}.yaml" in profile_error(profile, name)
 
@@ -149,7 +149,7 @@ def drawn_by_itself(way):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_network_whose_messages_are_drawn_one_by_one_says_so_in_its_sentence(name):
-    way = parse_settings({"profile": name}).forward
+    way = LinkSettings.of({"profile": name}).forward
     says = "drawn by itself" in PROFILES[name].about or "no memory known" in PROFILES[name].about
     assert says or not drawn_by_itself(way)
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
-from telenano.link.config import parse_settings
+from telenano.link.config import LinkSettings
 from telenano.lockstep import link
-from telenano.lockstep.link import schedule_of
+from telenano.lockstep.link import Schedule
 from telenano.wire.errors import ConfigError
 
 PERIOD_S = 1e-3
 
 
 def test_constant_delay_is_half_the_round_trip_each_way() -> None:
-    schedule = schedule_of(symmetric_link(45.3e-3, 0.0, 0.0, 0), 100, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(45.3e-3, 0.0, 0.0, 0), 100, PERIOD_S)
     sent = np.arange(100) * 1_000_000
     assert (schedule.forward_ns == sent + 22_650_000).all()
     assert (schedule.backward_ns == sent + 45_300_000).all()
@@ -25,10 +25,10 @@ def test_constant_delay_is_half_the_round_trip_each_way() -> None:
 
 def test_constant_delay_is_what_the_engine_says() -> None:
     settings = symmetric_link(33.3e-3, 0.0, 0.0, 0)
-    quick = schedule_of(settings, 50, PERIOD_S)
+    quick = Schedule.of(settings, 50, PERIOD_S)
     # a jitter of no width changes nothing but the path taken
     slow = {"delay_s": 0.5 * 33.3e-3, "jitter": {"scale_s": 0.0, "distribution": "uniform"}}
-    engine = schedule_of(parse_settings({"forward": slow, "backward": slow}), 50, PERIOD_S)
+    engine = Schedule.of(LinkSettings.of({"forward": slow, "backward": slow}), 50, PERIOD_S)
     for name in ("forward_ns", "forward_of", "backward_ns", "backward_of"):
         assert (getattr(quick, name) == getattr(engine, name)).all()
 
@@ -36,18 +36,18 @@ def test_constant_delay_is_what_the_engine_says() -> None:
 @pytest.mark.parametrize("burst", [None, 8.0])
 def test_losses_over_a_constant_delay_are_what_the_engine_says(burst: float | None) -> None:
     settings = symmetric_link(33.3e-3, 0.0, 0.2, 4, burst)
-    quick = schedule_of(settings, 600, PERIOD_S)
+    quick = Schedule.of(settings, 600, PERIOD_S)
     document = settings.model_dump(exclude_unset=True)
     for way in ("forward", "backward"):
         document[way]["jitter"] = {"scale_s": 0.0, "distribution": "uniform"}
-    engine = schedule_of(parse_settings(document), 600, PERIOD_S)
+    engine = Schedule.of(LinkSettings.of(document), 600, PERIOD_S)
     assert 200 < len(quick.backward_ns) < 500
     for name in ("forward_ns", "forward_of", "backward_ns", "backward_of", "window"):
         assert np.array_equal(getattr(quick, name), getattr(engine, name))
 
 
 def test_readers_take_the_newest_only() -> None:
-    schedule = schedule_of(symmetric_link(20e-3, 8e-3, 0.2, 3), 2000, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(20e-3, 8e-3, 0.2, 3), 2000, PERIOD_S)
     for times, numbers in ((schedule.forward_ns, schedule.forward_of), (schedule.backward_ns, schedule.backward_of)):
         assert (np.diff(times) >= 0).all()
         assert (np.diff(numbers) > 0).all()
@@ -56,23 +56,23 @@ def test_readers_take_the_newest_only() -> None:
 
 
 def test_loss_is_binomial() -> None:
-    count = len(schedule_of(symmetric_link(10e-3, 0.0, 0.2, 1), 5_000, PERIOD_S).forward_ns)
+    count = len(Schedule.of(symmetric_link(10e-3, 0.0, 0.2, 1), 5_000, PERIOD_S).forward_ns)
     assert abs(count - 4_000) < 4.0 * np.sqrt(5_000 * 0.2 * 0.8)
 
 
 def test_bursts_lose_the_same_share_in_rows() -> None:
     ticks, loss, burst = 40_000, 0.2, 25.0
-    arrived = schedule_of(symmetric_link(10e-3, 0.0, loss, 1, burst), ticks, PERIOD_S).forward_of
+    arrived = Schedule.of(symmetric_link(10e-3, 0.0, loss, 1, burst), ticks, PERIOD_S).forward_of
     gaps = np.diff(arrived)
     rows = gaps[gaps > 1] - 1
     # about 320 rows whose lengths are geometric: the mean of so many is off by 6 % (one sigma)
     assert rows.mean() == pytest.approx(burst, rel=0.25, abs=0.0)
     assert 1.0 - len(arrived) / ticks == pytest.approx(loss, rel=0.3, abs=0.0)
-    assert len(schedule_of(symmetric_link(10e-3, 0.0, 1.0, 1, burst), 100, PERIOD_S).forward_ns) == 0
+    assert len(Schedule.of(symmetric_link(10e-3, 0.0, 1.0, 1, burst), 100, PERIOD_S).forward_ns) == 0
 
 
 def test_window_holds_all_that_is_in_flight() -> None:
-    schedule = schedule_of(symmetric_link(300e-3, 40e-3, 0.0, 1), 3000, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(300e-3, 40e-3, 0.0, 1), 3000, PERIOD_S)
     lag = schedule.forward_ns // 1_000_000 - schedule.forward_of
     assert schedule.window > lag.max()
     answered = np.searchsorted(schedule.forward_ns, schedule.backward_ns, side="right")
@@ -81,13 +81,13 @@ def test_window_holds_all_that_is_in_flight() -> None:
 
 
 def test_link_that_loses_all_has_no_arrivals() -> None:
-    schedule = schedule_of(symmetric_link(10e-3, 0.0, 1.0, 0), 100, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(10e-3, 0.0, 1.0, 0), 100, PERIOD_S)
     assert len(schedule.forward_ns) == len(schedule.backward_ns) == 0
 
 
 def test_corrupted_messages_are_refused_by_their_reader() -> None:
-    settings = parse_settings({"forward": {"corruption": {"probability": 0.5}}})
-    assert 300 < len(schedule_of(settings, 1000, PERIOD_S).forward_ns) < 700
+    settings = LinkSettings.of({"forward": {"corruption": {"probability": 0.5}}})
+    assert 300 < len(Schedule.of(settings, 1000, PERIOD_S).forward_ns) < 700
     assert link.FORWARD_TOPIC == "teleop/forward"
 
 
@@ -103,7 +103,7 @@ HELD = {"outage": {"mode": "hold", "schedule": [[0.05, 0.04]], "period_s": 0.1}}
 
 @pytest.mark.parametrize("settings", [SLOTS, HELD], ids=["slots", "held outage"])
 def test_what_the_link_lets_out_together_has_one_answer(settings: dict[str, Any]) -> None:
-    schedule = schedule_of(parse_settings({"forward": settings}), 1000, PERIOD_S)
+    schedule = Schedule.of(LinkSettings.of({"forward": settings}), 1000, PERIOD_S)
     times_ns = schedule.forward_ns
     together = np.flatnonzero(np.diff(times_ns) == 0)
     assert len(together) > 200

@@ -13,8 +13,7 @@ from telenano.afm.safety import MODE_FOLLOW
 from telenano.extend.laws import NO_SIGNAL, HandSample
 from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.lockstep import lockstep
-from telenano.lockstep.link import schedule_of
+from telenano.lockstep.link import Schedule
 
 PERIOD_S = 1e-3
 FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))
@@ -113,7 +112,7 @@ def test_same_seed_same_course_other_seed_other_course() -> None:
 
 def test_silent_link_lets_the_hand_go_and_retracts_the_tip() -> None:
     settings = symmetric_link(0.0, 0.0, 0.0, 0)
-    schedule = schedule_of(settings, 1500, PERIOD_S)
+    schedule = Schedule.of(settings, 1500, PERIOD_S)
     cut = schedule.forward_ns < 800_000_000
     dead = schedule._replace(
         forward_ns=schedule.forward_ns[cut],
@@ -122,7 +121,7 @@ def test_silent_link_lets_the_hand_go_and_retracts_the_tip() -> None:
         backward_of=schedule.backward_of[cut],
     )
     example = cell(environment="tip_sample")
-    course = lockstep.simulate(rig_of(example, example.hand_points()), dead, 300)
+    course = rig_of(example, example.hand_points()).run(dead, 300)
     assert course.hand_following[400]
     # 50 ms of silence, and the tick in which the hand learns of it
     assert not course.hand_following[553:].any()
@@ -142,6 +141,6 @@ def test_energies_are_the_work_at_the_device_and_at_the_base() -> None:
 
 def test_session_needs_ticks() -> None:
     example = cell()
-    schedule = schedule_of(symmetric_link(0.0, 0.0, 0.0, 0), 10, PERIOD_S)
+    schedule = Schedule.of(symmetric_link(0.0, 0.0, 0.0, 0), 10, PERIOD_S)
     with pytest.raises(ValueError, match="tick 10 of 10"):
-        lockstep.simulate(rig_of(example, example.hand_points()), schedule, 10)
+        rig_of(example, example.hand_points()).run(schedule, 10)

@@ -19,7 +19,7 @@ from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.log import StructuredLog
@@ -399,7 +399,7 @@ def test_a_recording_of_two_sites_is_played_on_one_machine_without_the_launcher_
         channel = writer.channel(topic, src, src.partition("@")[2])
         writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample(topic, 0, src=src)))
     writer.finish()
-    book = load_site(DEFAULT_SITE_FILE)
+    book = AddressBook.load(DEFAULT_SITE_FILE)
     plan = ReplayPlan(Recording(writer.path), book, Selection())
     assert plan.nodes == [HAND]
     assert [channel.topic for channel in plan.channels] == ["haptic/state"]

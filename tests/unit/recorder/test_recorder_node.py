@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 import zmq
-from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
+from recorder_samples import EPOCH_NS, NODE, haptic_state, session_control, teleop_forward
 
 from services.recorder.__main__ import begin, listeners
 from services.recorder.intake import Intake
@@ -511,12 +511,3 @@ def test_a_process_that_may_not_write_runs_and_says_so(site_file: Path, scenario
         process.terminate()
         process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-
-
-def test_a_sample_of_each_topic_can_be_recorded_and_decoded(config: RecorderConfig) -> None:
-    writer = RecordingWriter.create(NODE, config)
-    published = [(topic, sample(topic, 0)) for topic in TOPICS]
-    for topic, message in published:
-        writer.write(writer.channel(topic, message.src, "master"), EPOCH_NS, EPOCH_NS, 0, encode(message))
-    writer.finish()
-    assert [message.decode() for message in Recording(writer.path).messages()] == [message for _, message in published]

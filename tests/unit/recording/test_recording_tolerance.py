@@ -1,13 +1,13 @@
 import pytest
 
-from telenano.recording.tolerance import Tolerances, first_difference
+from telenano.recording.tolerance import Tolerances
 from telenano.wire.errors import ConfigError
 
 LEFT = {"seq": 1, "position_m": (0.0, 0.0, -1e-9), "mode": "follow", "data": {"a": 1}}
 
 
 def test_equal_messages_have_no_difference() -> None:
-    assert first_difference(LEFT, dict(LEFT), Tolerances()) is None
+    assert Tolerances().first_difference(LEFT, dict(LEFT)) is None
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_equal_messages_have_no_difference() -> None:
     ],
 )
 def test_the_first_differing_field_is_named(change: dict[str, object], field: str) -> None:
-    found = first_difference(LEFT, {**LEFT, **change}, Tolerances())
+    found = Tolerances().first_difference(LEFT, {**LEFT, **change})
     assert found is not None
     assert found.field == field
     assert field in found.text
@@ -32,14 +32,14 @@ def test_the_first_differing_field_is_named(change: dict[str, object], field: st
 
 def test_a_tolerance_holds_for_the_parts_of_its_field_only() -> None:
     moved = {**LEFT, "position_m": (0.0, 0.0, -1.1e-9)}
-    assert first_difference(LEFT, moved, Tolerances({"position_m": 1.01e-10})) is None
-    assert first_difference(LEFT, moved, Tolerances({"position_m.0": 1.0})) is not None
-    assert first_difference(LEFT, moved, Tolerances({"position_m": 0.99e-10})) is not None
-    assert first_difference(LEFT, {**LEFT, "mode": "hold"}, Tolerances({"*": 1.0})) is not None
+    assert Tolerances({"position_m": 1.01e-10}).first_difference(LEFT, moved) is None
+    assert Tolerances({"position_m.0": 1.0}).first_difference(LEFT, moved) is not None
+    assert Tolerances({"position_m": 0.99e-10}).first_difference(LEFT, moved) is not None
+    assert Tolerances({"*": 1.0}).first_difference(LEFT, {**LEFT, "mode": "hold"}) is not None
 
 
 def test_ignored_fields_are_left_out() -> None:
-    assert first_difference(LEFT, {**LEFT, "seq": 2}, Tolerances(), ("seq",)) is None
+    assert Tolerances().first_difference(LEFT, {**LEFT, "seq": 2}, ("seq",)) is None
 
 
 @pytest.mark.parametrize("text", ["force_n", "force_n=x", "=1", "force_n=-1", "force_n=nan"])

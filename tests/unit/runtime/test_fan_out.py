@@ -13,7 +13,7 @@ from recorder_samples import haptic_state
 
 from telenano.launcher.fan_out import endpoints_of, fan_out
 from telenano.launcher.plan import UpRequest, make_plan
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.fan_out import serve
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from telenano.runtime.wiring.observer import Observer
@@ -81,7 +81,7 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_an_observer_reads_by_it_where_it_is_and_else_at_the_node(
     base: Path, context: "zmq.Context[zmq.Socket[bytes]]", shared: bool
 ) -> None:
-    book = load_site(DEFAULT_SITE_FILE)
+    book = AddressBook.load(DEFAULT_SITE_FILE)
     endpoint = book.local_endpoint(HAND) or ""
     node = context.socket(zmq.XPUB)
     node.set(zmq.XPUB_VERBOSE, 1)

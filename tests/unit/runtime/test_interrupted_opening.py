@@ -16,7 +16,7 @@ OPENERS = {
     "messages of a recorder": "from telenano.console.live_recording import LiveRecording; make = LiveRecording",
     "console": """
 def make(book):
-    with open_participant("console@master", book) as participant:
+    with Participant.open("console@master", book) as participant:
         participant.bind("console@master")
         participant.subscribers(book.sources("console@master", ["session/event", "node/health"]))
 """,
@@ -25,7 +25,7 @@ def make(book):
 CODE = """
 import gc, sys
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.wiring.participant import open_participant
+from telenano.runtime.wiring.participant import Participant
 
 folder, every = sys.argv[1], int(sys.argv[2])
 nodes = ("haptic_node@master", "afm_node@slave", "delay_node@master", "delay_node@slave", "controller@master",

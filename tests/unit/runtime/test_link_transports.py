@@ -15,7 +15,7 @@ from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.bus import transports
-from telenano.runtime.bus.address_book import AddressBook, load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.wiring.participant import LinkEnds, Participant
 from telenano.settings import TWO_SITES_FILE, plugins
@@ -66,7 +66,7 @@ def site_file(folder: Path, more: dict[str, Any]) -> Path:
 def test_what_needs_the_package_is_refused_without_it_in_one_sentence(tmp_path: Path, key: str) -> None:
     path = site_file(tmp_path, ASKED[key])
     with pytest.raises(ConfigError) as refused:
-        load_site(path)
+        AddressBook.load(path)
     said = str(refused.value)
     assert said.startswith(f"{path}: {key}: ") and PACKAGE in said and "\n" not in said
 
@@ -77,13 +77,13 @@ def test_what_tcp_alone_can_do_needs_no_package_and_looks_for_none(
     tmp_path: Path, more: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(transports, "named", lambda name: pytest.fail(f"{name} is looked for"))
-    assert load_site(site_file(tmp_path, more)).link.transport in ("auto", "stream")
-    load_site(TWO_SITES_FILE)
+    assert AddressBook.load(site_file(tmp_path, more)).link.transport in ("auto", "stream")
+    AddressBook.load(TWO_SITES_FILE)
 
 
 @pytest.mark.parametrize("key", ASKED)
 def test_with_the_package_every_documented_key_is_read(tmp_path: Path, key: str) -> None:
-    load_site(site_file(tmp_path, ASKED[key]))
+    AddressBook.load(site_file(tmp_path, ASKED[key]))
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_a_key_that_is_wrong_is_named_with_its_file(
 ) -> None:
     path = site_file(tmp_path, {"link": link})
     with pytest.raises(ConfigError) as refused:
-        load_site(path)
+        AddressBook.load(path)
     assert all(word in str(refused.value) for word in (str(path), *words))
 
 
@@ -114,7 +114,7 @@ def test_a_rig_on_one_machine_may_say_what_it_likes_of_a_link_between_two(
     monkeypatch.setattr(transports, "named", lambda name: pytest.fail(f"{name} is looked for"))
     path = tmp_path / "site.yaml"
     path.write_text(json.dumps({"nodes": {"controller@slave": "ipc:///tmp/c"}, "relay": "198.51.100.7:5750"}))
-    load_site(path)
+    AddressBook.load(path)
 
 
 class Log(StructuredLog):
@@ -182,16 +182,16 @@ def test_a_transport_of_a_stranger_carries_the_samples_both_ways(tmp_path: Path)
 
 @pytest.mark.usefixtures("radio")
 def test_keys_of_a_stranger_are_checked_and_theirs_alone(tmp_path: Path) -> None:
-    load_site(site_file(tmp_path, {"link": {"transport": "my_radio", "port": 5799}}))
+    AddressBook.load(site_file(tmp_path, {"link": {"transport": "my_radio", "port": 5799}}))
     for link, words in (
         ({"transport": "my_radio"}, "link.port: is missing"),
         ({"transport": "my_radio", "port": 5799, "repeats": 1}, "link.repeats: unknown key"),
     ):
         with pytest.raises(ConfigError, match=words):
-            load_site(site_file(tmp_path, {"link": link}))
+            AddressBook.load(site_file(tmp_path, {"link": link}))
     relayed = {"link": {"transport": "my_radio", "port": 5799}, "relay": "198.51.100.7:5750"}
     with pytest.raises(ConfigError, match="relay: the transport 'my_radio' reaches no relay"):
-        load_site(site_file(tmp_path, relayed))
+        AddressBook.load(site_file(tmp_path, relayed))
 
 
 @pytest.mark.usefixtures("radio")

@@ -9,6 +9,7 @@ from recorder_samples import fields_of
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
+from telenano.runtime.loop.device_node import Parts, StepPart
 from telenano.wire.messages import SessionEvent
 from telenano.wire.sequence import Arrival, SequenceTracker
 
@@ -76,12 +77,34 @@ def test_the_age_of_a_device_is_the_mean_of_an_interval_and_absent_without_sampl
 
 def test_what_a_device_says_is_an_event_once(bench: Any) -> None:
     node = device_node(bench)
+    assert not node.is_lost
     bench.take("session/event")
     for status, text in (("ok", "ready"), ("ok", "ready"), ("lost", "unplugged"), ("lost", "unplugged")):
         node.process_report(SimpleNamespace(status=status, age_s=0.0, text=text))
     assert node.is_lost
     told = [(event.kind, event.level, event.text) for event in bench.take("session/event")]
     assert told == [("node", "info", "ready"), ("fault", "warning", "unplugged")]
+
+
+class First(StepPart[int, list[str]]):
+    def prepare(self, step: int, memory: list[str]) -> None:
+        memory.append(f"first {step}")
+
+
+class Second(StepPart[int, list[str]]):
+    def prepare(self, step: int, memory: list[str]) -> None:
+        memory.append(f"second {step}")
+
+    def report(self, step: int, memory: list[str]) -> None:
+        memory.append(f"report {step}")
+
+
+def test_the_parts_of_a_step_act_in_their_order_and_where_they_have_something_to_do() -> None:
+    memory: list[str] = []
+    parts = Parts([First(), Second()])
+    for step, call in enumerate((parts.prepare, parts.measure, parts.report)):
+        call(step, memory)
+    assert memory == ["first 0", "second 0", "report 2"]
 
 
 def filled(count: int, t_ns: int = 100 * SECOND_NS) -> SequenceTracker:

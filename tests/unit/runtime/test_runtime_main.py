@@ -16,7 +16,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 import services
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.main import EXIT_BAD_START, NodeKind, node_kind, ordinary, parse_arguments, run_node
@@ -192,7 +192,7 @@ def test_a_wrong_site_file_names_its_key(tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
     path.write_text("nodes: {afm_node@slave: 'tcp://{slave}:5501'}\n")
     with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* is not in `machines`"):
-        load_site(path)
+        AddressBook.load(path)
 
 
 class _AskedError(Exception):

@@ -14,7 +14,7 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import NullPublisher
 from telenano.runtime.loop.node import Node, NodeContext
-from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
+from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSignals
 from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.received import Received
@@ -68,7 +68,7 @@ class Idle(Node):
 
 def test_what_was_opened_is_closed_connections_first(book: AddressBook) -> None:
     order: list[str] = []
-    with open_participant(HAND, book) as participant:
+    with Participant.open(HAND, book) as participant:
         bus = participant.bus(["session/control", "haptic/command"])
         extra = participant.bind(LINK, zmq.XPUB)
         sockets = [subscriber.socket for subscriber in bus.subscribers]
@@ -78,15 +78,15 @@ def test_what_was_opened_is_closed_connections_first(book: AddressBook) -> None:
     assert sockets
     assert all(socket.closed for socket in [*sockets, extra.socket])
     # the endpoint is free again
-    with open_participant(HAND, book) as again:
+    with Participant.open(HAND, book) as again:
         again.bind(HAND)
 
 
 def test_an_endpoint_that_is_taken_leaves_nothing_open(book: AddressBook) -> None:
-    with open_participant(LINK, book) as holder:
+    with Participant.open(LINK, book) as holder:
         holder.bind(LINK)
         with pytest.raises(EndpointError, match=f"{LINK} is in use by process {os.getpid()}"), \
-                open_participant(HAND, book) as participant:  # fmt: skip
+                Participant.open(HAND, book) as participant:  # fmt: skip
             first = participant.bind(HAND)
             participant.bind(LINK)
         assert first.socket.closed
@@ -94,9 +94,9 @@ def test_an_endpoint_that_is_taken_leaves_nothing_open(book: AddressBook) -> Non
 
 def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: AddressBook) -> None:
     with pytest.raises(EndpointError, match="afm_node@slave is not in the site file"), \
-            open_participant("afm_node@slave", book):  # fmt: skip
+            Participant.open("afm_node@slave", book):  # fmt: skip
         pass
-    with open_participant(OBSERVER, book, publisher=False) as observer:
+    with Participant.observing(book) as observer:
         readers = observer.observe(lambda topic, node: topic == "haptic/state" and node.endswith("@master"))
         assert {node: reader.topics for node, reader in readers.items()} == {HAND: ["haptic/state"]}
         assert observer.observe(lambda topic, node: True, ["slave"]) == {}
@@ -105,7 +105,7 @@ def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: Addres
 def test_without_a_key_that_the_rig_needs_nothing_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
     locked = AddressBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}})
-    with pytest.raises(ConfigError, match="`telenano keys new master` creates one"), open_participant(HAND, locked):
+    with pytest.raises(ConfigError, match="`telenano keys new master` creates one"), Participant.open(HAND, locked):
         pass
 
 
@@ -115,17 +115,17 @@ def idle_of(participant: Participant, *, patient: bool = False) -> Idle:
 
 def test_a_signal_before_there_is_a_loop_stops_it(book: AddressBook, signals: StopSignals) -> None:
     signal.raise_signal(signal.SIGTERM)
-    with open_participant(HAND, book, signals.descriptor) as participant:
+    with Participant.open(HAND, book, signals.descriptor) as participant:
         bus = participant.bus(Idle.inputs)
         node = Idle(participant.context(bus))
-        run_loop(node, bus, signals, freeze=False)
+        signals.run(node, bus, freeze=False)
     assert node.log == ["interrupt", "safe"]
 
 
 def test_a_node_that_goes_on_after_a_signal_can_wait_again(book: AddressBook, signals: StopSignals) -> None:
     signal.raise_signal(signal.SIGINT)
     assert select.select([signals.descriptor], (), (), 0)[0]
-    with open_participant(HAND, book, signals.descriptor) as participant:
+    with Participant.open(HAND, book, signals.descriptor) as participant:
         node = idle_of(participant, patient=True)
         signals.interrupt(node)
         assert not select.select([signals.descriptor], (), (), 0)[0]
@@ -183,18 +183,18 @@ def private_book() -> AddressBook:
 def refusal_of(book: AddressBook, *, publisher: bool) -> str:
     with (
         pytest.raises(ConfigError) as caught,
-        open_participant(HAND if publisher else OBSERVER, book, publisher=publisher) as participant,
+        Participant.open(HAND if publisher else OBSERVER, book, publisher=publisher) as participant,
     ):
         participant.bind(HAND)
     return str(caught.value)
 
 
 def test_the_folder_of_sockets_is_made_for_this_user_alone(folder: Path, private_book: AddressBook) -> None:
-    with open_participant(OBSERVER, private_book, publisher=False):
+    with Participant.observing(private_book):
         assert not folder.exists()
     before = os.umask(0)
     try:
-        with open_participant(HAND, private_book) as participant:
+        with Participant.open(HAND, private_book) as participant:
             participant.bind(HAND)
             assert folder.stat().st_mode & 0o777 == 0o700
     finally:
@@ -242,7 +242,7 @@ def test_a_folder_that_somebody_makes_in_the_last_moment_is_refused(
         path.chmod(0o777)
         raise FileExistsError(17, "File exists")
 
-    with open_participant(HAND, private_book) as participant:
+    with Participant.open(HAND, private_book) as participant:
         monkeypatch.setattr(Path, "mkdir", too_late)
         with pytest.raises(ConfigError, match="other users can reach what is in it"):
             participant.bind(HAND)
@@ -253,5 +253,5 @@ def test_sockets_that_the_site_file_puts_elsewhere_are_its_own_affair(
 ) -> None:
     folder.mkdir(mode=0o777)
     tmp_path.chmod(0o755)
-    with open_participant(HAND, book) as participant:
+    with Participant.open(HAND, book) as participant:
         participant.bind(HAND)

@@ -11,7 +11,7 @@ from telenano.afm.disturbances import DisturbanceConfig, instrument_name
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings.config import flatten, merge, read_yaml, validate
 from telenano.settings.named_instruments import instrument_named, instrument_names, on_instrument
-from telenano.settings.scenario import scenario_of
+from telenano.settings.scenario import LoadedScenario
 from telenano.wire.errors import ConfigError
 
 AFM = "afm_node.disturbances"
@@ -129,11 +129,11 @@ def test_an_unknown_instrument_is_refused_with_what_was_meant() -> None:
         ConfigError,
         match=r"unknown instrument 'raal'; did you mean real\? Known are ideal, paper_bridge, real, real_drifting",
     ):
-        scenario_of(document, "here")
+        LoadedScenario.of(document, "here")
     with pytest.raises(ConfigError, match=r"instrument: Input should be a valid string"):
-        scenario_of({**document, "instrument": 3}, "here")
+        LoadedScenario.of({**document, "instrument": 3}, "here")
     # that of a recording may be from elsewhere, and its keys are in it
-    assert scenario_of(document, "a recording", is_whole=True).scenario.instrument == "raal"
+    assert LoadedScenario.of(document, "a recording", is_whole=True).scenario.instrument == "raal"
 
 
 def test_a_real_device_has_its_own_disturbances(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import dataclasses
 from typing import NamedTuple
 
 from telenano.settings import DeviceDriver
-from telenano.extend.laws import law_of
+from telenano.extend.laws import Law
 from telenano.extend import pass_through, virtual_impedance
 from telenano.extend.programs import Program
 from telenano.extend.samples import AfmSample, SampleModel
@@ -45,7 +45,7 @@ class LawConfig(virtual_impedance.ImpedanceConfig):
         return Params(self.impedance_params(period_s))
 
 LAW = dataclasses.replace(
-    law_of(virtual_impedance.__name__, LawConfig, slave=pass_through),
+    Law.of(virtual_impedance.__name__, LawConfig, slave=pass_through),
     name="law_config",
 )
 

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from telenano.settings.scenario import RealtimeConfig, Scenario, load_scenario
+from telenano.settings.scenario import LoadedScenario, RealtimeConfig, Scenario
 from telenano.wire.errors import ConfigError
 
 GOOD = """
@@ -31,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_scenario_and_its_sections(path: Path) -> None:
-    loaded = load_scenario(path)
+    loaded = LoadedScenario.load(path)
     assert (loaded.scenario.name, loaded.scenario.duration_s, loaded.origin) == ("fig12", 8.0, str(path))
     assert loaded.scenario.realtime == RealtimeConfig(scheduler="normal", memory_lock="off")
     assert loaded.section("afm_node", Section) == Section(gap_m=1e-8)
@@ -40,7 +40,7 @@ def test_a_scenario_and_its_sections(path: Path) -> None:
 
 def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO__AFM_NODE__AMBIENT", "false")
-    loaded = load_scenario(path, ["afm_node.gap_m=2e-8", "duration_s=1.5"])
+    loaded = LoadedScenario.load(path, ["afm_node.gap_m=2e-8", "duration_s=1.5"])
     assert loaded.section("afm_node", Section) == Section(gap_m=2e-8, ambient=False)
     assert loaded.scenario.duration_s == 1.5
     assert loaded.origin == f"{path} + environment + --set"
@@ -68,7 +68,7 @@ def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.M
 )
 def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        load_scenario(path, [flag])
+        LoadedScenario.load(path, [flag])
     assert str(caught.value).startswith(f"{path} + --set: {message}")
 
 
@@ -84,7 +84,7 @@ def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, message: str
     ],
 )
 def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, message: str) -> None:
-    loaded = load_scenario(path, [flag])
+    loaded = LoadedScenario.load(path, [flag])
     with pytest.raises(ConfigError) as caught:
         loaded.section("afm_node", Section)
     assert str(caught.value).startswith(f"{path} + --set: {message}")
@@ -92,7 +92,7 @@ def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, messa
 
 def test_a_missing_section_is_an_empty_one(path: Path) -> None:
     with pytest.raises(ConfigError, match=r"recorder\.gap_m: is missing"):
-        load_scenario(path).section("recorder", Section)
+        LoadedScenario.load(path).section("recorder", Section)
 
 
 def test_the_dynamic_cantilever_has_the_processor_of_the_slave_without_the_link() -> None:
@@ -124,7 +124,7 @@ class Period(BaseModel):
     ],
 )
 def test_one_key_has_the_rate_of_the_whole_loop(path: Path, flags: tuple[str, ...], period_s: float) -> None:
-    loaded = load_scenario(path, flags)
+    loaded = LoadedScenario.load(path, flags)
     assert loaded.scenario.period_s == period_s
     assert loaded.section("controller", Period).period_s == period_s
 
@@ -133,10 +133,10 @@ def test_one_key_has_the_rate_of_the_whole_loop(path: Path, flags: tuple[str, ..
 def test_two_keys_that_disagree_are_refused(path: Path, rate: str) -> None:
     flags = ["controller.period_s=0.0005", f"realtime.rate_hz={rate}"]
     with pytest.raises(ConfigError, match=r"controller\.period_s: 0\.0005 disagree: give realtime\.rate_hz alone"):
-        load_scenario(path, flags)
+        LoadedScenario.load(path, flags)
 
 
 @pytest.mark.parametrize("given", ["text", "true", "[1]", "-1.0", ".inf"])
 def test_a_period_that_is_none_is_left_to_its_own_section(path: Path, given: str) -> None:
-    loaded = load_scenario(path, [f"controller.period_s={given}", "realtime.rate_hz=500.0"])
+    loaded = LoadedScenario.load(path, [f"controller.period_s={given}", "realtime.rate_hz=500.0"])
     assert loaded.scenario.period_s == 0.002

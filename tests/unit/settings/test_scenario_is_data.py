@@ -31,7 +31,7 @@ from telenano.link.config import LinkSettings
 from telenano.link.pipeline import read_files
 from telenano.hand.config import HapticConfig
 from telenano.launcher.plan import UpRequest, make_plan
-from telenano.settings.scenario import load_scenario
+from telenano.settings.scenario import LoadedScenario
 
 now, ran, refused = [""], set(), set()
 
@@ -42,7 +42,7 @@ def heard(event, args):
 sys.addaudithook(heard)
 
 def start(path, folder):
-    loaded = load_scenario(path)
+    loaded = LoadedScenario.load(path)
     loaded.section("haptic_node", HapticConfig)
     link = loaded.section("delay_node", LinkSettings)
     for way in ("forward", "backward"):

@@ -18,11 +18,11 @@ from services.viz_node.live import LiveSource
 from services.viz_node.page_session import Session
 from telenano.console import RigHand
 from telenano.console.command_client import send_control
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import Command
 from telenano.runtime.wiring.observer import Observer
-from telenano.runtime.wiring.participant import open_participant
+from telenano.runtime.wiring.participant import Participant
 from telenano.serving.access import Role
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.codec import fields_of
@@ -41,7 +41,7 @@ def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def instrument() -> Iterator[ZmqPublisher]:
-    with open_participant(TIP, load_site(DEFAULT_SITE_FILE)) as participant:
+    with Participant.open(TIP, AddressBook.load(DEFAULT_SITE_FILE)) as participant:
         yield participant.bind(TIP)
 
 
@@ -68,7 +68,7 @@ def test_the_loop_is_subscribed_to_only_while_a_page_is_open(instrument: ZmqPubl
         instrument.publish("afm/state", **state)
         instrument.publish("session/event", **event)
 
-    with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
+    with closing(LiveSource(AddressBook.load(DEFAULT_SITE_FILE), "local")) as source:
         assert {seen.topic for seen in received(source, False, send)} == {"session/event"}
         assert {seen.topic for seen in received(source, True, send, wanted=20)} == {"session/event", "afm/state"}
         # what was sent before the page was closed may still be on the way
@@ -86,7 +86,7 @@ def test_what_is_no_message_is_left_out(instrument: ZmqPublisher) -> None:
             instrument.send("session/event", payload)
         instrument.publish("session/event", **event)
 
-    with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
+    with closing(LiveSource(AddressBook.load(DEFAULT_SITE_FILE), "local")) as source:
         assert all(seen.src == TIP for seen in received(source, True, send))
 
 
@@ -106,7 +106,7 @@ def scanline(line: int) -> dict[str, Any]:
 
 
 def test_an_image_reaches_a_page_line_by_line_and_whole_a_page_that_comes_later(instrument: ZmqPublisher) -> None:
-    with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
+    with closing(LiveSource(AddressBook.load(DEFAULT_SITE_FILE), "local")) as source:
         hub = Hub(source)
         page = hub.join(Role.OBSERVER)
         event = fields("session/event")
@@ -134,7 +134,7 @@ def lines_told(hub: Hub, page: Session) -> list[int]:
 
 
 def test_the_force_of_the_page_is_on_its_topic_along_the_axis_of_the_hand() -> None:
-    with closing(Observer(load_site(DEFAULT_SITE_FILE), ["operator/force"])) as observer:
+    with closing(Observer(AddressBook.load(DEFAULT_SITE_FILE), ["operator/force"])) as observer:
         hand = RigHand(DEFAULT_SITE_FILE)
         end = time.monotonic() + 10.0
         message: Any = None

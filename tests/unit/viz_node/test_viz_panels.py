@@ -10,9 +10,10 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
+from made_source import MadeSource
 from starlette.testclient import TestClient
 from test_viz_server import ACCESS as PAGES
-from test_viz_server import Page, Source
+from test_viz_server import Page
 
 from services.viz_node import feed, hub, server, source
 from services.viz_node.feed import Seen
@@ -100,14 +101,14 @@ def panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
 
 
 @pytest.fixture
-def rig(panel: Panel) -> tuple[Hub, Source, list[Any]]:
+def rig(panel: Panel) -> tuple[Hub, MadeSource, list[Any]]:
     sent: list[Any] = []
-    where = Source()
+    where = MadeSource()
     return Hub(where, open_hand=lambda: Outlet(sent)), where, sent
 
 
 @pytest.fixture
-def client(rig: tuple[Hub, Source, list[Any]]) -> Iterator[TestClient]:
+def client(rig: tuple[Hub, MadeSource, list[Any]]) -> Iterator[TestClient]:
     with TestClient(server.make_app(rig[0], ACCESS, None), client=("127.0.0.1", 5)) as found:
         yield found
 
@@ -134,7 +135,7 @@ def asked(page: Page, **values: Any) -> tuple[bool, str]:
 
 
 def test_pages_are_told_of_panels_and_of_their_topics_and_guests_of_neither(
-    rig: tuple[Hub, Source, list[Any]], client: TestClient
+    rig: tuple[Hub, MadeSource, list[Any]], client: TestClient
 ) -> None:
     with ExitStack() as stack:
         operator, guest = (Page(stack, client, token) for token in (ACCESS.operator_token, ACCESS.participant_token))
@@ -151,7 +152,7 @@ def test_pages_are_told_of_panels_and_of_their_topics_and_guests_of_neither(
 
 
 def test_a_desk_carries_out_what_its_page_asks_and_no_observer_asks(
-    rig: tuple[Hub, Source, list[Any]], client: TestClient
+    rig: tuple[Hub, MadeSource, list[Any]], client: TestClient
 ) -> None:
     with ExitStack() as stack:
         tokens = (ACCESS.operator_token, ACCESS.participant_token, ACCESS.observer_token)
@@ -182,7 +183,7 @@ def test_without_a_page_for_guests_their_token_shows_nothing(monkeypatch: pytest
     for module in (hub, feed, source):
         monkeypatch.setattr(module, "installed_panels", Panels)
     with (
-        TestClient(server.make_app(Hub(Source()), ACCESS, None), client=("127.0.0.1", 5)) as client,
+        TestClient(server.make_app(Hub(MadeSource()), ACCESS, None), client=("127.0.0.1", 5)) as client,
         ExitStack() as stack,
     ):
         assert (

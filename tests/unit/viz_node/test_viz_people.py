@@ -13,8 +13,9 @@ import pytest
 pytest.importorskip("starlette")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
-from test_viz_server import ACCESS, Page, Rig, command, until
+from test_viz_server import ACCESS, Page, Rig, command
 from typer.testing import CliRunner
+from waiting import until
 
 from services.viz_node import command as view_command
 from services.viz_node import hub as hubs

@@ -5,12 +5,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
 import msgpack
 import pytest
+from made_source import MadeSource
+from waiting import PATIENCE_S, until
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
@@ -24,7 +26,6 @@ from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_server import PageServer
 from services.viz_node.requests import PROTOCOL
-from services.viz_node.source import NoTransport
 from telenano.console import lease
 from telenano.serving import connections as limits
 from telenano.serving.access import Access
@@ -33,26 +34,17 @@ from telenano.serving.serve import LARGEST_FRAME, bind, make_server
 from telenano.wire.errors import EndpointError
 
 ACCESS = Access("operator-token-0123", "observer-token-0123")
-# far beyond what is expected: only keeps a broken server from holding the suite
-PATIENCE_S = 30.0
 
 
-class Source(NoTransport):
+class Source(MadeSource):
     """A rig that says something whenever it is asked."""
 
-    def __init__(self) -> None:
-        self.polled = 0
+    polled = 0
 
     def poll(self, *, watched: bool) -> list[Seen]:
         self.polled += 1
         fields = {"kind": "mode", "level": "info", "text": str(self.polled), "seq": self.polled, "data": {}}
         return [Seen("session/event", "afm_node@slave", 10**18 + self.polled, fields)]
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "test"}
-
-    def close(self) -> None:
-        pass
 
 
 @pytest.fixture
@@ -107,13 +99,6 @@ def test_huge_frames_disturb_no_page(address: str) -> None:
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1009, "the code of a message that is too big"
         assert is_told_on(page)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not condition() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert condition()
 
 
 # a page that holds control and presses, until it is killed

@@ -12,6 +12,10 @@ from typing import Any
 
 import msgpack
 import pytest
+from bus_page import ACCESS, HEADERS
+from bus_page import BusPage as Page
+from made_source import MadeSource
+from waiting import until
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
@@ -24,30 +28,9 @@ from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
-from services.viz_node.source import NoTransport
 from telenano.hand.operator_config import InteractiveConfig
-from telenano.serving.access import Access, Role
+from telenano.serving.access import Role
 from telenano.wire.errors import RigError
-
-ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
-HEADERS = {"origin": "http://testserver"}
-
-
-class Source(NoTransport):
-    """A rig of which each message is put in by hand."""
-
-    def __init__(self) -> None:
-        self.waiting: list[Seen] = []
-
-    def poll(self, *, watched: bool) -> list[Seen]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-    def about(self) -> Mapping[str, Any]:
-        return {"kind": "live", "name": "test"}
-
-    def close(self) -> None:
-        pass
 
 
 class Commander:
@@ -96,7 +79,7 @@ class Hand:
 
 class Rig:
     def __init__(self) -> None:
-        self.source, self.commander = Source(), Commander()
+        self.source, self.commander = MadeSource(), Commander()
         self.hand: list[Any] = []
         self.hub = Hub(self.source, self.commander, lambda: {"laws": ["wave"]}, lambda: Hand(self.hand))
 
@@ -118,28 +101,6 @@ def page(tmp_path: Path) -> Path:
 def client(rig: Rig, page: Path) -> Iterator[TestClient]:
     with TestClient(server.make_app(rig.hub, ACCESS, page), client=("127.0.0.1", 5)) as found:
         yield found
-
-
-class Page:
-    """A page as far as its web socket goes."""
-
-    def __init__(self, stack: ExitStack, client: TestClient, token: str = ACCESS.operator_token, **hello: Any) -> None:
-        self.socket = stack.enter_context(client.websocket_connect("/bus", headers=HEADERS))
-        self.send({"k": "hello", "token": token, "protocol": 1, **hello})
-
-    def send(self, fields: Mapping[str, Any]) -> None:
-        self.socket.send_bytes(msgpack.packb(fields))
-
-    def take(self, kind: str) -> dict[str, Any]:
-        """Return the next frame of a kind."""
-        while True:
-            frame: dict[str, Any] = msgpack.unpackb(self.socket.receive_bytes())
-            if frame["k"] == kind:
-                return frame
-
-    def ask(self, **fields: Any) -> dict[str, Any]:
-        self.send({"id": "a-1", **fields})
-        return self.take("answer")
 
 
 @pytest.fixture
@@ -487,13 +448,6 @@ def push(page: Page, force_n: float, held: bool = True) -> None:
     page.send({"k": "hand", "force_n": force_n, "held": held})
 
 
-def until(condition: Any) -> None:
-    end = time.monotonic() + 5.0
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.002)
-    assert condition()
-
-
 def changes(rig: Rig) -> list[float]:
     """Return the forces at the haptic node without their repetitions."""
     return [force for force, _ in groupby(rig.hand)]
@@ -718,7 +672,7 @@ class ShortDocument:
 
 
 def test_who_only_looks_may_read_in_a_recording(page: Path, stack: ExitStack) -> None:
-    hub = Hub(Source(), document=ShortDocument())
+    hub = Hub(MadeSource(), document=ShortDocument())
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     observer = Page(stack, client, ACCESS.observer_token)
     assert observer.ask(k="document")["found"]["length_s"] == 10.0
@@ -732,7 +686,7 @@ def test_a_running_rig_is_no_document(client: TestClient, stack: ExitStack) -> N
 
 def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack) -> None:
     document = ShortDocument()
-    hub = Hub(Source(), document=document)
+    hub = Hub(MadeSource(), document=document)
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     reader = Page(stack, client)
     document.held.clear()

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from makefile import makefile_words
 
-from telenano.runtime.bus.address_book import load_site
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import NodeKind, node_kind
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.included import SITE_DIRECTORY
@@ -166,17 +166,17 @@ def test_the_scenario_has_a_section_for_each_node() -> None:
 
 
 def test_the_local_site_has_every_node_that_is_not_optional() -> None:
-    assert {row.key for row in NODES if row.required} <= set(load_site(DEFAULT_SITE_FILE).nodes)
+    assert {row.key for row in NODES if row.required} <= set(AddressBook.load(DEFAULT_SITE_FILE).nodes)
 
 
 def test_two_sites_have_every_node_of_the_rig() -> None:
     rig = {row.key for row in NODES if row.part != "visitor"}
-    assert rig <= set(load_site(TWO_SITES_FILE).nodes)
+    assert rig <= set(AddressBook.load(TWO_SITES_FILE).nodes)
 
 
 @pytest.mark.parametrize("path", sorted(SITE_DIRECTORY.glob("*.yaml")), ids=lambda path: path.stem)
 def test_site_files_name_only_nodes_that_there_are(path: Path) -> None:
-    assert {node for node in load_site(path).nodes if node not in KEYS and not is_console(node)} == set()
+    assert {node for node in AddressBook.load(path).nodes if node not in KEYS and not is_console(node)} == set()
 
 
 def test_containers_are_the_nodes_of_the_rig() -> None:

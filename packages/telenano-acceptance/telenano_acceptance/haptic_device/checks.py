@@ -6,16 +6,7 @@ from typing import Any
 import numpy as np
 
 from telenano.extend.hands import Capabilities
-from telenano.hand import (
-    GATE_ACTIVE,
-    GATE_DEADMAN,
-    GATE_FROZEN,
-    GATE_JUMP,
-    GATE_NOT_A_NUMBER,
-    GATE_RUNAWAY,
-    GATES,
-    CouplingSettings,
-)
+from telenano.hand import CouplingSettings, Gate
 from telenano_acceptance.haptic_device.take import (
     AXES,
     LEVELS,
@@ -58,7 +49,7 @@ Check = Callable[[Take[Facts]], tuple[Result, str]]
 def _never(gate: int) -> Check:
     def check(take: Take[Facts]) -> tuple[Result, str]:
         times = take.rows["time_s"][take.rows["gate"] == gate]
-        return ("fail", f"at {times[0]:.2f} s: {GATES[gate]}") if len(times) else ("pass", "never")
+        return ("fail", f"at {times[0]:.2f} s: {Gate(gate).text}") if len(times) else ("pass", "never")
 
     return check
 
@@ -170,13 +161,13 @@ def _sign(step: str, axis: int) -> Check:
 def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
     rows = take.of("hold")
     # In the second half the stiffness is raised, and a swing of the coupling may run against the force as well.
-    if (rows["gate"][: len(rows) // 2] == GATE_RUNAWAY).any():
-        return "fail", GATES[GATE_RUNAWAY]
+    if (rows["gate"][: len(rows) // 2] == Gate.RUNAWAY).any():
+        return "fail", Gate.RUNAWAY.text
     wrong: list[str] = []
     good = True
     for axis, name in enumerate(AXES):
         pushed = rows["asked_n"][:, axis] > 0.0
-        engaged = pushed & (rows["gate"] == GATE_ACTIVE)
+        engaged = pushed & (rows["gate"] == Gate.ACTIVE)
         if engaged.sum() < 0.5 * max(1, pushed.sum()) or not pushed.any():
             return "retake", f"the device was not driven: {_why(rows)}"
         first = int(np.flatnonzero(pushed)[0])
@@ -188,8 +179,8 @@ def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
 
 
 def _why(rows: Rows) -> str:
-    gates, counts = np.unique(rows["gate"][rows["gate"] != GATE_ACTIVE], return_counts=True)
-    return GATES[int(gates[np.argmax(counts)])] if len(gates) else "no force was asked for"
+    gates, counts = np.unique(rows["gate"][rows["gate"] != Gate.ACTIVE], return_counts=True)
+    return Gate(int(gates[np.argmax(counts)])).text if len(gates) else "no force was asked for"
 
 
 def _force_scale(take: Take[Facts]) -> tuple[Result, str]:
@@ -197,7 +188,7 @@ def _force_scale(take: Take[Facts]) -> tuple[Result, str]:
     if not len(rows):
         return "cannot say", "no mass was hung at the handle (--mass)"
     late = rows[-len(rows) // 4 :]
-    if (late["gate"] != GATE_ACTIVE).any():
+    if (late["gate"] != Gate.ACTIVE).any():
         return "retake", f"the device was not driven: {_why(rows)}"
     wanted_n = take.facts.mass_kg * STANDARD_GRAVITY_M_PER_S2
     found_n = float(late["force_n"][:, 2].mean())
@@ -207,14 +198,14 @@ def _force_scale(take: Take[Facts]) -> tuple[Result, str]:
 def _stiffness(take: Take[Facts]) -> tuple[Result, str]:
     rows, best = take.of("hold"), 0.0
     rows = rows[len(rows) // 2 :]
-    swung = (rows["gate"] == GATE_RUNAWAY).any()
-    if (rows["gate"] == GATE_ACTIVE).mean() < 0.5 and not swung:
+    swung = (rows["gate"] == Gate.RUNAWAY).any()
+    if (rows["gate"] == Gate.ACTIVE).mean() < 0.5 and not swung:
         return "retake", f"the device was not driven: {_why(rows)}"
     for level in LEVELS:
         rows_of_level = rows[rows["level"] == level]
         if (
             _buzz_m(rows_of_level[len(rows_of_level) * 6 // 10 :]["place_m"][:, 2]) > BUZZ_M
-            or (rows_of_level["gate"] != GATE_ACTIVE).any()
+            or (rows_of_level["gate"] != Gate.ACTIVE).any()
         ):
             break
         best = level
@@ -271,8 +262,8 @@ def _deadman(take: Take[Facts]) -> tuple[Result, str]:
         return "retake", f"{take.facts.device.deadman} was not both held and let go"
     # a tenth of a second after it was let go there is no force, whatever it was
     late = np.convolve(~held, np.ones(101), mode="full")[: len(held)] >= 101
-    driven = rows["gate"][late] == GATE_ACTIVE
-    seen = bool((rows["gate"] == GATE_DEADMAN).any())
+    driven = rows["gate"][late] == Gate.ACTIVE
+    seen = bool((rows["gate"] == Gate.DEADMAN).any())
     return passes(seen and not driven.any()), "no force without it" if seen else "the device is driven without it"
 
 
@@ -318,14 +309,14 @@ def _stop(take: Take[Facts]) -> tuple[Result, str]:
 
 
 _CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
-    ("finite positions", _never(GATE_NOT_A_NUMBER), "no position that is not a number", ()),
+    ("finite positions", _never(Gate.NOT_A_NUMBER), "no position that is not a number", ()),
     ("rate", _rate, f"the declared rate within {100 * RATE_SHARE:.0f} %", ("slow",)),
     ("jitter", _jitter, f"at most {100 * LATE_SHARE:.0f} % of the steps more than half a period late", ("rest",)),
     ("age of samples", _age, f"{1e3 * AGE_S:.0f} ms at most in the median", ("rest",)),
     ("gaps", _gaps, f"no silence of more than {1e3 * GAP_S:.0f} ms but for the cable", ("rest",)),
     ("fresh positions", _fresh, "half of the samples new, or as many as the rate gives", ("fast",)),
-    ("no jumps", _never(GATE_JUMP), "no jump from one sample to the next that a hand cannot make", ()),
-    ("no frozen readings", _never(GATE_FROZEN), "a position that changes when the force changes", ("hold",)),
+    ("no jumps", _never(Gate.JUMP), "no jump from one sample to the next that a hand cannot make", ()),
+    ("no frozen readings", _never(Gate.FROZEN), "a position that changes when the force changes", ("hold",)),
     ("noise at rest", _noise, f"{1e6 * NOISE_M:.0f} um at most", ("rest",)),
     ("drift at rest", _drift, f"{1e6 * DRIFT_M:.0f} um at most", ("rest",)),
     ("resolution", _resolution, f"{1e6 * RESOLUTION_M:.0f} um at most", ("slow",)),

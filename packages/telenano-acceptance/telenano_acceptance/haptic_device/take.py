@@ -8,7 +8,7 @@ from typing import NamedTuple
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
 from telenano.extend.hands import Capabilities
-from telenano.hand import FAULTS, GATE_ACTIVE, STABLE_MARGIN, ZERO, CouplingSettings, Vector, bounds_of
+from telenano.hand import ZERO, CouplingSettings, Gate, Vector, bounds_of
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
@@ -79,7 +79,7 @@ class Facts(NamedTuple):
         return self.device.identity
 
     def tables(self) -> list[Table]:
-        sentence = bounds_of(self.settings, self.device, STABLE_MARGIN).sentence()
+        sentence = bounds_of(self.settings, self.device).sentence()
         text = (
             f"{sentence}. Set haptic_node.coupling.stiffness_n_per_m below the rendering stiffness that was found here,"
             " with a margin of your own."
@@ -182,8 +182,8 @@ class _Asker:
 
     def ask(self, name: str, share: float) -> tuple[float, Vector]:
         """Send the command for a place in a step; return the level of stiffness and the force that is asked for."""
-        engaged = name in ("hold", "mass", "button", "cable") and self._found.gate <= GATE_ACTIVE + 1
-        if self._found.gate in FAULTS:
+        engaged = name in ("hold", "mass", "button", "cable") and self._found.gate <= Gate.ACTIVE + 1
+        if Gate(self._found.gate).is_fault:
             # The refusal has been recorded; the rest of the minute is worth recording as well.
             self._arm_count += 1
         if not engaged:

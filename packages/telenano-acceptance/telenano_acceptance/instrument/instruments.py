@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.afm import AfmConfig
-from telenano.devices import TABLE, calibration_of_file, capabilities_of, driver_of
+from telenano.devices import AfmCapabilities, calibration_of_file, driver_of
 from telenano.extend.instruments import AfmDriver
 from telenano.settings import merge, validate
 from telenano.wire import ConfigError
@@ -47,10 +47,9 @@ def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:
 
 def _declared_hz(config: AfmConfig) -> float:
     """Return how often a new sample comes, as the driver of a section declares it [Hz]; ConfigError if it does not."""
-    capabilities = capabilities_of(config.driver)
+    capabilities = AfmCapabilities.of(config.driver)
     if capabilities is None:
-        reason = f"is not one of {', '.join(TABLE)}, and declares no capabilities"
-        raise ConfigError(f"afm_node.driver = {config.driver} {reason}: its package judges it")
+        raise ConfigError(f"afm_node.driver = {config.driver} declares no capabilities: its package judges it")
     return capabilities.sample_hz
 
 

@@ -93,12 +93,12 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
 
 
 def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from telenano.devices import SerialHandle, read_handle_calibration
+    from telenano.devices import HandleCalibration, SerialHandle
     from telenano_acceptance.handle.take import facts_of, record_take
 
     if port is None or calibration is None:
         raise ConfigError("serial: give the port of the handle by --port, and its calibration file by --calibration")
-    handle_calibration = read_handle_calibration(calibration)
+    handle_calibration = HandleCalibration.from_file(calibration)
 
     def record(guide: Guide) -> Take[Any]:
         run_ahead()

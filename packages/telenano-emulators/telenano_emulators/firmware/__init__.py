@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.files import is_own, is_own_path
+from telenano.files import is_own
 from telenano.signals import run as run_child
 from telenano.wire import TelenanoError
 
@@ -83,7 +83,7 @@ def compiled(
     cache = folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano"
     library = cache / f"{name}-{digest}.so"
     # A file that others can write or replace is not loaded, and the code is compiled again.
-    if library.exists() and is_own_path(library) and is_own(library.stat()):
+    if library.exists() and is_own(library):
         return library
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:

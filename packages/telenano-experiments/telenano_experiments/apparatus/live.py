@@ -17,9 +17,9 @@ from typing import Any, Literal
 from telenano.console import holding, recouple, send_control
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings, changed, network_name
+from telenano.link import LinkSettings
 from telenano.recording import Recording
-from telenano.runtime import Command, Observer, load_site
+from telenano.runtime import AddressBook, Command, Observer
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import (
     LINK,
@@ -250,7 +250,7 @@ class Live(Apparatus):
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
         self._kept, self._newest = kept, {}
         self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
-        self._observer = Observer(load_site(self._site_file), _REPORTS)
+        self._observer = Observer(AddressBook.load(self._site_file), _REPORTS)
         self._await_running(self._rig)
         self._command("stop", HAND)
         self.desk.attach(self._site_file)
@@ -259,7 +259,7 @@ class Live(Apparatus):
     def _await_running(self, rig: RigProcess) -> None:
         """Wait until the session of a new rig runs: its devices are armed and the hand's clock counts."""
         deadline_s = time.monotonic() + 4.0 * _PATIENCE_S
-        with closing(Observer(load_site(self._site_file), ("haptic/state",))) as observer:
+        with closing(Observer(AddressBook.load(self._site_file), ("haptic/state",))) as observer:
             while time.monotonic() < deadline_s:
                 rig.check()
                 for observed in observer.listen(_LISTEN_S):
@@ -356,7 +356,7 @@ class Live(Apparatus):
     def _states(self) -> dict[str, Any]:
         """Return the newest state of both devices."""
         states: dict[str, Any] = {}
-        with closing(Observer(load_site(self._site_file), ("haptic/state", "afm/state"))) as observer:
+        with closing(Observer(AddressBook.load(self._site_file), ("haptic/state", "afm/state"))) as observer:
             for observed in observer.listen(_PATIENCE_S):
                 states[observed.received.topic] = observed.received.message
                 if len(states) == 2:
@@ -406,7 +406,7 @@ class Live(Apparatus):
         """Wait until something has held of the hand for a while, at most for a time; return where it is then [m]."""
         since_ns: int | None = None
         place_m = 0.0
-        with closing(Observer(load_site(self._site_file), ("haptic/state",))) as observer:
+        with closing(Observer(AddressBook.load(self._site_file), ("haptic/state",))) as observer:
             for observed in observer.listen(most_s):
                 state = observed.received.message
                 if not isinstance(state, HapticState):
@@ -423,7 +423,7 @@ class Live(Apparatus):
     def _verified(self, wanted: Wanted) -> dict[str, Any]:
         """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
         expected = {way: of_way(wanted.link, way) for way in ("forward", "backward")}
-        network = network_name(changed(LinkSettings(), wanted.link))
+        network = LinkSettings().changed(wanted.link).network_name
 
         def link_is_set() -> bool:
             status = self._report("link/status", f"{LINK}@master")

@@ -13,7 +13,7 @@ from telenano.console import RigHand
 from telenano.hand import LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.lockstep import steering_force_n
-from telenano.runtime import OBSERVER, Participant, load_site, open_participant
+from telenano.runtime import AddressBook, Participant
 from telenano.wire import LINK, HapticState, RigError, TeleopBackward
 from telenano_experiments.nodes import HAND
 from telenano_experiments.operators import PRESSES
@@ -33,7 +33,7 @@ class PageHand:
     """
 
     def __init__(self, site_file: Path) -> None:
-        self._hand, self._book = RigHand(site_file), load_site(site_file)
+        self._hand, self._book = RigHand(site_file), AddressBook.load(site_file)
 
     def close(self) -> None:
         """Give the place up."""
@@ -58,7 +58,7 @@ class PageHand:
         def run() -> None:
             try:
                 # It listens while it pushes only, because what is not read would fill the queues of the nodes.
-                with open_participant(OBSERVER, self._book, publisher=False) as participant:
+                with Participant.observing(self._book) as participant:
                     self._push(over, _HandInputs(participant), steers(controller.period_s), controller, stylus)
             except Exception as error:  # noqa: BLE001
                 faults.append(error)

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 from telenano.afm import AfmConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings, flattened
-from telenano.settings import flatten, scenario_of
+from telenano.link import LinkSettings
+from telenano.settings import LoadedScenario, flatten
 from telenano.timing import DELAY_STEP_NS
 from telenano.wire import Scalar
 from telenano_experiments.plan import changes_while_running
@@ -28,7 +28,7 @@ class Wanted(NamedTuple):
 
 def section_of(document: Mapping[str, Any], name: str, model: Any) -> Any:
     """Return a section of a scenario as its model."""
-    loaded = scenario_of(document, "a trial")
+    loaded = LoadedScenario.of(document, "a trial")
     return loaded.section(name, model)
 
 
@@ -49,8 +49,8 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
     """
     law = flatten(section_of(document, "controller", ControllerConfig).model_dump(mode="json"))
     section = document.get("delay_node", {})
-    link = flattened(
-        section_of({**document, "delay_node": {"seed": seed, **section}}, "delay_node", LinkSettings), only_set=True
+    link = section_of({**document, "delay_node": {"seed": seed, **section}}, "delay_node", LinkSettings).flattened(
+        only_set=True
     )
     hand = document.get("haptic_node", {})
     operator = hand.get("operator", {})

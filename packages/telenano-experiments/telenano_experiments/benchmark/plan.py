@@ -16,7 +16,7 @@ from telenano_studies.loops.cells import Cell, Environment, sources
 from telenano_studies.option_values import disturbances_of
 
 from telenano.laws import LAWS
-from telenano.link import LinkSettings, parse_settings, profile_named
+from telenano.link import LinkSettings, profile_named
 from telenano.settings import Settings
 from telenano.wire import ConfigError, known_names
 
@@ -162,7 +162,7 @@ class Run(Settings):
     @property
     def link(self) -> LinkSettings:
         """The settings of the network with the run's seed."""
-        return parse_settings({"profile": self.network, "seed": self.seed}, f"network {self.network}")
+        return LinkSettings.of({"profile": self.network, "seed": self.seed}, f"network {self.network}")
 
     @property
     def sort_key(self) -> tuple[Any, ...]:

@@ -15,8 +15,7 @@ from telenano_studies.loops.sweep import Kind
 
 from telenano.afm import MODE_FOLLOW, MODE_HOLD
 from telenano.hand import HapticConfig
-from telenano.link import network_name
-from telenano.lockstep import Schedule, Series, Trajectory, build_rig, schedule_of, simulate
+from telenano.lockstep import Rig, Schedule, Series, Trajectory
 from telenano.settings import validate
 from telenano.wire import RigError
 from telenano_experiments.benchmark.etvo import Offsets, etvo
@@ -102,9 +101,9 @@ def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> 
     settle = settle_ticks(cell, controller.period_s)
     ticks = settle + max(1, round(end_s / controller.period_s))
     length_s = ticks * controller.period_s
-    rig = build_rig(controller, haptic, cell.disturbed_instrument(length_s), length_s)
+    rig = Rig.of(controller, haptic, cell.disturbed_instrument(length_s), length_s)
     schedule = _schedule(run.network, run.seed, _longest_ticks(run), rig.period_s)
-    return simulate(rig, schedule._replace(ticks=ticks), settle)
+    return rig.run(schedule._replace(ticks=ticks), settle)
 
 
 def _longest_ticks(run: Run) -> int:
@@ -121,7 +120,7 @@ def _longest_ticks(run: Run) -> int:
 @functools.lru_cache(maxsize=2)
 def _schedule(network: str, seed: int, ticks: int, period_s: float) -> Schedule:
     run = Run(task="touch", network=network, law="wave", hand="force", seed=seed)
-    return schedule_of(run.link, ticks, period_s)
+    return Schedule.of(run.link, ticks, period_s)
 
 
 def course_until(course: Trajectory, end_s: float) -> Trajectory:
@@ -232,7 +231,7 @@ def _check(run: Run) -> None:
 
 
 def _doubts(run: Run) -> str:
-    even = network_name(run.link) in _EVEN
+    even = run.link.network_name in _EVEN
     return run.cell.controller().stiffness_doubts(run.cell.felt_stiffness_n_per_m, even=even)
 
 

@@ -24,8 +24,8 @@ import numpy as np
 from telenano_studies.option_values import disturbances_of
 
 from telenano.analysis import wilson
-from telenano.link import parse_settings
-from telenano.lockstep import schedule_of
+from telenano.link import LinkSettings
+from telenano.lockstep import Schedule
 from telenano_experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_random
 from telenano_experiments.benchmark.results import HELD, digest_of
 from telenano_experiments.benchmark.run import course_of
@@ -109,8 +109,8 @@ def line_of(network: str) -> dict[str, float]:
 def _ages(network: str, seed: int) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Return at each period [ms] the age of the sample that the newest answer descends from."""
     ticks = round(_LINE_S / _PERIOD_S)
-    settings = parse_settings({"profile": network, "seed": seed}, f"network {network}")
-    schedule = schedule_of(settings, ticks, _PERIOD_S)
+    settings = LinkSettings.of({"profile": network, "seed": seed}, f"network {network}")
+    schedule = Schedule.of(settings, ticks, _PERIOD_S)
     now = np.arange(round(_BEGINNING_S / _PERIOD_S), ticks)
     newest = np.searchsorted(schedule.backward_ns, now * round(1e9 * _PERIOD_S), side="right") - 1
     return now[newest >= 0] - schedule.forward_of[schedule.backward_of[newest[newest >= 0]]]

@@ -17,37 +17,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from telenano.afm import (
-    MODE_FOLLOW,
-    MODE_HOLD,
-    SAMPLES,
-    AfmConfig,
-    AfmParams,
-    CantileverConfig,
-    DisturbanceConfig,
-    SafetyConfig,
-    noisy_params,
-    spring_params,
-)
+from telenano.afm import MODE_FOLLOW, MODE_HOLD, SAMPLES, AfmConfig, noisy_params
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
-from telenano.analysis import FactKind, judge_holds
-from telenano.extend.instruments import SafetyParams
 from telenano.hand import ARMS, HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
-from telenano.link import LinkSettings, parse_settings
-from telenano.lockstep import (
-    Rig,
-    Schedule,
-    Series,
-    Trajectory,
-    build_rig,
-    context_of,
-    instrument_of,
-    known_of,
-    schedule_of,
-    simulate,
-    time_to_place_s,
-)
+from telenano.link import LinkSettings
+from telenano.lockstep import Rig, Schedule, Series, Trajectory, holds_of, time_to_place_s
 from telenano.numerics import source_digest
 from telenano.settings import Option, Settings, merge, nested, validate
 from telenano.wire import ConfigError, RigError, known_names
@@ -96,12 +71,12 @@ _APPROACH_ROUND_TRIPS = 10.0
 _HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "tip_sample": 12.0}
 _HOLD_ROUND_TRIPS = 40.0
 # The instrument of every cell has these limits, and no further to go than from where they retract the tip.
-_LIMITS = SafetyParams(**SafetyConfig().model_dump())
+_LIMITS = AfmConfig().to_guard()
 # the first part of a hold is the answer to the step before it
 _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
 # A tip of which one of these is true came to rest, and not as the hand meant it to.
-WRONG_RESTS: tuple[FactKind, ...] = ("nothing_moved", "off_force", "struck")
+WRONG_RESTS: tuple[str, ...] = ("nothing_moved", "off_force", "struck")
 
 
 class Conditions(Settings):
@@ -230,18 +205,18 @@ class Cell(Conditions):
             before = level
         return tuple(points)
 
-    def instrument(self) -> AfmParams:
+    def instrument(self) -> Any:
         """Return the constants of what the tip meets; ConfigError for a body that cannot be simulated."""
         return _instrument(self.environment, self.stiffness_n_per_m, self.mass_kg, self.damping_n_s_per_m)
 
-    def disturbed_instrument(self, duration_s: float) -> AfmParams:
+    def disturbed_instrument(self, duration_s: float) -> Any:
         """Return the same with its disturbances, for a run of that length [s]; ConfigError names the key at fault."""
         instrument = self.instrument()
         if not self.disturbances:
             return instrument
         section = nested(dict(self.disturbances), "--disturb")
         # Link and instrument share one seed unless it is given.
-        config = validate(DisturbanceConfig, merge({"seed": self.seed}, section), "--disturb", "disturbances")
+        config = validate(AfmConfig, {"disturbances": merge({"seed": self.seed}, section)}, "--disturb").disturbances
         is_gauged = self.environment != "tip_sample"
         cantilever = _instrument("tip_sample", CANTILEVER_N_PER_M, 1.0, 0.0).plant if is_gauged else instrument.plant
         noisy = noisy_params(config, cantilever, duration_s, instrument.plant, is_gauged=is_gauged)
@@ -393,7 +368,7 @@ def course_of(
     ticks = settle + max(1, round(end_s / rig.period_s))
     if measured is not None:
         settings, folder = measured
-        schedule = schedule_of(settings, ticks, rig.period_s, folder, play_out=cell.play_out)
+        schedule = Schedule.of(settings, ticks, rig.period_s, folder, play_out=cell.play_out)
     elif cell.uneven is not None:
         round_trip_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
         schedule = uneven_schedule(round_trip_s, cell.uneven, 1e-3 * cell.uneven_ms, ticks, rig.period_s)
@@ -405,7 +380,7 @@ def course_of(
         jitter_s = cell.jitter_ms * 1e-3
         link = (delay_s, jitter_s, cell.loss, cell.seed, cell.burst)
         schedule = _schedule(link, ticks, rig.period_s, play_out=cell.play_out)
-    return simulate(rig, schedule, settle)
+    return rig.run(schedule, settle)
 
 
 def settle_s(cell: Cell) -> float:
@@ -423,13 +398,13 @@ def _schedule(
     link: tuple[float, float, float, int, float | None], ticks: int, period_s: float, *, play_out: bool
 ) -> Schedule:
     """Return the arrivals of a link; laws and hands are tried over the same one, and a random one takes its time."""
-    return schedule_of(symmetric_link(*link), ticks, period_s, play_out=play_out)
+    return Schedule.of(symmetric_link(*link), ticks, period_s, play_out=play_out)
 
 
 @functools.lru_cache(maxsize=16)
 def _network_schedule(network: str, seed: int, ticks: int, period_s: float, *, play_out: bool) -> Schedule:
     """Return the arrivals over a named network, with the draws of a seed."""
-    return schedule_of(parse_settings({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
+    return Schedule.of(LinkSettings.of({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:
@@ -441,14 +416,12 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     lost = (course.instrument_mode != MODE_FOLLOW) & (course.instrument_mode != MODE_HOLD)
     ended = int(np.argmax(lost)) if lost.any() else len(lost)
     force = scales.force_scale * course.tip_force_n
-    tip = instrument_of(course, scales.position_scale, knows_contact=cell.environment == "tip_sample")
-    deadlines_s = (SafetyConfig().command_deadline_s, LimitsConfig().command_deadline_s)
-    session_context = context_of(
-        course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s)
-    )
+    deadlines_s = (_LIMITS.command_deadline_s, LimitsConfig().command_deadline_s)
     late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
-    holds = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, session_context, (span,))
+    knows_contact = cell.environment == "tip_sample"
+    transit_s = cell.round_trip_s + controller.period_s
+    holds = holds_of(course, controller, transit_s, deadlines_s, (span,), knows_contact=knows_contact)
     judgement = _UNTOUCHED
     if holds:
         (found,) = holds
@@ -518,24 +491,24 @@ def _work(force_n: Series, position_m: Series) -> Series:
 
 
 @functools.lru_cache(maxsize=64)
-def _instrument(
-    environment: Environment, stiffness_n_per_m: float, mass_kg: float, damping_n_s_per_m: float
-) -> AfmParams:
+def _instrument(environment: Environment, stiffness_n_per_m: float, mass_kg: float, damping_n_s_per_m: float) -> Any:
     if environment == "tip_sample":
-        return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
+        return AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": stiffness_n_per_m}}).to_params()
     # The spring also pulls, so it is met at its rest position and not from a retracted base.
-    safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())
+    section: dict[str, Any] = {"environment": environment, "safety": {"retract_position_m": 0.0}}
     if environment in SAMPLES.found:
-        return AfmParams(safety, sample_config(environment, stiffness_n_per_m).to_params())
-    if environment == "body":
-        try:
-            body = body_params(stiffness_n_per_m, damping_n_s_per_m, mass_kg, CANTILEVER_N_PER_M, WALL_DISTANCE_M)
-        except ValueError as error:
-            raise ConfigError(f"--mass: {error}") from error
-        return AfmParams(safety, body)
-    if environment == "wall":
-        return AfmParams(safety, spring_params(stiffness_n_per_m, WALL_DISTANCE_M, False))
-    return AfmParams(safety, spring_params(stiffness_n_per_m, 0.0, True))
+        section[environment] = sample_config(environment, stiffness_n_per_m)
+        return AfmConfig.model_validate(section).to_sample_params()
+    rest_m = 0.0 if environment == "spring" else WALL_DISTANCE_M
+    spring = {"stiffness_n_per_m": stiffness_n_per_m, "rest_position_m": rest_m, "bilateral": environment == "spring"}
+    instrument = AfmConfig.model_validate({**section, "environment": "spring", "spring": spring}).to_spring_params()
+    if environment != "body":
+        return instrument
+    try:
+        body = body_params(stiffness_n_per_m, damping_n_s_per_m, mass_kg, CANTILEVER_N_PER_M, WALL_DISTANCE_M)
+    except ValueError as error:
+        raise ConfigError(f"--mass: {error}") from error
+    return instrument._replace(plant=body)
 
 
 def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
@@ -557,7 +530,7 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: f
         ConfigError: The rig cannot be built.
     """
     haptic = validate(HapticConfig, {"operator": cell.operator(hand_points)}, "--hand", "haptic_node")
-    return build_rig(cell.controller(), haptic, cell.disturbed_instrument(duration_s))
+    return Rig.of(cell.controller(), haptic, cell.disturbed_instrument(duration_s))
 
 
 @functools.lru_cache(maxsize=1)

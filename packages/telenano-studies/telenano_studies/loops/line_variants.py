@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from telenano.link import Outage, Outages, parse_settings, profile_named, stream
-from telenano.lockstep import Schedule, schedule_of, simulate
+from telenano.link import LinkSettings, Outages, profile_named, stream
+from telenano.lockstep import Schedule
 from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, rig_of, run_cell, settle_s, settle_ticks
 from telenano_studies.loops.network import CONTACT_N_PER_M
@@ -134,7 +134,8 @@ def _time_of_neighbours_s(jitter: Way, period_s: float) -> float:
 
 def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]:
     """Return the stalls of both ways together, (begin, length) [s], as the link's model of outages draws them."""
-    settings = Outage.model_validate({**outage, "mean_up_s": 0.5 * outage["mean_up_s"]})
+    forward = {"outage": {**outage, "mean_up_s": 0.5 * outage["mean_up_s"]}}
+    settings = LinkSettings.of({"forward": forward}).forward.outage
     model = Outages(settings, 0, stream(seed, "both ways", "outage"))
     stalls, end_ns = [], 0
     while end_ns < 1e9 * length_s:
@@ -230,16 +231,16 @@ def _results(
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         for one in variants(half_of(profile.link), period_s, seed, settle_s(cells[0]) + end_s + 1.0, folder):
-            settings = parse_settings({"seed": seed, "forward": one.forward, "backward": one.backward})
+            settings = LinkSettings.of({"seed": seed, "forward": one.forward, "backward": one.backward})
             schedule: Schedule | None = None
             for cell in cells:
                 rig = rig_of(cell, cell.hand_points())
                 settle = settle_ticks(cell, rig.period_s)
                 if schedule is None:
-                    schedule = schedule_of(settings, settle + round(end_s / rig.period_s), rig.period_s, folder)
+                    schedule = Schedule.of(settings, settle + round(end_s / rig.period_s), rig.period_s, folder)
                 yield (
                     (one.group, one.name, cell.law),
-                    run_cell(cell, functools.partial(simulate, rig, schedule, settle)),
+                    run_cell(cell, functools.partial(rig.run, schedule, settle)),
                 )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from telenano.hand import ARMS, DeviceConfig, closed_loop_coefficients
+from telenano.hand import ARMS, HapticConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.settings import Settings, merge, nested, validate
 from telenano.wire import ConfigError, known_names
@@ -235,7 +235,7 @@ class LinearLoop:
 
 
 def _device() -> Device:
-    return Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+    return Device(*HapticConfig().device.to_params().closed_loop_coefficients())
 
 
 def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_trip_s: float, hand: Hand) -> LinearLoop:

@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from telenano.link import LinkSettings, parse_settings
-from telenano.lockstep import Schedule, fresh, schedule_over
+from telenano.link import LinkSettings
+from telenano.lockstep import Schedule
 
 Times = npt.NDArray[np.int64]
 
@@ -40,9 +40,9 @@ def uneven_schedule(round_trip_s: float, kind: Uneven, size_s: float, ticks: int
     def crossed(sent_ns: Times) -> tuple[Times, Times]:
         released = uneven_ns(sent_ns, kind, size_ns) + one_way_ns
         order = np.argsort(released, kind="stable")
-        return fresh(released[order], order)
+        return Schedule.newest(released[order], order)
 
-    return schedule_over(crossed, crossed, ticks, period_ns)
+    return Schedule.over(crossed, crossed, ticks, period_ns)
 
 
 def direction_of(one_way_s: float, jitter_s: float, loss: float, burst: float | None = None) -> dict[str, object]:
@@ -76,4 +76,4 @@ def symmetric_link(
         ConfigError: A value is out of range; the message names its key.
     """
     direction = direction_of(0.5 * round_trip_s, jitter_s, loss, burst)
-    return parse_settings({"seed": seed, "forward": direction, "backward": direction})
+    return LinkSettings.of({"seed": seed, "forward": direction, "backward": direction})

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from telenano.link import LinkSettings, parse_settings
+from telenano.link import LinkSettings
 from telenano.wire import ConfigError
 from telenano_studies.loops.cells import Cell, CellResult, course_of, run_cell
 from telenano_studies.loops.tuning import tuned
@@ -44,7 +44,7 @@ def measured_network(folder: Path) -> MeasuredNetwork:
             f"{file}: is no result of `telenano link probe`: {error}; of a log of a line `telenano link fit` makes a"
             " network, which `study advise --network` takes"
         ) from error
-    return MeasuredNetwork(parse_settings(replay), folder, round_trip_ms, lost_share)
+    return MeasuredNetwork(LinkSettings.of(replay), folder, round_trip_ms, lost_share)
 
 
 def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, CellResult]]:

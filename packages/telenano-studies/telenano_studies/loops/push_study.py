@@ -11,18 +11,17 @@ import hashlib
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 from telenano_assembly import bench, carried_out, new_hand, push_of
 
-from telenano.afm import AfmConfig, initial_afm_state
+from telenano.afm import AfmConfig
 from telenano.analysis import wilson
 from telenano.hand import HapticConfig
 from telenano.laws import LAWS, ControllerConfig
-from telenano.lockstep import Rig, Schedule, build_rig, instrument_params, schedule_of, simulate, time_to_place_s
+from telenano.lockstep import Rig, Schedule, instrument_params, time_to_place_s
 from telenano.settings import Settings, validate
 from telenano.wire import ConfigError, known_names
 from telenano_studies.loops.cells import sources
@@ -103,13 +102,13 @@ def _rig(law: str) -> Rig:
     haptic = validate(HapticConfig, {"operator": {"kind": "force_profile", "points": points}}, "the hand")
     afm = validate(AfmConfig, bench({"places": [[0.0, 0.0]]}, _STIFFNESS_N_PER_M), "the instrument", "afm_node")
     controller = validate(ControllerConfig, {"law": law}, "--law", "controller")
-    return build_rig(controller, haptic, instrument_params(afm, "the instrument", 0.0))
+    return Rig.of(controller, haptic, instrument_params(afm, "the instrument", 0.0))
 
 
 @functools.lru_cache(maxsize=4)
 def _schedule(round_trip_s: float, loss: float, seed: int, ticks: int, period_s: float) -> Schedule:
     """Return the arrivals of a link; the laws are tried over the same one."""
-    return schedule_of(symmetric_link(round_trip_s, 0.0, loss, seed), ticks, period_s)
+    return Schedule.of(symmetric_link(round_trip_s, 0.0, loss, seed), ticks, period_s)
 
 
 def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
@@ -121,15 +120,14 @@ def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
     bearing, heading = random.uniform(-math.pi, math.pi, 2).tolist()
     place = 2.5 * push.d_m * np.array([math.cos(bearing), math.sin(bearing)])
     goal = place + WAY_M * np.array([math.cos(heading), math.sin(heading)])
-    instrument = rig.instrument._replace(plant=plant._replace(start=np.array([[*place.tolist(), 1.0]])))
-    rig = replace(rig, instrument=instrument, instrument_start=initial_afm_state(instrument))
-    settle = math.ceil(time_to_place_s(instrument.safety, round_trip_s) / period_s)
+    rig = rig.over(plant._replace(start=np.array([[*place.tolist(), 1.0]])))
+    settle = math.ceil(time_to_place_s(rig.instrument.safety, round_trip_s) / period_s)
     begins = round((_TOUCHED_S + 2.0 * round_trip_s) / period_s)
     ticks = settle + begins + round(longest_s / period_s)
     schedule = _schedule(round_trip_s, trial.loss, trial.seed if trial.loss else 0, ticks, period_s)
     push = push._replace(goal_m=(float(goal[0]), float(goal[1])), place_m=(float(place[0]), float(place[1])))
     hand = new_hand(push, random, begins, period_s)
-    simulate(rig, schedule, settle, hand)
+    rig.run(schedule, settle, hand)
     carried = carried_out(hand)
     return Outcome(
         trial,

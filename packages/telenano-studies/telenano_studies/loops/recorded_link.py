@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from telenano.lockstep import Schedule, fresh, schedule_over
+from telenano.lockstep import Schedule
 from telenano.recording import Recording, columns, last_force_profile
 from telenano.wire import RecordingError
 from telenano_studies.loops.links import Times
@@ -54,11 +54,13 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
 
     def answers(sent_ns: Times) -> tuple[Times, Times]:
         # there is one answer to forward messages that come together
-        times_ns, answered = fresh(backward_ns[is_recorded], np.searchsorted(sent_ns, forward_ns[place[is_recorded]]))
+        times_ns, answered = Schedule.newest(
+            backward_ns[is_recorded], np.searchsorted(sent_ns, forward_ns[place[is_recorded]])
+        )
         # an answer comes after its question
         return np.maximum(times_ns, sent_ns[answered]), answered
 
-    return schedule_over(lambda sent_ns: (forward_ns, forward_of), answers, ticks, period_ns)
+    return Schedule.over(lambda sent_ns: (forward_ns, forward_of), answers, ticks, period_ns)
 
 
 def _ticks(hand_ns: Times, stamps: Times, tick_of: Times) -> Times:
@@ -96,4 +98,4 @@ def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, T
 def _within(times_ns: Times, tick_of: Times, ticks: int) -> tuple[Times, Times]:
     """Return what belongs to the run and was not overtaken: readers take the newest sample only."""
     inside = (tick_of >= 0) & (tick_of < ticks)
-    return fresh(times_ns[inside], tick_of[inside])
+    return Schedule.newest(times_ns[inside], tick_of[inside])

@@ -32,10 +32,10 @@ import numpy.typing as npt
 import yaml
 
 from telenano.afm import SAMPLES, AfmConfig
-from telenano.analysis import lacks_of, read_session
+from telenano.analysis import Session
 from telenano.cli import EXIT_INCOMPLETE
 from telenano.launcher import run_session
-from telenano.lockstep import Trajectory, simulate
+from telenano.lockstep import Trajectory
 from telenano.recording import Recording, Timeline, columns, last_force_profile
 from telenano.wire import ConfigError, RecordingError, TelenanoError
 from telenano_studies.failed_session import reason_of
@@ -240,7 +240,7 @@ def over_recorded_link(cell: Cell, path: Path) -> Trajectory:
     rig = rig_of(cell, cell.hand_points())
     settle = settle_ticks(cell, rig.period_s)
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
-    return simulate(rig, recorded_schedule(path, settle, ticks, rig.period_s), settle)
+    return rig.run(recorded_schedule(path, settle, ticks, rig.period_s), settle)
 
 
 def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
@@ -318,10 +318,7 @@ def lacking_of(cell: Cell, path: Path) -> str:
 
     `read_course` repeats the last sample for every tick, so that a course does not show it.
     """
-    session = read_session(Recording(path))
-    series = session.series()
-    lacks = lacks_of(series.hand_time_s, series.tip_time_s, cell.hold_s(), session.context.answered_s)
-    return "; ".join(map(str, lacks))
+    return "; ".join(map(str, Session.of(Recording(path)).lacks(cell.hold_s())))
 
 
 def compare(

@@ -12,7 +12,7 @@ from telenano.afm import AfmConfig
 from telenano.cli import EXIT_INCOMPLETE
 from telenano.launcher import run_session
 from telenano.recording import Recording, columns
-from telenano.settings import find_scenario, load_scenario
+from telenano.settings import LoadedScenario, find_scenario
 from telenano.wire import RigError
 from telenano_studies.failed_session import reason_of
 
@@ -62,7 +62,7 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "telenano", "up", "--scenario", name, "--out", str(folder)]
     command += ["--overwrite", "--headless", "--json", "--no-view"]
-    duration_s = load_scenario(find_scenario(name)).scenario.duration_s
+    duration_s = LoadedScenario.load(find_scenario(name)).scenario.duration_s
     usual = round(duration_s + _USUAL_OVERHEAD_S)
     try:
         done = run_session(
@@ -84,7 +84,7 @@ def tactile_path(recording_file: Path) -> TactilePath:
         RigError: The tip never went along a line in contact.
     """
     recording = Recording(recording_file)
-    loaded = load_scenario(find_scenario("fig10"))
+    loaded = LoadedScenario.load(find_scenario("fig10"))
     config = loaded.section("afm_node", AfmConfig)
     controller: dict[str, Any] = loaded.scenario.controller
     tip = columns(recording, "afm/state", ("t_ns", "base_position_m.0", "base_position_m.1", "in_contact", "mode"))

@@ -2,12 +2,12 @@
 
 import math
 
-from telenano.hand import MotorParams, closed_loop_coefficients
+from telenano.hand import MotorParams
 
 
 def closed_loop_poles(params: MotorParams) -> tuple[complex, complex]:
     """Return the poles [rad/s] of M(s), Eq. 2, the slower one first (E1: -8.281 and -900.8 for the printed gain)."""
-    a2, b = closed_loop_coefficients(params)
+    a2, b = params.closed_loop_coefficients()
     discriminant = 0.25 * b * b - a2
     if discriminant < 0.0:
         w = math.sqrt(-discriminant)
@@ -19,7 +19,7 @@ def closed_loop_poles(params: MotorParams) -> tuple[complex, complex]:
 
 def bandwidth_hz(params: MotorParams) -> float:
     """Return the -3 dB bandwidth [Hz] of M(s), Eq. 2: |M(i w)|^2 = 1/2 (E1: 1.318 Hz for the printed gain)."""
-    a2, b = closed_loop_coefficients(params)
+    a2, b = params.closed_loop_coefficients()
     p = 2.0 * a2 - b * b
     root = math.hypot(p, 2.0 * a2)
     # Both forms are the positive root of w^4 - p w^2 - a^4 = 0; each is used where it does not cancel.

@@ -10,17 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from telenano import SimulatedSession, simulate
-from telenano.afm import (
-    AfmConfig,
-    MaugisDugdale,
-    TipSampleConfig,
-    damping_at,
-    felt_speed_m_per_s,
-    meniscus_force,
-    printed_meniscus_force,
-    pull_off,
-)
-from telenano.hand import DeviceConfig
+from telenano.afm import AfmConfig, MaugisDugdale, damping_at, felt_speed_m_per_s, printed_meniscus_force
+from telenano.hand import HapticConfig
 from telenano.laws import LAWS, impedance_scaled
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
@@ -38,8 +29,8 @@ class Row(NamedTuple):
 
 def device_rows() -> list[Row]:
     """Return poles and bandwidth of the haptic device (Eq. 1-2)."""
-    printed = DeviceConfig(preset="paper_gain").to_params()
-    ours = DeviceConfig().to_params()
+    printed = HapticConfig.model_validate({"device": {"preset": "paper_gain"}}).device.to_params()
+    ours = HapticConfig().device.to_params()
     slow, fast = (pole.real for pole in closed_loop_poles(printed))
     return [
         Row("slower pole with the printed G = 10 000", "Eq. 1-2, E1", slow, -8.281, "rad/s"),
@@ -52,14 +43,16 @@ def device_rows() -> list[Row]:
 def cantilever_rows() -> list[Row]:
     """Return mass and damping of the cantilever (Eq. 4), the Hamaker constant, and the meniscus both ways (Eq. 6)."""
     # a viscosity of 1 Pa s makes the coefficient visible; Table 2 has none
-    wet = AfmConfig(tip_sample=TipSampleConfig(liquid_viscosity_pa_s=1.0, sample_viscosity_pa_s=1.0)).to_dynamic()
+    wet = AfmConfig.model_validate(
+        {"tip_sample": {"liquid_viscosity_pa_s": 1.0, "sample_viscosity_pa_s": 1.0}}
+    ).to_dynamic()
     tip = AfmConfig().to_params().plant.tip
     width, a0 = tip.meniscus_width_m, tip.contact_distance_m
-    forming = meniscus_force(width, tip.capillary_force_n, width, a0)[0]
+    forming = tip.bridge(width)[0]
     printed = printed_meniscus_force(a0, True, tip.capillary_force_n, width, a0, 4e-9)[0]
     return [
         # expected of silica, water and mica, with 4, 0.37 and 1.35e-19 J
-        Row("Hamaker constant across water", "Eq. 5", TipSampleConfig().hamaker_j * 1e20, 18.861, "1e-20 J"),
+        Row("Hamaker constant across water", "Eq. 5", AfmConfig().tip_sample.hamaker_j * 1e20, 18.861, "1e-20 J"),
         Row("effective mass m", "Eq. 4", wet.mass_kg * 1e12, 45.032, "ng"),
         Row("damping 2 m b in air", "Eq. 4", wet.damping_kg_per_s * 1e9, 424.41, "nN s/m"),
         Row("damping in the middle of the liquid layer, for 1 Pa s", "Eq. 4, E2",
@@ -77,14 +70,14 @@ def contact_rows() -> list[Row]:
     published = ((0.1, -1.9506), (0.5, -1.7182), (1.0, -1.6007), (5.0, -1.5063))
     return [
         Row(f"pull-off for lambda = {value:g}, in pi omega R", "Eq. 7-11, E6",
-            pull_off(MaugisDugdale(value, 1.0, 1.0, 1.0))[0], expected, "")
+            MaugisDugdale(value, 1.0, 1.0, 1.0).pull_off()[0], expected, "")
         for value, expected in published
     ]  # fmt: skip
 
 
 def _servo_gain(frequency_hz: float) -> float:
     """Return |M| of the haptic device at a frequency (Eq. 2), from its poles."""
-    slow, fast = closed_loop_poles(DeviceConfig().to_params())
+    slow, fast = closed_loop_poles(HapticConfig().device.to_params())
     s = 2j * math.pi * frequency_hz
     return abs(slow * fast / ((s - slow) * (s - fast)))
 

@@ -11,20 +11,7 @@ from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
-from telenano.afm import (
-    AfmConfig,
-    branch_force,
-    cohesive_stress_pa,
-    contact_distance_m,
-    lennard_jones_force,
-    meniscus_force,
-    meniscus_radius_m,
-    minimum_distance_m,
-    pull_off,
-    reduced_modulus_pa,
-    table_force,
-    volts_per_m,
-)
+from telenano.afm import AfmConfig, cohesive_stress_pa, reduced_modulus_pa
 from telenano.files import atomic_file
 from telenano.settings import instrument_named
 from telenano.wire import RigError
@@ -76,35 +63,34 @@ class Value(NamedTuple):
 def equations() -> list[Value]:
     """Return what the equations give for Table 2, computed by the models, beside independently computed values."""
     config = AfmConfig()
-    t, c = config.tip_sample, config.cantilever
+    t = config.tip_sample
+    humid = AfmConfig.model_validate({"tip_sample": {"relative_humidity": 0.638}}).tip_sample
     tip = config.to_params().plant.tip
-    a0 = contact_distance_m(t.sigma_m)
-    least = minimum_distance_m(t.sigma_m)
+    a0 = tip.contact_distance_m
+    # the strongest attraction of Eq. 5
+    least = (8.0 / 60.0) ** (1.0 / 6.0) * t.sigma_m
     onset = tip.contact_onset_m
-    volts = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
+    volts = config.to_params().plant.volts_per_m
     modulus = reduced_modulus_pa(t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson)
 
-    def contact(indentation_m: float) -> tuple[float, float]:
-        return table_force(tip.table, indentation_m)
-
-    most_attractive_n, _ = pull_off(tip.table.contact)
+    most_attractive_n, _ = tip.table.contact.pull_off()
     rows = [
         ("read-out of the bridge", "Eq. 3", volts * 1e-6, 6.25, "mV/nm"),
         ("contact distance a0", "Eq. 5", a0 * 1e9, 0.197988, "nm"),
         ("strongest attraction without water", "Eq. 5",
-         lennard_jones_force(least, t.hamaker_j, t.tip_radius_m, t.sigma_m)[0] * 1e9, -3.797, "nN"),
+         tip.branch(least, contact=False, meniscus=False)[0] * 1e9, -3.797, "nN"),
         ("its distance", "Eq. 5", least * 1e9, 0.2494, "nm"),
         ("meniscus at a0", "Eq. 6, E3, E4",
-         meniscus_force(a0, tip.capillary_force_n, tip.meniscus_width_m, a0)[0] * 1e9, -9.173, "nN"),
-        ("meniscus radius at 63.8 % humidity", "Eq. 6", meniscus_radius_m(0.638) * 1e9, 1.2, "nm"),
+         tip.bridge(a0)[0] * 1e9, -9.173, "nN"),
+        ("meniscus radius at 63.8 % humidity", "Eq. 6", humid.effective_meniscus_radius_m * 1e9, 1.2, "nm"),
         ("reduced modulus E*", "Eq. 8", modulus * 1e-9, 4.31198, "GPa"),
         ("cohesive stress", "Eq. 8, E5", cohesive_stress_pa(t.work_of_adhesion_j_per_m2, a0) * 1e-9, 0.374568, "GPa"),
         ("transition parameter lambda", "Eq. 8", tip.table.contact.transition, 0.82538, ""),
         ("pull-off of the dry contact", "Eq. 7-11, E6", most_attractive_n * 1e9, -3.684, "nN"),
-        ("force without indentation", "Eq. 7-11", contact(0.0)[0] * 1e9, -3.225, "nN"),
+        ("force without indentation", "Eq. 7-11", tip.table.force(0.0)[0] * 1e9, -3.225, "nN"),
         ("hand-over distance h*", "Eq. 4, E7", onset * 1e9, 0.2735, "nm"),
-        ("force there", "Eq. 4, E7", branch_force(tip, onset, False, False)[0] * 1e9, -3.605, "nN"),
-        *((f"contact stiffness at {d:g} nm", "Eq. 7-11", contact(d * 1e-9)[1], k, "N/m")
+        ("force there", "Eq. 4, E7", tip.branch(onset, contact=False, meniscus=False)[0] * 1e9, -3.605, "nN"),
+        *((f"contact stiffness at {d:g} nm", "Eq. 7-11", tip.table.force(d * 1e-9)[1], k, "N/m")
           for d, k in ((0.0, 6.74), (0.2, 13.15), (0.5, 19.6), (1.0, 27.4), (2.0, 38.6))),
     ]  # fmt: skip
     others = [*device_rows(), *cantilever_rows(), *contact_rows(), *control_rows()]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import ON_SCREEN, FigureOptions, styled
+from telenano.analysis import FigureOptions
 from telenano.files import whole_results
 from telenano.wire import RigError
-from telenano_studies.figure_colours import VERDICTS
+from telenano_studies.figure_colours import ON_SCREEN, VERDICTS
 from telenano_studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_studies.loops.stability import LineResult
 from telenano_studies.loops.theory import hybrid_of, llewellyn
@@ -60,7 +60,7 @@ def write_stability(
 ) -> dict[str, Any]:
     """Write stability.png, tables, .json and .html into a folder and give the summary that the JSON file holds."""
     summary = summarise(results)
-    with styled(options):
+    with options.styled():
         figures = {"stability": map_figure(results), "growth": growth_figure(results)}
         if (ports := two_port_figure(results)) is not None:
             figures["two_ports"] = ports

@@ -420,7 +420,7 @@ class DatagramEnd:
     def _publish_report(self) -> None:
         sending = "datagram" if self.acknowledged else "stream"
         ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
-        parts = self.offset.estimate(), self.arrivals, self.outgoing, self.incoming.capacity
+        parts = self.offset, self.arrivals, self.outgoing, self.incoming.capacity
         report = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
         self._outlets.reports.publish("link/network", **report, refused=dict(self.rejected))
 

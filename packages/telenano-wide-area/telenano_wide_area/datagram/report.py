@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from telenano.timing import Offset, clock_report
+from telenano.timing import OffsetFilter
 from telenano.wire import Array
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
 from telenano_wide_area.datagram.outgoing import Outgoing
 
 
 def network_report(
-    ways: Mapping[str, str], offset: Offset | None, arrivals: ArrivalRecord, outgoing: Outgoing, capacity: int
+    ways: Mapping[str, str], offset: OffsetFilter, arrivals: ArrivalRecord, outgoing: Outgoing, capacity: int
 ) -> dict[str, Any]:
     """Return the fields of link/network for the direction that an end receives.
 
@@ -25,10 +25,11 @@ def network_report(
     """
     fates, queue_ns = arrivals.take_fates(), outgoing.line.take_back_ns()
     # The sender added the lead of the other clock to the time of sending.
-    ahead_ns = 0 if offset is None else round(offset.offset_s * 1e9)
+    clock = offset.report()
+    ahead_ns = round(clock.offset_s * 1e9)
     lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")
     raw_ns = np.array(fates.raw_ns, dtype="i8")
-    valid = offset is not None and bool((lost == 0).any())
+    valid = clock.valid and bool((lost == 0).any())
     delay_ns = np.where(lost == 0, np.maximum(raw_ns + ahead_ns, 0), 0) if valid else np.zeros_like(raw_ns)
     arrived_s = delay_ns[lost == 0] * 1e-9
     rows = {
@@ -58,6 +59,6 @@ def network_report(
         "delay_min_s": float(arrived_s.min()) if valid else 0.0,
         "delay_mean_s": float(arrived_s.mean()) if valid else 0.0,
         "delay_max_s": float(arrived_s.max()) if valid else 0.0,
-        "clock": clock_report(offset),
+        "clock": clock,
         **{name: Array.from_numpy(column) for name, column in rows.items()},
     }

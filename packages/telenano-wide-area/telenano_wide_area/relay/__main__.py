@@ -8,7 +8,7 @@ from collections.abc import Coroutine, Sequence
 from pathlib import Path
 from typing import Any
 
-from telenano.runtime import StructuredLog, load_site, run_beside
+from telenano.runtime import AddressBook, StructuredLog, run_beside
 from telenano_wide_area.relay.site_end import site_end
 
 
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the end of a site until it is stopped; return the exit code, 2 where it could not start."""
 
     def serve(site_file: Path, site: str, log: StructuredLog) -> None:
-        asyncio.run(until_stopped(site_end(load_site(site_file), site, log).run()))
+        asyncio.run(until_stopped(site_end(AddressBook.load(site_file), site, log).run()))
 
     return run_beside("relay", serve, arguments)
 

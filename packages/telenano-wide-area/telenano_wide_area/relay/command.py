@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from telenano.cli import SiteFileOption, report_errors
-from telenano.runtime import AccessControl, Keyring, StructuredLog, beside_the_loop, load_site
+from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog, beside_the_loop
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import ConfigError
 from telenano_wide_area.relay.__main__ import until_stopped
@@ -42,7 +42,7 @@ def relay(
         if join is not None:
             if join not in ("master", "slave"):
                 raise ConfigError(f"--join: {join} is no site, must be master or slave")
-            work = site_end(load_site(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
+            work = site_end(AddressBook.load(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
         else:
             work = _serve(listen, mbit_per_s)
         asyncio.run(until_stopped(work))
