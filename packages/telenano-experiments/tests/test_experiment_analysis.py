@@ -256,7 +256,7 @@ def test_what_cannot_be_analysed_is_said() -> None:
         analyse(tidy([]))
     with pytest.raises(ConfigError, match=r"measure completion_tine_s: did you mean completion_time_s. Known are "):
         analyse(tidy(demo(1)), Choice(measures=("completion_tine_s",)))
-    with pytest.raises(ConfigError, match="correction holms: known are holm"):
+    with pytest.raises(ConfigError, match=r"correction holms: did you mean holm\? Known are holm"):
         analyse(tidy(demo(1)), Choice(correction="holms"))
     with pytest.raises(ConfigError, match="thresholds need a measure or an answer named `correct`"):
         analyse(tidy(demo(1)), adaptive={"delay_ms": {}})

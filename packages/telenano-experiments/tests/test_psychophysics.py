@@ -280,7 +280,7 @@ def tracked(method: str, number: int) -> Any:
 def test_a_wide_interval_is_named_beside_its_threshold() -> None:
     """A staircase of 12 reversals mostly leaves more than half of its threshold to either side, QUEST+ less often."""
     little = {
-        method: sum("this track tells little" in tracked(method, number).note for number in range(20))
+        method: sum("this track bounds the threshold poorly" in tracked(method, number).note for number in range(20))
         for method in ("2 down, ratios", "QUEST+ 40")
     }
     assert little["QUEST+ 40"] < little["2 down, ratios"]

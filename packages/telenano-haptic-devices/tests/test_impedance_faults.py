@@ -218,7 +218,7 @@ def test_device_that_is_another_when_it_is_back_is_refused(kind: str, tmp_path: 
     bench.at(0.5, lambda: bench.device.do("plugged", False))
     bench.at(0.6, lambda: bench.device.do("plugged"))
     bench.run(2.5)
-    assert any("and it was another one: restart the node" in error for error in bench.errors)
+    assert any("is connected instead of another one: restart the node" in error for error in bench.errors)
     assert bench.greatest_n(1.0, 2.5) == 0.0
 
 

@@ -143,7 +143,7 @@ def test_a_second_study_that_waits_says_for_what(
         other.cancel(busy)
     (text,) = heard
     said = f"--scheduler {cluster.address}: its workers first finish "
-    assert re.fullmatch(re.escape(said) + "[12] now", text)
+    assert re.fullmatch(re.escape(said) + "[12] tasks of other programs", text)
 
 
 def test_a_stranger_who_reaches_the_port_runs_what_he_likes(cluster: Cluster) -> None:

@@ -295,7 +295,10 @@ def test_a_law_that_the_instrument_is_too_slow_for_is_refused_live_in_the_words_
     [
         ({}, "needs parameters"),
         ({"virtual_impedance.force_gain": -1.0}, "controller.virtual_impedance.force_gain"),
-        ({"virtual_impedance.fource_gain": 1.0}, "fource_gain: unknown key, known are position_scale"),
+        (
+            {"virtual_impedance.fource_gain": 1.0},
+            "fource_gain: unknown key, did you mean force_gain. Known are position_scale",
+        ),
         ({"virtual_impedance.mass_kg": "heavy"}, "controller.virtual_impedance.mass_kg"),
         ({"period_s": 0.01}, "period_s cannot be changed"),
     ],

@@ -101,7 +101,7 @@ def test_age_is_that_of_the_sample(line: Line) -> None:
 
 
 def test_modes_that_the_device_has_not_are_refused(line: Line) -> None:
-    with pytest.raises(DeviceError, match="no mode force"):
+    with pytest.raises(DeviceError, match="cannot be driven in mode force"):
         line.driver.write(DriveCommand(MODE_FORCE, 0.0, 1.0))
 
 

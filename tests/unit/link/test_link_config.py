@@ -24,7 +24,7 @@ REPOSITORY = Path(__file__).parents[3]
         ({"forward.delay_s": float("nan")}, "forward.delay_s", "finite"),
         ({"forward.delay_s": "20 ms"}, "forward.delay_s", "valid number"),
         ({"backward.loss.probability": 1.5}, "backward.loss.probability", "(allowed is from 0 to 1), got 1.5"),
-        ({"backward.los": 0.1}, "backward.los", "known are delay_s, jitter"),
+        ({"backward.los": 0.1}, "backward.los", "did you mean loss? Known are delay_s, jitter"),
         ({"backward.loss": 0.1}, "backward.loss", "should be an object, got 0.1"),
         ({"forward.topics.afm/state.jitter.sd": 1}, "forward.topics.afm/state.jitter.sd", "known are scale_s"),
         ({"profile": "mars"}, "profile", "'mars'; known are clean, 4g, 5g, att_driving"),

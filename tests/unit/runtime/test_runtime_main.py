@@ -123,7 +123,7 @@ def test_a_node_runs_until_it_is_stopped(arguments: list[str], capfd: pytest.Cap
             ["--set", "controller.gain=11.0"],
             "controller.gain: Input should be less than or equal to 10 (allowed is from above 0 to 10), got 11.0",
         ),
-        (["--set", "controller.gian=1.0"], "controller.gian: unknown key, known are gain"),
+        (["--set", "controller.gian=1.0"], "controller.gian: unknown key, did you mean gain? Known are gain"),
         (["--set", "gain"], "--set gain: is not of the form section.key=value"),
         (["--scenario", "/nowhere/fig12.yaml"], "/nowhere/fig12.yaml: cannot be read: No such file or directory"),
         (["--site-file", "/nowhere/site.yaml"], "/nowhere/site.yaml: cannot be read: No such file or directory"),

@@ -359,7 +359,7 @@ def test_the_list_is_replaced_whole_and_leaves_nothing_beside_it(
     [
         ("[]", "contains a list, must contain a mapping of keys"),
         ("keys: [", "is not valid YAML"),
-        ("kesy: []", "kesy: unknown key, known are keys"),
+        ("kesy: []", "kesy: unknown key, did you mean keys? Known are keys"),
         ("keys: {}", "keys: Input should be a valid array"),
         ("keys: [{name: slave}]", "keys.0.public_key: is missing"),
         (f"keys: [{{name: slave, public_key: '{KEY}', roles: [read]}}]", "keys.0.roles.0: Input should be 'data'"),

@@ -166,13 +166,13 @@ def _short(trials: int) -> str:
 def _little(level: float, low: float | None, high: float | None) -> str:
     """Say that a track tells little, where its interval is wide beside its threshold, or open."""
     if low is None or high is None:
-        return "this track determines no interval: the answers do not bound the threshold at both ends; run more trials"
+        return "this track bounds the threshold poorly: the answers leave an end open; run more trials"
     share = 0.5 * (high - low) / abs(level) if level else math.inf
     if share <= _LITTLE_SHARE:
         return ""
     return (
-        f"the interval of this track is wide, the threshold within {100.0 * share:.0f} %; more trials, or QUEST+,"
-        " make it narrower"
+        f"this track bounds the threshold poorly: its interval is the threshold within {100.0 * share:.0f} %; "
+        "more trials, or QUEST+, make it narrower"
     )
 
 
