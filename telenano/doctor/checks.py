@@ -155,7 +155,10 @@ def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: b
     if runtime_us == "0":
         advice = "run `sudo sysctl -w kernel.sched_rt_runtime_us=950000`"
     elif container:
-        advice = "give the container `ulimits: {rtprio: 99}`, and `cap_add: [SYS_NICE]` where it runs as root"
+        advice = (
+            "give the container `ulimits: {rtprio: 99}` (RTPRIO=99 in .env of the compose files), and "
+            "`cap_add: [SYS_NICE]` where it runs as root"
+        )
     else:
         advice = "run as root, or put `USER - rtprio 99` into /etc/security/limits.d/telenano.conf and log in again"
     return Finding("SCHED_FIFO", "warning", f"not permitted ({refused}), loops run late under load; {kernel}", advice)

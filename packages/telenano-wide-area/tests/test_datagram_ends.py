@@ -678,8 +678,10 @@ def test_an_end_holds_what_arrives_until_its_time() -> None:
         assert len(slave.received) > before
         assert slave.seqs == sorted(slave.seqs)
         assert slave.end.due_ns > slave.clock.monotonic_ns()
-        held = len(slave.end._held)
+        held = slave.end.held
+        assert held is not None
+        waiting_ns = held.due_ns
         slave.clock.advance_ns(10 * STEP_NS)
         slave.take()
-        assert slave.end._held == [] or len(slave.end._held) < held
+        assert held.due_ns > waiting_ns
         assert slave.seqs[-1] == ends.master.seq - 1

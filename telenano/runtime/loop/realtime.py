@@ -276,7 +276,7 @@ def _set_fifo(config: RealtimeConfig, log: StructuredLog, priority: int) -> bool
             ) from error
         log.warning(
             "SCHED_FIFO is not permitted, the loop may run late under load: run as root, "
-            "raise `ulimit -r`, or give a container `ulimits: {rtprio: 99}`"
+            "raise `ulimit -r`, or give a container `ulimits: {rtprio: 99}` (RTPRIO=99 in .env of the compose files)"
         )
         return False
     return True

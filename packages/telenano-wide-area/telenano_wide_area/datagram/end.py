@@ -7,15 +7,14 @@ The loop of the node calls it like a subscriber; nothing here runs in a thread, 
 
 import contextlib
 import errno
-import heapq
-import itertools
 import socket
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal, cast
 
 from telenano.runtime import ConnectionEvent, Subscriber
-from telenano.timing import NEVER_NS, Clock, Exchange, OffsetFilter, PlayOut
+from telenano.timing import NEVER_NS, Clock, Exchange, OffsetFilter
 from telenano.wire import LinkKey, Message, Received
 from telenano_wide_area.datagram.agreement import Agreement
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
@@ -26,11 +25,11 @@ from telenano_wide_area.datagram.body import (
     REPORT,
     SHORT_REPORT,
     Body,
-    Report,
     mark,
     parse,
     short_report,
 )
+from telenano_wide_area.datagram.held_samples import HeldSamples
 from telenano_wide_area.datagram.incoming import Incoming
 from telenano_wide_area.datagram.outgoing import Outgoing
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES, Repeats
@@ -81,6 +80,19 @@ _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
 
 
+def _bound_socket(place: Place) -> socket.socket:
+    """Return the socket of an end; OSError where it cannot be bound."""
+    bound = socket.socket(place.family, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        bound.bind(place.bind)
+    except OSError:
+        bound.close()
+        raise
+    return bound
+
+
 class DatagramEnd:
     """The datagrams of one process; the other end runs on `machine`."""
 
@@ -128,9 +140,7 @@ class DatagramEnd:
         self.arrivals = ArrivalRecord()
         # when the next sample of the play-out buffer is due, on the monotonic clock
         self.due_ns = NEVER_NS
-        self._play_out = PlayOut() if settings.play_out else None
-        self._held: list[tuple[int, int, list[bytes]]] = []
-        self._order = itertools.count()
+        self.held = HeldSamples() if settings.play_out else None
         self.outgoing = Outgoing(settings, now)
         self.incoming = Incoming(machine)
         self.offset = OffsetFilter(_CLOCK_WINDOW)
@@ -153,8 +163,7 @@ class DatagramEnd:
         # Losses of what is received, over the time of some reports.
         self._losses = Repeats(None)
         self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
-        self._recent: list[bytes] = [b""] * _REMEMBERED
-        self._recent_place = 0
+        self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
         # The newest datagram that arrived: its own time of sending, and when it came.
         self._heard = (0, 0)
         self._turned_ns, self._behind_until_ns = now, 0
@@ -174,14 +183,7 @@ class DatagramEnd:
         self._known = 0
         # How many trains are still to be sent at the start.
         self._trains = _TRAINS
-        self.socket = socket.socket(place.family, socket.SOCK_DGRAM)
-        try:
-            self.socket.setblocking(False)
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-            self.socket.bind(place.bind)
-        except OSError:
-            self.socket.close()
-            raise
+        self.socket = _bound_socket(place)
         self.descriptor = self.socket.fileno()
         if self._relay is not None:
             self._relay.send = self._send_plain
@@ -258,13 +260,14 @@ class DatagramEnd:
             waiting = self._take()
             if self.drained:
                 self._behind_until_ns = 0
-            if waiting and self._play_out is None:
+            if waiting and self.held is None:
                 received = self.subscriber.take(waiting)
-        if self._held and now >= self._held[0][0]:
-            received = self.subscriber.take(self._released(now))
+        if self.held is not None and now >= self.held.due_ns:
+            now_ns = now + self._clock.epoch_offset_ns
+            received = self.subscriber.take([(frames, now_ns) for frames in self.held.released(now)])
         if now >= self._reception.missed_ns:
             self._reception.subscribe_early(now)
-        self._set_due()
+        self.due_ns = min(self._reception.missed_ns, NEVER_NS if self.held is None else self.held.due_ns)
         # Arrived messages come first, because a report takes half a millisecond.
         if now >= self._maintain_ns + (_PUT_OFF_NS if received else 0):
             self._maintain_ns = now + _MAINTAIN_NS
@@ -315,27 +318,13 @@ class DatagramEnd:
             # the oldest first, each once
             for topic, payload in reversed(datagram_read.samples):
                 if payload not in self._recent:
-                    self._remember(payload)
+                    self._recent.append(payload)
                     waiting.append(([topic, payload], now))
-            if self._play_out is not None:
-                self._hold(self._play_out, datagram_read.report, now, waiting)
+            if self.held is not None:
+                offset_ns = self._clock.epoch_offset_ns
+                self.held.hold(datagram_read.report.sent_ns, now, offset_ns, (frames for frames, _ in waiting))
+                waiting.clear()
         return waiting
-
-    def _hold(self, play_out: PlayOut, report: Report, now_ns: int, waiting: list[tuple[list[bytes], int]]) -> None:
-        """Keep the samples of a datagram until their time."""
-        release_ns = play_out.release_ns(report.sent_ns, now_ns) - self._clock.epoch_offset_ns
-        for frames, _ in waiting:
-            heapq.heappush(self._held, (release_ns, next(self._order), frames))
-        waiting.clear()
-
-    def _released(self, now_ns: int) -> list[tuple[list[bytes], int]]:
-        released = []
-        while self._held and self._held[0][0] <= now_ns:
-            released.append((heapq.heappop(self._held)[2], now_ns + self._clock.epoch_offset_ns))
-        return released
-
-    def _set_due(self) -> None:
-        self.due_ns = min(self._reception.missed_ns, self._held[0][0] if self._held else NEVER_NS)
 
     def _refuse(self, cause: str, address: Address) -> None:
         self.rejected[cause] = self.rejected.get(cause, 0) + 1
@@ -538,12 +527,8 @@ class DatagramEnd:
         sifted = self._reception.sift(frames, self._clock.monotonic_ns())
         if sifted is not None and sifted is not frames:
             # Its datagram may still come.
-            self._remember(sifted[-1])
+            self._recent.append(sifted[-1])
         return sifted
-
-    def _remember(self, payload: bytes) -> None:
-        self._recent[self._recent_place] = payload
-        self._recent_place = (self._recent_place + 1) % _REMEMBERED
 
     def _refuse_key(self, reason: str) -> None:
         self.rejected["key"] = self.rejected.get("key", 0) + 1
