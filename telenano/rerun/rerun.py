@@ -36,7 +36,7 @@ from telenano.wire.errors import ConfigError, RecordingError, TelenanoError, kno
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionControl
 from telenano.wire.node_state import is_whole, restore
-from telenano.wire.nodes import RERUN_NODES, name_of, no_rerun_reason
+from telenano.wire.nodes import NODES, RERUN_NODES, is_console, name_of, no_rerun_reason
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -103,7 +103,10 @@ def rerun(
         RecordingError: The recording lacks the scenario, the journal or the inputs of the node.
     """
     if reason := no_rerun_reason(key):
-        raise ConfigError(f"node {key}: cannot be run again: {reason}; {known_names(key, RERUN_NODES)}")
+        # a node of the table was meant, and no other of a similar name
+        is_known = is_console(key) or key in {row.key for row in NODES}
+        names = f"those that can are {', '.join(RERUN_NODES)}" if is_known else known_names(key, RERUN_NODES)
+        raise ConfigError(f"node {key}: cannot be run again: {reason}; {names}")
     batches, states = _journal(recording, key)
     if not batches:
         raise RecordingError(
