@@ -158,8 +158,14 @@ class PlayerNode(Node):
     ) -> None:
         """Prepare to play.
 
-        Parameters: observe is called twenty times a second, for a status line and keys; warnings are published at the
-        start.
+        Args:
+            context: What the node runs in.
+            playback: The recording, and where in it the player is.
+            plan: The nodes that are played, and the channels that are published again.
+            publishers: The endpoints by the sender that they stand for.
+            settings: The settings of the start.
+            observe: Called twenty times a second, for a status line and keys.
+            warnings: Published at the start.
         """
         super().__init__(context)
         self.playback = playback

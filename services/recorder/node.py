@@ -107,8 +107,12 @@ class RecorderNode(Node):
     ) -> None:
         """Prepare to record.
 
-        Parameters: on_flush is called after each flush, for a status line and keys; sites, where the nodes are stopped
-        before this one is, so that each is expected to publish a last message.
+        Args:
+            context: What the node runs in.
+            config: The settings of the recorder.
+            intake: What is recorded, and how much of it waits.
+            on_flush: Called after each flush, for a status line and keys.
+            sites: The sites whose nodes are stopped before this one: each is expected to publish a last message.
         """
         self._intake = intake
         self._on_flush = on_flush

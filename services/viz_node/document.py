@@ -76,8 +76,10 @@ class RecordingDocument:
     ) -> None:
         """Prepare to read.
 
-        Parameters: judge, returns what happened in the recording: phases, holds, moments, the numbers of its summary;
-        kept, where what was read of a long recording is kept.
+        Args:
+            recording: The recording.
+            judge: Returns what happened in it: phases, holds, moments, the numbers of its summary.
+            kept: Where what was read of a long recording is kept; None to keep nothing.
         """
         self._recording = recording
         self._judge = judge

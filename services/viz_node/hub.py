@@ -145,10 +145,13 @@ class Hub:
     ) -> None:
         """Prepare to serve a source.
 
-        Parameters: commander, None where there is nothing to command; forms, JSON schemas of what `set` changes, by
-        node, which may take a second; open_hand, opens the way of the page's force to the haptic node, None where
-        there is none; document, what a page may read in of a recording, None for a running rig; register, the lease
-        that the rig's processes share, None where these pages are alone.
+        Args:
+            source: What is shown: a running rig or a recording.
+            commander: How commands reach the rig; None where there is nothing to command.
+            forms: Returns the JSON schemas of what `set` changes, by node, which may take a second.
+            open_hand: Opens the way of the page's force to the haptic node; None where there is none.
+            document: What a page may read in of a recording; None for a running rig.
+            register: The lease that the rig's processes share; None where these pages are alone.
         """
         self.desk = LeaseDesk(register or OwnRegister())
         # whether the address of a page is still valid

@@ -132,8 +132,11 @@ async def _refuse(socket: WebSocket, code: int, text: str) -> None:
 def make_app(hub: Hub, access: Access, page: Path | None, connections: Connections | None = None) -> Any:
     """Return the application: the page of a folder, its web socket at /bus, /health and /metrics.
 
-    Parameters: page, None where none has been built: the server then says how to build it; connections, those of the
-    listener that it is served at.
+    Args:
+        hub: The pages that are open.
+        access: Who may open one, and as what.
+        page: The folder of the page; None where none has been built, and the server says how to build it.
+        connections: The connections of the listener that serves it.
     """
     connections = connections or Connections()
     hub.is_admitted = access.people.is_admitted

@@ -82,7 +82,10 @@ class FigureOptions:
     def drawn(self, figure: "Figure", stem: str, origin: str = "") -> dict[str, bytes]:
         """Return a figure as the content of its files, by name; each has in it what it was made from.
 
-        Parameters: origin, in words: the Description of PNG and SVG, the Subject of PDF.
+        Args:
+            figure: The figure.
+            stem: The name of its files without the ending.
+            origin: What it was made from, in words: the Description of PNG and SVG, the Subject of PDF.
         """
         files = {}
         for name in self.formats:

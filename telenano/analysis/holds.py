@@ -815,9 +815,12 @@ def verdict_of(
 ) -> tuple[Kind, str]:
     """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable.
 
-    Parameters: guard, what `guard_of` says, which comes first in the reason, and makes a session guarded that no hold
-    shows to be; greatest_n, the hand's greatest force [N], if it is known; interrupted, what `in_words` says of the
-    session's interruptions, with which the reason ends.
+    Args:
+        holds: The judged holds.
+        guard: What `guard_of` returns. It comes first in the reason, and makes a session guarded that no hold shows
+            to be.
+        greatest_n: The hand's greatest force [N]; None where it is not known.
+        interrupted: What `in_words` returns of the session's interruptions, with which the reason ends.
     """
     kind, reason = _worst_of(holds, greatest_n)
     if guard:

@@ -69,8 +69,12 @@ def phases_of(
 ) -> list[Span]:
     """Return the phases of a session one after the other, from 0 to its end [s].
 
-    Parameters: F_m [N] at the hand's times [s], both of shape (n,); contacts, as `contacts_of` returns; holds, with the
-    keys of `summary.json`.
+    Args:
+        hand_time_s: The hand's times [s], shape (n,).
+        hand_force_n: F_m at these times [N], shape (n,).
+        contacts: What `contacts_of` returns.
+        holds: The holds with the keys of `summary.json`.
+        end_s: The end of the session [s].
     """
     greatest = float(np.abs(hand_force_n).max(initial=0.0))
     pressed = [hold for hold in holds if abs(hold["hand_force_n"]) > _PRESSING_SHARE * greatest]

@@ -77,7 +77,9 @@ class LiveRecording:
     ) -> Iterator[RecordedMessage]:
         """Return messages as they come, without end when `duration_s` is None; what is not valid is left out.
 
-        Parameters: topics, names of channels such as `teleop/forward@slave`, all when None.
+        Args:
+            topics: Names of channels such as `teleop/forward@slave`; None for all.
+            duration_s: How long messages are taken [s]; None for no end.
         """
         wanted = None if topics is None else frozenset(topics)
         end = None if duration_s is None else time.monotonic() + duration_s

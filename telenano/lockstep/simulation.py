@@ -292,11 +292,18 @@ def simulate_scenario(
     It runs as plain Python, a second for the eight of Fig. 12. A loop of some twenty such calls compiles the models,
     which takes some ten seconds, is said, and is kept for later processes (docs/api.md).
 
-    Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way;
-    environment, `afm_node.environment`; instrument, what disturbs the AFM: ideal, real or real_drifting; operator,
-    section `haptic_node.operator`; duration_s [s]; settings, by dotted key of the scenario, such as
-    {"controller.virtual_impedance.force_gain": 10}. What is not given is the scenario's.
-    Raises: ConfigError naming the file or key at fault, or what cannot be simulated.
+    Args:
+        scenario: A known name or a YAML file. What the other arguments leave out is as in it.
+        law: The name of a law.
+        round_trip_ms: The round trip of the link [ms], half of it each way.
+        environment: The sample, as `afm_node.environment`.
+        instrument: What disturbs the AFM: ideal, real or real_drifting.
+        operator: The hand, as the section `haptic_node.operator`.
+        duration_s: The length of the session [s].
+        settings: Values by dotted key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}.
+
+    Raises:
+        ConfigError: Names the file or key at fault, or what cannot be simulated.
     """
     if round_trip_ms is not None and (isinstance(round_trip_ms, bool) or not isinstance(round_trip_ms, Real)):
         raise ConfigError(f"round_trip_ms: must be a number of milliseconds, got {round_trip_ms!r}")

@@ -40,7 +40,9 @@ class DiskWatch:
     def check(self, now_ns: int, written_bytes: int) -> None:
         """Measure, if it is due.
 
-        Parameters: now_ns, monotonic clock; written_bytes, size of all files of the recording up to now.
+        Args:
+            now_ns: The time on the monotonic clock [ns].
+            written_bytes: The size of all files of the recording up to now [bytes].
         """
         if now_ns < self._due_ns:
             return

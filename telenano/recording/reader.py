@@ -156,8 +156,10 @@ class Recording:
     ) -> Iterator[RecordedMessage]:
         """Yield messages in the order in which they were received.
 
-        Parameters: topics, names of channels such as `teleop/forward@slave`, all when None; start_ns (included) and
-        end_ns (excluded), bounds of the time of reception [ns], none when None.
+        Args:
+            topics: Names of channels such as `teleop/forward@slave`; None for all.
+            start_ns: The first time of reception that is yielded [ns]; None for no bound.
+            end_ns: The first time of reception that is yielded no more [ns]; None for no bound.
         """
         names = None if topics is None else frozenset(topics)
         return self.select(lambda channel: names is None or channel.channel_topic in names, start_ns, end_ns)

@@ -155,7 +155,9 @@ def _flatten(name: str, value: Any, columns: dict[str, Any]) -> None:
 def uniform(values: Sequence[Any], kinds: Set[type] | None = None) -> list[Any]:
     """Return values of one type: whole numbers among others as floats, and anything else that is mixed as JSON.
 
-    Parameters: kinds, the types of all values of the column where these are not all.
+    Args:
+        values: Some values of a column, or all.
+        kinds: The types of all values of the column; None where `values` are all.
     """
     kinds = (set(map(type, values)) if kinds is None else kinds) - {type(None)}
     if len(kinds) <= 1:

@@ -150,7 +150,8 @@ class RecordingWriter:
     def finish(self, end: Mapping[str, str] | None = None) -> None:
         """Write index and statistics and close the file; a second call does nothing.
 
-        Parameters: end, why the file ends (`state`, a FileEnd) and what the recorder knows to be missing (`note`).
+        Args:
+            end: Why the file ends (`state`, a FileEnd) and what the recorder knows to be missing (`note`).
         """
         if self._stream.closed:
             return

@@ -131,7 +131,11 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
 
     An address ends with the token, and what goes to a pipe or a file is kept: logs of containers and of services.
     There the output says how to get it instead (`served_addresses`).
-    Parameters: addresses, by what they are called; show, prints a line; what, the server.
+
+    Args:
+        addresses: The addresses by what they are called.
+        show: Prints a line.
+        what: The name of the server.
     """
     base = re.split("[#?]", next(iter(addresses.values())))[0]
     file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}{_ADDRESSES}"
@@ -164,7 +168,8 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
 def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:
     """Return a line for each address of the servers of this user that answer, by what the address is called.
 
-    Parameters: folders, those of the rigs that are meant, all if None.
+    Args:
+        folders: The folders of the rigs that are meant; None for all.
     """
     addresses = []
     for folder in [rig_directory(rig) for rig in rigs_with_folders()] if folders is None else folders:

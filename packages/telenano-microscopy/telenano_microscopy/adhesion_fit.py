@@ -100,9 +100,13 @@ def _forces(contact: Any, depths_m: Array, out: Array) -> None:
 def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None = None) -> AdhesionFit:
     """Fit radius and work of adhesion to the contact of a curve.
 
-    Parameters: config, whose moduli, Poisson ratios, sigma and meniscus the contact is taken to have; reduced_modulus
-    [Pa], in the place of that of the moduli.
-    Raises: ConfigError, if the curve has too few points in contact or has no such contact.
+    Args:
+        curve: The curve.
+        config: The moduli, Poisson ratios, sigma and meniscus that the contact is taken to have.
+        reduced_modulus: The reduced modulus [Pa], in the place of that of the moduli.
+
+    Raises:
+        ConfigError: The curve has too few points in contact, or has no such contact.
     """
     from scipy.optimize import least_squares
 

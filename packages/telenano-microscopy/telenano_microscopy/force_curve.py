@@ -87,11 +87,22 @@ def force_curve(
 ) -> Curve:
     """Return a curve that begins start_m [m] above the rest point and turns where the force reaches load_n [N].
 
-    Parameters: points of each way; speed_m_per_s of the base; dynamic, Eq. 4 in full instead of k zeta = F(h), the base
-    at rest for as long as the cantilever needs to come to rest at each point (the speed is then that of the data).
     Where the configuration has disturbances, each point is a sample of the disturbed instrument, at the time that the
-    speed gives it. Raises: ConfigError, if the tip cannot reach the load, an argument is no positive number, or a
-    dynamic curve is to be disturbed.
+    speed gives it.
+
+    Args:
+        config: The instrument.
+        start_m: Where the way begins, above the rest point [m].
+        load_n: The force at which it turns [N].
+        points: The points of each way.
+        speed_m_per_s: The speed of the base [m/s].
+        dynamic: Whether Eq. 4 is solved in full instead of k zeta = F(h): the base then rests at each point for as long
+            as the cantilever needs to come to rest, and the speed is that of the data.
+        progress: Called with the points that are done, and all of them.
+
+    Raises:
+        ConfigError: The tip cannot reach the load, an argument is no positive number, or a dynamic curve is to be
+            disturbed.
     """
     for name, value in (("start [m]", start_m), ("load [N]", load_n), ("speed [m/s]", speed_m_per_s)):
         if not (math.isfinite(value) and value > 0.0):
