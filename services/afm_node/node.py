@@ -223,7 +223,7 @@ class AfmNode(DeviceNode):
             sentences.append(f"the tip goes to x = {pointer.x_m:g} m, y = {pointer.y_m:g} m while it follows")
         if request.program is not None:
             sentences.append(self._request(request, self._memory.guard.mode))
-            self._memory.program_reported_ns = 0
+            self._memory.told_ns = 0
         # Nothing refuses from here on.
         self._memory.pointer = pointer
         self._other_spring |= STIFFNESS in changes
@@ -318,9 +318,9 @@ class AfmNode(DeviceNode):
         programs, memory = self._programs, self._memory
         if text := programs.take_notice():
             self.event("mode", "warning", text)
-        if not programs.is_over and memory.stepped_ns - memory.program_reported_ns < _PROGRAM_PERIOD_NS:
+        if not programs.is_over and memory.stepped_ns - memory.told_ns < _PROGRAM_PERIOD_NS:
             return
-        memory.program_reported_ns = memory.stepped_ns
+        memory.told_ns = memory.stepped_ns
         report = programs.report()
         self.publish("afm/program", **report.fields())
         if programs.is_over:

@@ -45,7 +45,7 @@ FOREIGN = {
     "_py_func": "numba",
 }
 # public in the standard library in spite of their names
-STANDARD = {"_asdict", "_exit", "_make", "_replace"}
+STANDARD = {"_asdict", "_exit", "_make", "_replace", "_value_"}
 
 
 def sources() -> str:

@@ -242,7 +242,7 @@ def _servo(build: Callable[[VirtualTime, random.Random], Any], source: random.Ra
         shared.write_command(ServoCommand(steps, time.ns, ZERO, ZERO, ZERO, steps > 20, steps // 50, False, settings))
         return steps < 2 * TICKS
 
-    ServoLoop(shared, device, found, now_ns=time.now_ns, sleep=time.sleep, goes_on=goes_on).run()
+    ServoLoop(shared, device, found, now_ns=time.now_ns, sleep=time.sleep, is_needed=goes_on).run()
     return told
 
 
