@@ -18,7 +18,7 @@ RUN_HERE = {
     "make test": None,
     ". .venv/bin/activate": None,
     "telenano up --scenario touch": "--set viz_node.port=0",
-    "telenano up --scenario fig12 --round-trip-ms 60 --out out/delay": "--no-view",
+    "telenano up --scenario fig12 --round-trip-ms 60 --out out/late": "--no-view",
     "python -c": "",
 }
 
