@@ -122,7 +122,7 @@ class Way:
     TRAVEL: ClassVar[int] = 1
     APPROACH: ClassVar[int] = 2
     ARRIVED: ClassVar[int] = 3
-    # what is done in each of them, in words
+    # Each phase is reported in these words.
     TEXTS: ClassVar[tuple[str, ...]] = ("the tip rises", "the stage moves to the first point", "approach")
 
     phase: int

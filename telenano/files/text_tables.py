@@ -158,7 +158,7 @@ class TextTable(NamedTuple):
         first, separator = _first_row(rows, name)
         fold = _Folding(separator)
         ends_whole = text.endswith(("\n", "\r"))
-        # as most of the rows have
+        # The table has as many columns as most of its first rows.
         counts = [len(cells) for row in rows[first : first + 50] if row.strip() and _is_data(cells := fold.split(row))]
         width = max(set(counts), key=lambda count: (counts.count(count), count), default=0)
         # rows of numbers with another width, such as a count of points, belong to the head

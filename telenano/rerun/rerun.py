@@ -190,9 +190,7 @@ def _begin(recorded: RecordedNode, batches: Sequence[NodeJournal], states: Seque
             break
         if not recorded.missing(batches[place]):
             return place
-    missing = next(
-        (missing_part for missing_part in map(recorded.missing, batches) if missing_part), "the node's state"
-    )
+    missing = next(filter(None, map(recorded.missing, batches)), "the node's state")
     raise RecordingError(
         f"{recorded.path}: has no part of the journal of {recorded.key} with all inputs: lacks {missing}"
     )

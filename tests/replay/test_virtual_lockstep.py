@@ -130,7 +130,7 @@ def on_bus(cell: Cell, folder: Path, lost: Lost = (), settings: Sequence[str] = 
     """Run the nodes of a cell on the virtual bus and read the recording."""
     timing = constant_timing(round(0.5e6 * cell.round_trip_ms))
     rig = ConstantRig(folder, cell.seed, settings, timing, with_hand(cell))
-    # one later than in lockstep, see above
+    # A tick of the bus is counted one later than in lockstep, as above.
     rig.lost = {tick + 1 for first, count in lost for tick in range(first, first + count)}
     return course_of(rig)
 

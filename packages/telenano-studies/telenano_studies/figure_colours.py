@@ -16,7 +16,7 @@ VERDICTS = {
     "no_data": "#ffffe6",
     "cannot_say": "#4d4d00",
 }
-# what other curves are compared with
+# The curve that others are compared with has this colour.
 REFERENCE = "#9a9a9a"
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (

@@ -105,7 +105,7 @@ def stable_up_to(edge_ms: Callable[[Cell], float], growth_per_s: Callable[[float
 
 
 def test_over_seeds_an_edge_has_a_mean_an_interval_and_a_share_of_what_is_stable() -> None:
-    # by the seed at 40, 50, 60 ms
+    # The seeds become unstable at 40, 50 and 60 ms.
     found = stable_up_to(lambda cell: 40.0 + 10.0 * cell.seed, lambda over_ms: over_ms - 0.5)
     spring = {"stiffnesses_n_per_m": (10.0,), "seeds": 3}
     constant, lossy = run_stability(axes(**spring, losses=(0.0, 0.1)), found)
