@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.figure_style import HAND, ON_SCREEN, REFERENCE, TIP, FigureOptions
+from telenano.analysis.figure_style import HAND, ON_SCREEN, TIP, FigureOptions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -157,7 +157,7 @@ def _draw_forces(axes: "Axes", series: SessionSeries) -> None:
 def _draw_positions(axes: "Axes", series: SessionSeries) -> None:
     _shade_gaps(axes, series)
     reference = series.broken(series.reference_time_s, 100.0 * series.reference_m)
-    axes.plot(*reference, color=REFERENCE, lw=2.2, label=r"$x_{mr}$ (law)")
+    axes.plot(*reference, color=FigureOptions.REFERENCE, lw=2.2, label=r"$x_{mr}$ (law)")
     hand = series.broken(series.hand_time_s, 100.0 * series.hand_position_m)
     axes.plot(*hand, color=HAND, lw=1.0, ls="--", label=r"$x_m$ (device)")
     axes.set(xlabel="time (s)", ylabel="position (cm)", xlim=_span(series))

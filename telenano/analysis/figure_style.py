@@ -37,7 +37,6 @@ _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "s
 # The colours of curves.
 HAND = "#0b3d66"
 TIP = "#d55e00"
-REFERENCE = "#9a9a9a"
 
 
 @dataclass(frozen=True)
@@ -49,6 +48,8 @@ class FigureOptions:
 
     # This is one column of most journals of the field [inch].
     COLUMN_IN: ClassVar[float] = 3.5
+    # A curve that others are compared with has this colour.
+    REFERENCE: ClassVar[str] = "#9a9a9a"
 
     @classmethod
     def of(cls, formats: str = "png", style: str = "screen") -> Self:

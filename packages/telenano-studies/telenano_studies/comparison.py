@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from telenano.analysis import FigureOptions, Session, scenario_in
 from telenano.recording import open_recordings
 from telenano.wire import ConfigError
-from telenano_studies.figure_colours import LINES, ON_SCREEN, REFERENCE
+from telenano_studies.figure_colours import LINES, ON_SCREEN
 from telenano_studies.published import PANELS, Published, nearest
 
 if TYPE_CHECKING:
@@ -145,7 +145,12 @@ def compare_figure(
         panels = figure.subplots(3, 1)
         first = sessions[0].session.series()
         panels[0].plot(
-            first.hand_time_s, first.hand_force_n, color=REFERENCE, lw=2.4, zorder=0, label=f"$F_m$, {sessions[0].name}"
+            first.hand_time_s,
+            first.hand_force_n,
+            color=FigureOptions.REFERENCE,
+            lw=2.4,
+            zorder=0,
+            label=f"$F_m$, {sessions[0].name}",
         )
         for number, (name, session, summary, _) in enumerate(sessions):
             colour, style = LINES[number % len(LINES)]

@@ -16,8 +16,6 @@ VERDICTS = {
     "no_data": "#ffffe6",
     "cannot_say": "#4d4d00",
 }
-# The curve that others are compared with has this colour.
-REFERENCE = "#9a9a9a"
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (
     ("#000000", "-"),
