@@ -39,6 +39,8 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    FARTHEST_M,
+    FASTEST_M_PER_S,
     Mass,
     MassConfig,
     MassParams,
@@ -72,9 +74,6 @@ from telenano_laws.ports import (
     tank,
 )
 
-# In an unstable loop a reference stays finite here [m, m/s].
-_FARTHEST_M = 1e6
-_FASTEST_M_PER_S = 1e9
 # A longer lag holds the hand back no more than this one.
 _LONGEST_LAG_S = 1.0
 # The time constant of the mean of the lag.
@@ -537,12 +536,12 @@ def master_receive(
         b = params.damping_n_s_per_m
         damper = b + held_back * max(more_damper - b, 0.0)
         after = (heavy * velocity + p.period_s * (hand.force_n - force)) / (heavy + damper * p.period_s)
-        after = bounded(after, _FASTEST_M_PER_S)
+        after = bounded(after, FASTEST_M_PER_S)
         way, change = after * p.period_s, after - velocity
         stored = (potential(contact, y + way) - potential(contact, y)) if rendered else 0.0
         taken = 0.5 * heavy * change * change + damper * after * way + force * way - stored
         store = tank(store, taken, params.cap_j)
-        mass = Mass(bounded(mass.position_m + way, _FARTHEST_M), after, mass.tip_offset_m, True)
+        mass = Mass(bounded(mass.position_m + way, FARTHEST_M), after, mass.tip_offset_m, True)
     missing = max(signal.energy_j - store.sent_j, 0.0)
     store = sent_on(store, min(max(store.left_j - owed, 0.0), params.send_share * missing))
     ahead += hand.force_n * (mass.position_m - before)

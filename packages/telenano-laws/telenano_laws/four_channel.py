@@ -30,6 +30,7 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    FASTEST_M_PER_S,
     Mass,
     MassConfig,
     MassParams,
@@ -44,9 +45,6 @@ from telenano.extend.virtual_mass import (
 )
 from telenano.numerics import compiled
 from telenano_laws.ports import bounded, followed
-
-# In an unstable loop the reference stays finite here [m/s].
-_FASTEST_M_PER_S = 1e9
 
 
 class FourChannelParams(NamedTuple):
@@ -177,7 +175,7 @@ def slave_receive(
     faster = signal.velocity_m_per_s / p.position_scale - state.velocity_m_per_s
     pressed, force = p.force_scale * signal.force_n, p.force_scale * tip.force_n
     speed = state.velocity_m_per_s + p.period_s * tip_acceleration(params, apart, faster, force, pressed)
-    speed = bounded(speed, _FASTEST_M_PER_S)
+    speed = bounded(speed, FASTEST_M_PER_S)
     base = start + p.position_scale * p.period_s * speed
     return SlaveState(base, speed), SlaveReference(base, True)
 

@@ -10,6 +10,7 @@ from telenano.extend.laws import EnergyAccount, HandSample, PortSignal, TipMeasu
 from telenano.extend.virtual_mass import HandPort as HandPort
 from telenano.extend.virtual_mass import Mass, MassParams, is_coupled
 from telenano.extend.virtual_mass import begun_again as begun_again
+from telenano.extend.virtual_mass import bounded as bounded
 from telenano.extend.virtual_mass import followed as followed
 from telenano.extend.virtual_mass import is_retracted as is_retracted
 from telenano.extend.virtual_mass import kept_near as kept_near
@@ -159,14 +160,6 @@ def paid_base(
     if force_n * ahead <= 0.0 and abs(paid) < unpaid_m:
         paid = bounded(ahead, unpaid_m)
     return tip.base_position_m + scale * paid
-
-
-@compiled
-def bounded(value: float, most: float) -> float:
-    """Return a value within -most and most; the same bits where it is."""
-    if value > most:
-        return most
-    return -most if value < -most else value
 
 
 @compiled

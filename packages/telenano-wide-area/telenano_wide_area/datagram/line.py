@@ -13,12 +13,10 @@ Neither way can have more of a queue than the round trip, which no clock enters,
 from collections import deque
 from typing import NamedTuple
 
-from telenano.timing import ClockLine, Exchange
+from telenano.timing import STEP_NS, ClockLine, Exchange
 
 # A queue stands if it does for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
-# Two clocks that are not set drift apart by less between two exchanges [ns].
-_STEP_NS = 10_000_000
 # The variation of the delay by itself is the calmest quarter of this number of half windows.
 _VARIATIONS = 16
 # A half window counts if it had this number of delays.
@@ -108,7 +106,7 @@ class Line:
         if self._zero is None:
             self._zero = (exchange.received_ns, there, back)
         at, f, b = (x - zero for x, zero in zip((exchange.received_ns, there, back), self._zero, strict=True))
-        if at < 0 or f + b < self._least_both - _STEP_NS:
+        if at < 0 or f + b < self._least_both - STEP_NS:
             # No round trip is that much shorter than the shortest: this process was given another clock.
             self.forget()
             return
@@ -146,7 +144,7 @@ class Line:
             half, middle = 0.5 * line.round_trip_ns, line.at(0)
             self._there, self._back = half + middle, half - middle
             self._least_both = min(span.both_ns for span in self._spans)
-            if self._least_both - line.round_trip_ns <= _STEP_NS or len(self._spans) < _FEWEST_SPANS:
+            if self._least_both - line.round_trip_ns <= STEP_NS or len(self._spans) < _FEWEST_SPANS:
                 return
             del self._spans[: len(self._spans) // 2]
 
