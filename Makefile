@@ -87,21 +87,23 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=lsl runs the tests of packages/telenano-lsl alone. A page that is older than its sources is built anew; what
 # needs one is skipped on a machine that cannot build it.
-test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 6 minutes on two cores.
+test: setup ## Run lint, the core's tests and one rig of real processes, or PACKAGE's tests; before every commit.
 	-@$(if $(PACKAGE),,$(MAKE) --no-print-directory page)
 	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
 	mkdir -p out; failed=0; \
 	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
-	$(BIN)/pytest -m "not stack and not check and not endurance" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
+	$(BIN)/pytest -m "not stack and not check and not endurance" -n 2 --dist loadfile --ignore tests/stack tests || failed=1; \
 	wait $$lint || failed=1; cat out/lint.txt; \
 	$(BIN)/pytest -m "stack and not check and not endurance" tests/stack || failed=1; \
 	exit $$failed
 
-# deaths, stalls, two machines, containers, browsers, the lines of the documents, and the grids that one law stands for
-check: setup ## Run everything else that ends by itself, before a change is merged; some 15 minutes.
+# the tests of the packages, deaths, stalls, two machines, containers, browsers, the lines of the documents, and the
+# grids that one law stands for
+check: setup ## Run everything else that ends by itself, before a change is merged; half an hour.
 	-@$(MAKE) --no-print-directory page
 	@failed=0; \
-	$(BIN)/pytest -m "check and not stack" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
+	$(BIN)/pytest -m "check and not stack" -n 2 --dist loadfile --ignore tests/stack tests || failed=1; \
+	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile packages || failed=1; \
 	$(BIN)/pytest -m "check and stack" tests/stack || failed=1; \
 	exit $$failed
 

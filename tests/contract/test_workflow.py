@@ -1,5 +1,6 @@
 """What outsiders run on their own copy: each command of the workflow is one that stands in the Makefile."""
 
+import itertools
 import re
 import tomllib
 from pathlib import Path
@@ -22,6 +23,18 @@ def test_every_command_of_the_workflow_is_one_of_the_makefile() -> None:
             assert target in targets, command
         else:
             assert command.replace(".venv/bin/", "$(BIN)/") in MAKEFILE, command
+
+
+def test_test_and_check_together_run_every_test_that_ends_by_itself() -> None:
+    runs = re.findall(r'\$\(BIN\)/pytest -m "([^"]+)"(.*?) \|\|', MAKEFILE)
+    for is_check, is_stack, is_package in itertools.product((False, True), repeat=3):
+        marks = {"check": is_check, "stack": is_stack, "endurance": False}
+        folders = ("packages",) if is_package else ("tests/stack",) if is_stack else ("tests",)
+        chosen = [
+            expression for expression, rest in runs if rest.split()[-1] in folders and eval(expression, {}, marks)
+        ]
+        # a package starts real processes in a run of its own, which a person asks for
+        assert len(chosen) == (0 if is_package and is_stack else 1), (marks, is_package, chosen)
 
 
 def test_the_workflow_tries_every_python_that_the_project_names() -> None:
