@@ -173,6 +173,12 @@ def kept(old: Any, new: Any, state: Any) -> Any:
     return state
 
 
+@compiled
+def measured_tip(params: Any, state: Any, tip: TipMeasurement, dt: float) -> tuple[Any, PortSignal]:
+    """Send the measured state of the tip back."""
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n)
+
+
 def the_hands_force(params: Any, force_n: float) -> float:
     """Return the force of the hand [N]: what a law rests at that loses none of it."""
     return force_n
@@ -188,7 +194,7 @@ class Law:
     - `master_send(params, state, hand, dt) -> (state, PortSignal)`
     - `master_receive(params, state, hand, signal, dt) -> (state, MasterReference)`
     - `slave_receive(params, state, signal, tip, dt) -> (state, SlaveReference)`
-    - `slave_send(params, state, tip, dt) -> (state, PortSignal)`
+    - `slave_send(params, state, tip, dt) -> (state, PortSignal)`; without one the measured state of the tip is sent
     - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump, and
       `slave_retune` a slave state; a law without one has a slave state that holds nothing of its parameters
 
@@ -228,8 +234,8 @@ class Law:
     master_receive: Steps
     slave_start: Steps
     slave_receive: Steps
-    slave_send: Steps
     retune: Steps
+    slave_send: Steps = measured_tip
     master_energy_account: Steps = no_energy_account
     slave_energy_account: Steps = no_energy_account
     rest_force: Steps | None = None
@@ -275,14 +281,14 @@ class Law:
         values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
         values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
         values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
-        if hasattr(slave or own, "slave_retune"):
-            values["slave_retune"] = (slave or own).slave_retune
+        values |= {step: getattr(slave or own, step) for step in _OPTIONAL_OF_SLAVE if hasattr(slave or own, step)}
         values |= given
         return cls(name=module.rpartition(".")[2], config=config, **values)
 
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
-_SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
+_SLAVE_STEPS = ("slave_start", "slave_receive")
+_OPTIONAL_OF_SLAVE = ("slave_send", "slave_retune")
 _OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force", "sample_drift")
 _SCALES = ("position_scale", "force_scale")
 

@@ -13,7 +13,6 @@ from telenano.laws.deadband import DeadbandConfig
 from telenano.laws.integration import TimingParams
 from telenano.laws.lateral import LateralParams
 from telenano.laws.lateral_settings import LateralConfig
-from telenano.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
 from telenano.laws.tactile import TACTILE, TactileConfig
@@ -24,9 +23,7 @@ from telenano.settings.plugins import load, refuse
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 
-OWN_LAWS: dict[str, Law] = {
-    law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED)
-}
+OWN_LAWS: dict[str, Law] = {law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY)}
 _KINDS = {type(law.config().to_params(1e-3)): law.name for law in (*OWN_LAWS.values(), TACTILE)}  # type: ignore[attr-defined]
 
 
@@ -69,9 +66,6 @@ class _OwnSections(Settings):
     )
     wave: WaveConfig = Field(default=WaveConfig(), description="Parameters of the wave variables")
     passivity: PassivityConfig = Field(default=PassivityConfig(), description="Parameters of passivity control")
-    model_mediated: ModelMediatedConfig = Field(
-        default=ModelMediatedConfig(), description="Parameters of the local surface model"
-    )
     tactile: TactileConfig = Field(default=TactileConfig(), description="Parameters of tactile feedback")
 
     @field_validator("law", mode="before")

@@ -17,6 +17,7 @@ from typing import Any
 
 import zmq
 from fuzz_frames import Frames, stream
+from law_loop import TRIED_LAWS as LAWS
 
 from services.afm_node.node import AfmNode
 from services.controller.__main__ import half_of_site
@@ -33,7 +34,6 @@ from telenano.hand.sim import SimulatedHaptic
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
 from telenano.recording.channel_filter import Selection

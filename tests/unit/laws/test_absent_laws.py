@@ -45,7 +45,7 @@ def said() -> dict[str, str]:
 
 
 def test_every_place_that_names_an_absent_law_names_its_package(said: dict[str, str]) -> None:
-    assert "smith" in LAWS
+    assert {"model_mediated", "smith"} <= set(LAWS)
     assert len(said) == 5 * len(LAWS)
     for way, text in said.items():
         assert f"the law {way.partition(':')[0]} is in the package telenano-laws: " in text, way

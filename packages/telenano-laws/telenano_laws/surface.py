@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.numerics.compiler import compiled, vectorized
+from telenano.numerics import compiled, vectorized
 
 NANO = 1e-9
 # The factor is kappa in nN/nm^1.5 for one N/m^1.5.
