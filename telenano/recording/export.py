@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
@@ -15,15 +15,16 @@ from telenano.recording.quantities import model_of
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
-from telenano.recording.tables import plain
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
-from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
 FORMATS = ("mcap-json",)
+# What the messages of a topic become for viewers: encoding, schema (name, encoding and data), and the bytes of the JSON
+# values of one.
+Payload = tuple[str, tuple[str, str, bytes], Callable[[dict[str, Any]], bytes]]
 # What a message becomes: of each new one its channel and payload. It may raise TypeError, ValueError or KeyError.
 Encodes = Callable[[RecordedMessage], Iterable[tuple[RawChannel, bytes]]]
 
@@ -100,14 +101,6 @@ _TEXT = "_text"
 _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
 
 
-class Payload(NamedTuple):
-    """How the messages of a channel are written: encoding, schema, and a function of the JSON values of one."""
-
-    encoding: str
-    schema: tuple[str, str, bytes]
-    encode: Callable[[dict[str, Any]], bytes]
-
-
 def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
     loaded = plugins.load("exports", taken=FORMATS, only=kind)
     if kind in loaded.problems:
@@ -136,19 +129,35 @@ def _written_by_package(write: Any, recording: Recording, target: Path, kind: st
 
 
 def write_viewer_mcap(
-    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str], Payload]
+    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str, Mapping[str, Any]], Payload]
 ) -> CopyResult:
-    """Write the chosen channels as MCAP for viewers, in what `payload_of` makes of each topic (`write_mcap`)."""
+    """Write the chosen channels as MCAP for viewers, with the time of the sending of each message.
+
+    Args:
+        recording: The recording.
+        target: The file to write.
+        selection: Which channels are written.
+        payload_of: Returns encoding, schema (name, encoding and data) and encoder of a topic, from its name and the
+            schema of its messages as `plain()` gives them: without references and alternatives. It has the name of the
+            message as `title`, and neither that nor properties for a topic that this version does not know.
+
+    Raises:
+        RecordingError: The file cannot be written.
+
+    Example:
+        >>> write_viewer_mcap(recording, target, selection, lambda topic, schema: ("cbor", (topic, "", b""), dumps))
+    """
     publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
-    payloads = {channel.topic: payload_of(channel.topic) for channel in recording.channels if selection(channel)}
+    topics = {channel.topic for channel in recording.channels if selection(channel)}
+    payloads = {topic: payload_of(topic, _plain_schema_of(topic)) for topic in topics}
     channels: dict[RecordedChannel, RawChannel] = {}
 
     def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
-        payload = payloads[message.topic]
+        encoding, schema, encode_fields = payloads[message.topic]
         if message.channel not in channels:
             several = publishers[message.channel_topic] > 1
-            channels[message.channel] = _viewer_channel(message.channel, payload, several)
-        yield channels[message.channel], payload.encode(plain(message))
+            channels[message.channel] = _viewer_channel(message.channel, encoding, schema, several=several)
+        yield channels[message.channel], encode_fields(message.plain())
 
     return write_mcap(recording, target, selection, encode)
 
@@ -186,43 +195,49 @@ def write_mcap(
     return CopyResult(path=str(target), messages=writer.messages, skipped=(*describe_damage(skipped), *refused))
 
 
-def _viewer_channel(channel: RecordedChannel, payload: Payload, several: bool) -> RawChannel:
+def _viewer_channel(
+    channel: RecordedChannel, encoding: str, schema: tuple[str, str, bytes], *, several: bool
+) -> RawChannel:
     # viewers draw a channel as one line, no matter which node sent its messages
     name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
     facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
-    return RawChannel(name, payload.encoding, tuple(sorted(facts.items())), payload.schema)
+    return RawChannel(name, encoding, tuple(sorted(facts.items())), schema)
 
 
-def _as_json(topic: str) -> Payload:
+def _plain_schema_of(topic: str) -> dict[str, Any]:
     model = model_of(topic)
-    schema: dict[str, Any] = {"type": "object", "properties": {}} if model is None else viewer_schema(model)
-    name = topic if model is None else f"telenano.{model.__name__}"
+    return {"type": "object", "properties": {}} if model is None else plain_schema(json_schema(model))
+
+
+def viewer_json(topic: str) -> Payload:
+    """Return how viewers get a topic as JSON: encoding, schema (name, encoding and data), and the bytes of a message.
+
+    Beside each time in ns there is the same in digits: a viewer in JavaScript keeps numbers as doubles, which round the
+    time of today to 256 ns.
+
+    Args:
+        topic: The topic.
+
+    Example:
+        >>> encoding, (name, _, schema), encode = viewer_json("afm/state")
+        >>> encode(message.plain())
+    """
+    return _as_json(topic, _plain_schema_of(topic))
+
+
+def _as_json(topic: str, plain: Mapping[str, Any]) -> Payload:
+    properties = plain["properties"]
+    times = [name for name, part in properties.items() if name.endswith("_ns") and part.get("type") == "integer"]
+    texts = {f"{name}{_TEXT}": {"type": "string", "description": f"{name} in digits"} for name in times}
+    schema = {**plain, "properties": {**properties, **texts}}
+    name = f"telenano.{plain['title']}" if "title" in plain else topic
 
     def encode(fields: dict[str, Any]) -> bytes:
-        return viewer_json(fields, schema)
+        document = fitted(fields, schema)
+        digits = {f"{time}{_TEXT}": str(document[time]) for time in document if f"{time}{_TEXT}" in texts}
+        return json.dumps({**document, **digits}, separators=(",", ":")).encode()
 
-    return Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
-
-
-def viewer_schema(model: type[Record]) -> dict[str, Any]:
-    """Return the plain schema of the JSON of a message; beside each time in ns there is the same in digits.
-
-    A viewer in JavaScript keeps numbers as doubles, which round the time of today to 256 ns.
-    """
-    schema = plain_schema(json_schema(model))
-    times = [
-        name for name, part in schema["properties"].items() if name.endswith("_ns") and part.get("type") == "integer"
-    ]
-    texts = {f"{name}{_TEXT}": {"type": "string", "description": f"{name} in digits"} for name in times}
-    return {**schema, "properties": {**schema["properties"], **texts}}
-
-
-def viewer_json(fields: Mapping[str, Any], schema: Mapping[str, Any]) -> bytes:
-    """Return a message as the JSON that its `viewer_schema` describes."""
-    document = fitted(dict(fields), schema)
-    properties = schema["properties"]
-    texts = {f"{name}{_TEXT}": str(part) for name, part in document.items() if f"{name}{_TEXT}" in properties}
-    return json.dumps({**document, **texts}, separators=(",", ":")).encode()
+    return "json", (name, "jsonschema", json.dumps(schema).encode()), encode
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:

@@ -5,13 +5,13 @@ import json
 import secrets
 import struct
 from collections import deque
-from collections.abc import Iterable, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from typing import Any, Protocol
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from telenano.console import Rate
-from telenano.recording import RecordedMessage, plain, viewer_json, viewer_schema
+from telenano.recording import RecordedMessage, viewer_json
 from telenano.serving import TokenSocket, ViewConfig
 from telenano.wire import TOPICS, RecordingError
 
@@ -209,7 +209,7 @@ class Bridge:
         self.sent = 0
         self._server = server
         self._rate = Rate(rate_hz)
-        self._outlets: dict[tuple[str, str], tuple[Outlet, dict[str, Any]]] = {}
+        self._outlets: dict[tuple[str, str], tuple[Outlet, Callable[[dict[str, Any]], bytes]]] = {}
 
     def run(self, messages: Iterable[RecordedMessage]) -> None:
         """Hand on messages until there are no more."""
@@ -221,17 +221,15 @@ class Bridge:
         if message.topic not in TOPICS or message.topic in LEFT_OUT or not self._rate.is_due(message):
             return
         key = message.channel_topic, message.src
-        outlet, schema = self._outlets.get(key) or self._open(key, message.topic)
+        outlet, encode = self._outlets.get(key) or self._open(key, message.topic)
         try:
-            payload = viewer_json(plain(message), schema)
+            payload = encode(message.plain())
         except (RecordingError, TypeError, ValueError):
             return
         outlet.log(payload, log_time=message.publish_ns)
         self.sent += 1
 
-    def _open(self, key: tuple[str, str], topic: str) -> tuple[Outlet, dict[str, Any]]:
-        model = TOPICS[topic].model
-        schema = viewer_schema(model)
-        opened = self._server.open("/".join(key), f"telenano.{model.__name__}", json.dumps(schema).encode())
-        self._outlets[key] = opened, schema
-        return opened, schema
+    def _open(self, key: tuple[str, str], topic: str) -> tuple[Outlet, Callable[[dict[str, Any]], bytes]]:
+        _, (name, _, schema), encode = viewer_json(topic)
+        opened = self._outlets[key] = self._server.open("/".join(key), name, schema), encode
+        return opened

@@ -64,7 +64,6 @@ from telenano.extend.virtual_mass import (
     moved,
     paid_stretch,
     periods_in,
-    port_at,
     rescaled,
     resumed,
     tip_reference,
@@ -221,7 +220,7 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
         dissipated_j=0.0,
         drift=no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
         since_s=0.0,
-        port=port_at(mass.position_m),
+        port=HandPort(mass.position_m, 0.0, 0.0, 0.0),
     )
 
 

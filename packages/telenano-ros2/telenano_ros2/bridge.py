@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 from telenano.console import Rate
-from telenano.recording import RecordedMessage, plain
+from telenano.recording import RecordedMessage
 from telenano.wire import ConfigError, RecordingError
 from telenano_ros2.crtk import TOPICS_IN, Encoder, definitions
 
@@ -61,7 +61,7 @@ class Ros2Bridge:
 
     def _publish(self, message: RecordedMessage) -> None:
         try:
-            messages = list(self._encoder.messages(message.topic, message.topic, message.publish_ns, plain(message)))
+            messages = list(self._encoder.messages(message.topic, message.topic, message.publish_ns, message.plain()))
         except (RecordingError, KeyError, TypeError, ValueError):
             return
         for made in messages:

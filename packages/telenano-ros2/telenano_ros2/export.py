@@ -10,7 +10,6 @@ from telenano.recording import (
     RecordedMessage,
     Recording,
     Selection,
-    plain,
     write_mcap,
 )
 from telenano_ros2.crtk import TOPICS_IN, Encoder
@@ -36,7 +35,7 @@ def export_ros2(recording: Recording, target: Path, selection: Selection) -> Cop
         return channel.topic in TOPICS_IN and channel.topic == channel.channel_topic and selection(channel)
 
     def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
-        fields = plain(message)
+        fields = message.plain()
         for encoded in encoder.messages(message.topic, message.channel_topic, message.publish_ns, fields):
             if encoded.topic not in channels:
                 schema = (encoded.kind, "ros2msg", encoder.definition(encoded.kind).encode())
