@@ -45,7 +45,7 @@ class TipMeasurement(NamedTuple):
 
 
 class PortSignal(NamedTuple):
-    """The signal from one half of a law to the other, at the slave's scale.
+    """The signal from one half of a law to the other, at the slave's scale; `PortSignal()` is that before any came.
 
     The receiver fills in the last two. `silence_s` is the time since the newest signal arrived (large when none ever
     did); a law decides for itself what is too long. `round_trip_s`, at the master only, is the age of the hand's sample
@@ -53,17 +53,17 @@ class PortSignal(NamedTuple):
     number of periods, 0.0 where the answer belongs to the present tick, and grows with every tick without a new signal.
     """
 
-    position_m: float
-    velocity_m_per_s: float
-    force_n: float
-    wave_sqrt_w: float
-    energy_j: float
-    separation_m: float
-    separation_valid: bool
-    in_contact: bool
-    active: bool
-    silence_s: float
-    round_trip_s: float
+    position_m: float = 0.0
+    velocity_m_per_s: float = 0.0
+    force_n: float = 0.0
+    wave_sqrt_w: float = 0.0
+    energy_j: float = 0.0
+    separation_m: float = 0.0
+    separation_valid: bool = False
+    in_contact: bool = False
+    active: bool = False
+    silence_s: float = 1e9
+    round_trip_s: float = 0.0
 
 
 @compiled
@@ -145,7 +145,7 @@ def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
     return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
 
 
-NO_SIGNAL = port_signal(position_m=0.0, silence_s=1e9)
+NO_SIGNAL = PortSignal()
 # before the instrument has said anything
 NO_TIP = TipMeasurement(
     base_position_m=0.0,

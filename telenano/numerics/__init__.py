@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from telenano.numerics.compiler import always_compiled as always_compiled
     from telenano.numerics.compiler import compiled as compiled
     from telenano.numerics.compiler import compiled_form as compiled_form
-    from telenano.numerics.compiler import vectorized as vectorized
     from telenano.numerics.digests import source_digest as source_digest
     from telenano.numerics.discretisation import decay as decay
     from telenano.numerics.frames import to_site_frame as to_site_frame

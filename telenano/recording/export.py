@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
@@ -25,8 +25,10 @@ FORMATS = ("mcap-json",)
 # What the messages of a topic become for viewers: encoding, schema (name, encoding and data), and the bytes of the JSON
 # values of one.
 Payload = tuple[str, tuple[str, str, bytes], Callable[[dict[str, Any]], bytes]]
-# What a message becomes: of each new one its channel and payload. It may raise TypeError, ValueError or KeyError.
-Encodes = Callable[[RecordedMessage], Iterable[tuple[RawChannel, bytes]]]
+# Any key by which a message is assigned to a channel of the file.
+K = TypeVar("K")
+# What a channel of the file is: name, encoding, metadata, and schema (name, encoding and data).
+Described = tuple[str, str, tuple[tuple[str, str], ...], tuple[str, str, bytes]]
 
 
 def export_recording(source: Path, target: Path, kind: str, selection: Selection = ALL) -> CopyResult:
@@ -150,35 +152,49 @@ def write_viewer_mcap(
     publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
     topics = {channel.topic for channel in recording.channels if selection(channel)}
     payloads = {topic: payload_of(topic, _plain_schema_of(topic)) for topic in topics}
-    channels: dict[RecordedChannel, RawChannel] = {}
 
-    def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
-        encoding, schema, encode_fields = payloads[message.topic]
-        if message.channel not in channels:
-            several = publishers[message.channel_topic] > 1
-            channels[message.channel] = _viewer_channel(message.channel, encoding, schema, several=several)
-        yield channels[message.channel], encode_fields(message.plain())
+    def encode(message: RecordedMessage) -> Iterator[tuple[RecordedChannel, bytes]]:
+        yield message.channel, payloads[message.topic][2](message.plain())
 
-    return write_mcap(recording, target, selection, encode)
+    def describe(channel: RecordedChannel) -> Described:
+        encoding, schema, _ = payloads[channel.topic]
+        # viewers draw a channel as one line, no matter which node sent its messages
+        several = publishers[channel.channel_topic] > 1
+        name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
+        facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
+        return name, encoding, tuple(sorted(facts.items())), schema
+
+    return write_mcap(recording, target, selection, encode, describe)
 
 
 def write_mcap(
-    recording: Recording, target: Path, selection: Callable[[RecordedChannel], bool], encode: Encodes, profile: str = ""
+    recording: Recording,
+    target: Path,
+    selection: Callable[[RecordedChannel], bool],
+    encode: Callable[[RecordedMessage], Iterable[tuple[K, bytes]]],
+    describe: Callable[[K], Described],
+    profile: str = "",
 ) -> CopyResult:
-    """Write the chosen channels of a recording in the order of their sending, with what `encode` makes of each message.
+    """Write the chosen channels of a recording in the order of their sending.
 
     Args:
         recording: The recording.
         target: The file to write.
         selection: Which channels are written.
-        encode: Returns channels and payloads of a message; what it refuses is left out and named in the result.
+        encode: Returns what a message becomes: for each new one the key of its channel, and its bytes. What it refuses
+            by TypeError, ValueError or KeyError is left out and named in the result.
+        describe: Returns name, encoding, metadata and schema (name, encoding and data) of a channel by its key.
         profile: The profile of MCAP that the channels follow.
 
     Raises:
         RecordingError: The file cannot be written.
+
+    Example:
+        >>> write_mcap(recording, target, ALL, lambda message: [(message.topic, message.payload)], described)
     """
     skipped: list[Damage] = list(recording.structural_damage)
     refused: list[str] = []
+    channels: dict[K, RawChannel] = {}
     # viewers draw by log_time, and against the recorder's a ramp is a staircase
     select = partial(recording.select, report=skipped.append)
     sent = SenderOrder(recording, selection, SenderClock(recording), select=select, ends=True)
@@ -190,18 +206,11 @@ def write_mcap(
             except (TypeError, ValueError, KeyError) as error:
                 refused.append(f"{message.channel_topic}, seq {message.seq}: {error}")
                 continue
-            for channel, data in made:
+            for key, data in made:
+                if (channel := channels.get(key)) is None:
+                    channel = channels[key] = RawChannel(*describe(key))
                 writer.add(RawMessage(channel, sent_ns, message.publish_ns, message.seq, data))
     return CopyResult(path=str(target), messages=writer.messages, skipped=(*describe_damage(skipped), *refused))
-
-
-def _viewer_channel(
-    channel: RecordedChannel, encoding: str, schema: tuple[str, str, bytes], *, several: bool
-) -> RawChannel:
-    # viewers draw a channel as one line, no matter which node sent its messages
-    name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
-    facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
-    return RawChannel(name, encoding, tuple(sorted(facts.items())), schema)
 
 
 def _plain_schema_of(topic: str) -> dict[str, Any]:
