@@ -1,6 +1,7 @@
 """What a driver may be used with: the table, and its refusals in a plan and at a node."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,6 @@ from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import TABLE, refusal
 from telenano.launcher.plan import UpRequest, make_plan, refused_laws
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.laws.law_names import LAW_NAMES
 from telenano.settings.known_packages import KNOWN_MODEL_LAWS
 from telenano.wire.errors import ConfigError
 
@@ -42,7 +42,6 @@ def test_a_plan_gives_both_halves_the_laws_that_they_have_to_refuse_later(tmp_pa
     plan = make_plan(UpRequest(scenario="fig12", settings=settings), tmp_path)
     config = plan.loaded.section("controller", ControllerConfig)
     assert set(config.refused_laws) == {name for name, law in KNOWN_LAWS.items() if law.link_loop}
-    assert set(config.refused_laws) >= set(LAW_NAMES)
     assert config.refused_laws == refused_laws("nanonis")
     simulated = make_plan(UpRequest(scenario="fig12"), tmp_path)
     assert "refused_laws" not in (simulated.loaded.document.get("controller") or {})
@@ -61,13 +60,11 @@ def test_a_law_is_judged_by_what_it_says_of_itself_and_not_by_its_name(monkeypat
 
 
 def test_a_refusal_names_the_package_of_a_law_that_would_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {name for name in KNOWN_MODEL_LAWS if KNOWN_LAWS[name].link_loop} == set()
-    assert "telenano-laws" not in refused_laws("nanonis")["wave"]
+    assert not any(KNOWN_LAWS[name].link_loop for name in KNOWN_MODEL_LAWS)
     for name in KNOWN_MODEL_LAWS:
         monkeypatch.delitem(KNOWN_LAWS, name)
-    text = refused_laws("nanonis")["wave"]
-    assert f"({', '.join(KNOWN_MODEL_LAWS)}, " in text
-    assert f"; the law {KNOWN_MODEL_LAWS[0]} is in the package telenano-laws: " in text
+    where = f"; the law {KNOWN_MODEL_LAWS[0]} is in the package telenano-laws: "
+    assert re.search(rf"\({', '.join(KNOWN_MODEL_LAWS)}, .*{where}", refused_laws("nanonis")["wave"])
 
 
 def test_a_driver_of_another_package_is_not_judged() -> None:

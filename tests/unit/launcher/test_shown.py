@@ -103,11 +103,8 @@ def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
     )
     assert text(far, ("one", "nearer")).endswith("Take a shorter line: no law held such a session in the benchmark.")
     # a law that is not installed is named where no other fits, with how it is
-    where = {"other": "the law other is in the package somebodys-laws: pip install somebodys-laws"}
-    assert advice(table, "one", "line", far, ["one", "nearer"], where).endswith(
-        f"Take other (--set controller.law=other) or a shorter line; {where['other']}."
-    )
-    assert advice(table, "nearer", "line", far, ["other"], {"third": "elsewhere"}) == text(far).replace("one", "nearer")
+    where = {"other": "the law other is in the package somebodys-laws"}
+    assert advice(table, "one", "line", far, ["nearer"], where).endswith(f" or a shorter line; {where['other']}.")
     assert "5 ms there and back, at times 90 ms more, and it held up to 70 ms more" in text(
         Session(exactly(5.0), exactly(90.0))
     )

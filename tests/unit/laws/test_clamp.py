@@ -93,8 +93,7 @@ def test_a_clamp_bounds_the_force_and_does_not_end_the_swing_of_the_law(
 
 def test_two_laws_come_with_the_clamp() -> None:
     """A clamp of the law's own counts as on while its margin is one that a hand can meet."""
-    configs = {name: ControllerConfig(law=name).params() for name in TRIED_LAWS}
-    margins = {name: getattr(params, "margin_n", NO_LIMIT_N) for name, params in configs.items()}
+    margins = {law: getattr(ControllerConfig(law=law).params(), "margin_n", NO_LIMIT_N) for law in TRIED_LAWS}
     assert {name for name, margin in margins.items() if margin < NO_LIMIT_N} - {"wave"} == {
         "passivity",
         "model_mediated",
