@@ -9,8 +9,8 @@ BIN := $(VENV)/bin
 OUT ?= out/fig12
 # the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in compose.yaml
 # Each image with its locks, and the packages of the project that go in as well.
-IMAGES := haptic_node:node:telenano-haptic-devices controller:node:telenano-wide-area delay_node:node:telenano-wide-area \
-  afm_node:node:telenano-afm-controllers recorder:node session:rig,node:telenano-afm-controllers,telenano-wide-area viz_node:rig \
+IMAGES := haptic_node:node:telenano-haptic-devices controller:node:telenano-laws,telenano-wide-area delay_node:node:telenano-wide-area \
+  afm_node:node:telenano-afm-controllers recorder:node session:rig,node:telenano-afm-controllers,telenano-laws,telenano-wide-area viz_node:rig \
   study:study:telenano-laws,telenano-studies,telenano-assembly,telenano-microscopy
 # The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
 NODE := haptic afm

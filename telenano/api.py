@@ -30,7 +30,7 @@ from telenano.recording.messages import topic_of
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.quantities import quantity
 from telenano.recording.site_clock import Timeline
-from telenano.recording.tables import flat, row, uniform
+from telenano.recording.tables import TypedColumn, flat, row
 from telenano.wire.errors import NoRecordingError, RecordingError, known_names
 from telenano.wire.messages import Message
 
@@ -190,9 +190,8 @@ def check_law(name: str) -> dict[str, list[str]]:
         ConfigError: There is no such law, or the law of a package cannot be used; the message names the laws there are,
             or the reason.
     """
-    from telenano.laws.law_rules import broken_rules, known_law
+    from telenano.laws.law_rules import broken_rules
 
-    known_law(name)
     return broken_rules(name)
 
 
@@ -218,7 +217,7 @@ def _table(topic: str, rows: list[tuple[int, dict[str, Any]]], start_ns: int | N
     time_s = (sent_ns - start_ns) * 1e-9 if start_ns is not None else np.full(sent_ns.size, np.nan)
     columns: dict[str, Column] = {"time_s": np.asarray(time_s, dtype=np.float64)}
     for name in dict.fromkeys(name for _, values in rows for name in values):
-        columns[name] = _column(uniform([values.get(name) for _, values in rows]))
+        columns[name] = _column(TypedColumn.of([values.get(name) for _, values in rows]).uniform())
     return Table(topic, columns)
 
 

@@ -10,7 +10,6 @@ from telenano.extend.laws import paced as paced
 from telenano.extend.programs import Inputs, Instrument, Program, ProgramSettings
 from telenano.extend.samples import Oscillation
 from telenano.extend.stage import Place, moved
-from telenano.laws.law_rules import known_law as known_law
 from telenano.recording import RecordedMessage, recorded
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext

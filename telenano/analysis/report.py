@@ -54,9 +54,9 @@ from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.site_clock import Timeline
-from telenano.settings.config import parse_yaml, validate
+from telenano.settings.config import validate
 from telenano.settings.package_topics import row_of
-from telenano.settings.scenario import Scenario
+from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.timing import loop_age
 from telenano.wire import extras
 from telenano.wire.errors import RecordingError, ReportError
@@ -210,7 +210,11 @@ class Session:
             "intervals": _intervals(samples, ages_ms),
             "overruns": overruns,
             "rate_hz": {name: round(count / self.duration_s, 3) for name, count in sent.items()},
-            "completeness": _completeness(sent, self.duration_s, 1.0 / scenario_in(recording).period_s),
+            "completeness": _completeness(
+                sent,
+                self.duration_s,
+                1.0 / LoadedScenario.attached(recording.path, recording.attachments).scenario.period_s,
+            ),
             "seq_gaps": _gaps(info),
             "contact_known": self.knows_contact,
             "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
@@ -341,7 +345,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         raise RecordingError(f"{recording.path}: the operator's force profile never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
-    document = scenario_in(recording)
+    document = LoadedScenario.attached(recording.path, recording.attachments).scenario
     facts = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         facts["lines"] = lines
@@ -822,14 +826,6 @@ def _launchers_on_sessions(recording: RecordingSource) -> list[tuple[int, dict[s
 def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:
     inside = (series["t_ns"] >= start_ns) & (series["t_ns"] <= end_ns)
     return {name: values[inside] for name, values in series.items()}
-
-
-def scenario_in(recording: RecordingSource) -> Scenario:
-    """Return the scenario that is attached to a recording; RecordingError where there is none."""
-    origin = f"{recording.path}: scenario.yaml"
-    if (content := recording.attachments.get("scenario.yaml")) is None:
-        raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown")
-    return validate(Scenario, parse_yaml(content, origin), origin)
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:

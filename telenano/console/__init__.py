@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.console.bridges import Rate as Rate
     from telenano.console.bridges import hand_on as hand_on
     from telenano.console.bridges import live_rig as live_rig
     from telenano.console.command_client import console_of as console_of

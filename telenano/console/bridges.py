@@ -23,38 +23,22 @@ class Bridge(Protocol):
         """Hand on messages until there are no more."""
 
 
-class Rate:
-    """Chooses the messages of each channel and source that are due by a rate; what is sent on change always is.
+def live_rig(site_file: Path, topics: Collection[str] | None = None, rate_hz: float = 0.0) -> LiveRecording:
+    """Return a context with the messages of the rig of a site file.
 
-    rate = Rate(Rate.DEFAULT_HZ)
-    due = [message for message in live.messages() if rate.is_due(message)]
+    Args:
+        site_file: The site file.
+        topics: The topics that are listened to; None for all.
+        rate_hz: Most messages of each channel a second [Hz]; 0 for all. What is sent on change always comes.
+
+    Raises:
+        ConfigError: The site file cannot be used.
+
+    Example:
+        >>> with live_rig(Path("sites.yaml"), rate_hz=LiveRecording.VIEWER_HZ) as live:
+        ...     hand_on(bridge, live, None)
     """
-
-    # 8000 messages a second of a rig would be more than a viewer draws.
-    DEFAULT_HZ = 100.0
-
-    def __init__(self, rate_hz: float) -> None:
-        """Choose up to `rate_hz` messages a second of each [Hz]; 0 for all of them."""
-        self._period_ns = round(1e9 / rate_hz) if rate_hz > 0.0 else 0
-        self._due_ns: dict[tuple[str, str], int] = {}
-
-    def is_due(self, message: RecordedMessage) -> bool:
-        """Return whether a message is to be handed on."""
-        if not self._period_ns or message.channel.rate_hz is None:
-            return True
-        key = message.channel_topic, message.src
-        due_ns = self._due_ns.get(key, 0)
-        if message.log_ns < due_ns:
-            return False
-        # The next one is due on the grid of the rate, unless the channel was silent.
-        kept = message.log_ns - due_ns < self._period_ns
-        self._due_ns[key] = (due_ns if kept else message.log_ns) + self._period_ns
-        return True
-
-
-def live_rig(site_file: Path, topics: Collection[str] | None = None) -> LiveRecording:
-    """Return a context with the messages of the rig of a site file; ConfigError where that cannot be used."""
-    return LiveRecording(AddressBook.load(site_file), topics)
+    return LiveRecording(AddressBook.load(site_file), topics, rate_hz)
 
 
 def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> None:

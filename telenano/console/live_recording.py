@@ -43,14 +43,49 @@ def connect(
     return [Listener(node, reader) for node, reader in readers.items()]
 
 
+class Rate:
+    """Chooses the messages of each channel and source that are due by a rate; what is sent on change always is."""
+
+    def __init__(self, rate_hz: float) -> None:
+        """Choose up to `rate_hz` messages a second of each [Hz]; 0 for all of them."""
+        self._period_ns = round(1e9 / rate_hz) if rate_hz > 0.0 else 0
+        self._due_ns: dict[tuple[str, str], int] = {}
+
+    def is_due(self, message: RecordedMessage) -> bool:
+        """Return whether a message is to be handed on."""
+        if not self._period_ns or message.channel.rate_hz is None:
+            return True
+        key = message.channel_topic, message.src
+        due_ns = self._due_ns.get(key, 0)
+        if message.log_ns < due_ns:
+            return False
+        # The next one is due on the grid of the rate, unless the channel was silent.
+        kept = message.log_ns - due_ns < self._period_ns
+        self._due_ns[key] = (due_ns if kept else message.log_ns) + self._period_ns
+        return True
+
+
 class LiveRecording:
     """The messages on the bus now, with the interface of `Recording`.
 
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
     """
 
-    def __init__(self, book: AddressBook, topics: Collection[str] | None = None) -> None:
-        """Listen for some topics, or all, as this machine; ConfigError when it lacks a key that the rig demands."""
+    # 8000 messages a second of a rig would be more than a viewer draws.
+    VIEWER_HZ = 100.0
+
+    def __init__(self, book: AddressBook, topics: Collection[str] | None = None, rate_hz: float = 0.0) -> None:
+        """Listen as this machine.
+
+        Args:
+            book: The addresses of the rig.
+            topics: The topics that are listened to; None for all.
+            rate_hz: Most messages of each channel a second [Hz]; 0 for all. What is sent on change always comes.
+
+        Raises:
+            ConfigError: This machine lacks a key that the rig demands.
+        """
+        self._rate = Rate(rate_hz)
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
@@ -92,7 +127,9 @@ class LiveRecording:
             for listener in self._listeners:
                 for frames, received_ns in listener.subscriber.receive_raw():
                     message = self._message(listener, frames, received_ns)
-                    if message is not None and (wanted is None or message.channel_topic in wanted):
+                    if message is None or (wanted is not None and message.channel_topic not in wanted):
+                        continue
+                    if self._rate.is_due(message):
                         yield message
 
     def is_here(self, node: str) -> bool:

@@ -45,7 +45,7 @@ class TipMeasurement(NamedTuple):
 
 
 class PortSignal(NamedTuple):
-    """The signal from one half of a law to the other, at the slave's scale.
+    """The signal from one half of a law to the other, at the slave's scale; `PortSignal()` is that before any came.
 
     The receiver fills in the last two. `silence_s` is the time since the newest signal arrived (large when none ever
     did); a law decides for itself what is too long. `round_trip_s`, at the master only, is the age of the hand's sample
@@ -53,17 +53,17 @@ class PortSignal(NamedTuple):
     number of periods, 0.0 where the answer belongs to the present tick, and grows with every tick without a new signal.
     """
 
-    position_m: float
-    velocity_m_per_s: float
-    force_n: float
-    wave_sqrt_w: float
-    energy_j: float
-    separation_m: float
-    separation_valid: bool
-    in_contact: bool
-    active: bool
-    silence_s: float
-    round_trip_s: float
+    position_m: float = 0.0
+    velocity_m_per_s: float = 0.0
+    force_n: float = 0.0
+    wave_sqrt_w: float = 0.0
+    energy_j: float = 0.0
+    separation_m: float = 0.0
+    separation_valid: bool = False
+    in_contact: bool = False
+    active: bool = False
+    silence_s: float = 1e9
+    round_trip_s: float = 0.0
 
 
 @compiled
@@ -145,7 +145,7 @@ def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
     return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
 
 
-NO_SIGNAL = port_signal(position_m=0.0, silence_s=1e9)
+NO_SIGNAL = PortSignal()
 # before the instrument has said anything
 NO_TIP = TipMeasurement(
     base_position_m=0.0,
@@ -173,6 +173,12 @@ def kept(old: Any, new: Any, state: Any) -> Any:
     return state
 
 
+@compiled
+def measured_tip(params: Any, state: Any, tip: TipMeasurement, dt: float) -> tuple[Any, PortSignal]:
+    """Send the measured state of the tip back."""
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n)
+
+
 def the_hands_force(params: Any, force_n: float) -> float:
     """Return the force of the hand [N]: what a law rests at that loses none of it."""
     return force_n
@@ -188,7 +194,7 @@ class Law:
     - `master_send(params, state, hand, dt) -> (state, PortSignal)`
     - `master_receive(params, state, hand, signal, dt) -> (state, MasterReference)`
     - `slave_receive(params, state, signal, tip, dt) -> (state, SlaveReference)`
-    - `slave_send(params, state, tip, dt) -> (state, PortSignal)`
+    - `slave_send(params, state, tip, dt) -> (state, PortSignal)`; without one the measured state of the tip is sent
     - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump, and
       `slave_retune` a slave state; a law without one has a slave state that holds nothing of its parameters
 
@@ -228,8 +234,8 @@ class Law:
     master_receive: Steps
     slave_start: Steps
     slave_receive: Steps
-    slave_send: Steps
     retune: Steps
+    slave_send: Steps = measured_tip
     master_energy_account: Steps = no_energy_account
     slave_energy_account: Steps = no_energy_account
     rest_force: Steps | None = None
@@ -275,14 +281,14 @@ class Law:
         values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
         values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
         values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
-        if hasattr(slave or own, "slave_retune"):
-            values["slave_retune"] = (slave or own).slave_retune
+        values |= {step: getattr(slave or own, step) for step in _OPTIONAL_OF_SLAVE if hasattr(slave or own, step)}
         values |= given
         return cls(name=module.rpartition(".")[2], config=config, **values)
 
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
-_SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
+_SLAVE_STEPS = ("slave_start", "slave_receive")
+_OPTIONAL_OF_SLAVE = ("slave_send", "slave_retune")
 _OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force", "sample_drift")
 _SCALES = ("position_scale", "force_scale")
 

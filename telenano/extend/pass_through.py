@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from telenano.extend.laws import PortSignal, SlaveReference, TipMeasurement, tip_signal
+from telenano.extend.laws import PortSignal, SlaveReference, TipMeasurement
 from telenano.numerics.compiler import compiled
 
 
@@ -24,9 +24,3 @@ def slave_receive(
 ) -> tuple[SlaveState, SlaveReference]:
     """Pass the reference on to the base."""
     return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
-
-
-@compiled
-def slave_send(params: object, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Send the measured state of the tip back."""
-    return state, tip_signal(tip, tip.base_position_m, tip.force_n)

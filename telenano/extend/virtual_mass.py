@@ -61,7 +61,8 @@ class Mass(NamedTuple):
 class HandPort(NamedTuple):
     """Where the device was [m], the work of the hand there less what the channel got, what is sent, and granted [J].
 
-    The channel gets its energy from the reference, and the hand gives its at the device, which is late or stuck.
+    The channel gets its energy from the reference, and the hand gives its at the device, which is late or stuck. A half
+    begins with `HandPort(device_m, 0.0, 0.0, 0.0)`.
     """
 
     device_m: float
@@ -224,12 +225,6 @@ def worked(port: HandPort, hand: HandSample, counts: bool) -> HandPort:
     """Count the work of the hand at its device since the last sample, where a law moved it."""
     work_j = hand.force_n * (hand.position_m - port.device_m) if counts else 0.0
     return HandPort(hand.position_m, port.credit_j + work_j, port.sent_j, port.granted_j)
-
-
-@compiled
-def port_at(device_m: float) -> HandPort:
-    """Return the port of a half that begins, with a device at a place [m]."""
-    return HandPort(device_m, 0.0, 0.0, 0.0)
 
 
 @compiled

@@ -29,7 +29,7 @@ from telenano.settings.included import (
     find_scenario,
     site_file_named,
 )
-from telenano.settings.known_packages import KNOWN_PACKAGES, where_it_is
+from telenano.settings.known_packages import KNOWN_MODEL_LAWS, KNOWN_PACKAGES, where_it_is
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document
@@ -386,9 +386,10 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
 
 def refused_laws(driver: str) -> dict[str, str]:
     """Return the laws that a driver of the instrument cannot be used with, and why."""
-    instead = [name for name, law in KNOWN_LAWS.items() if not law.link_loop]
+    instead = dict.fromkeys((*KNOWN_MODEL_LAWS, *(name for name, law in KNOWN_LAWS.items() if not law.link_loop)))
+    where = next((where_it_is(f"law {name}") for name in KNOWN_MODEL_LAWS if name not in KNOWN_LAWS), "")
     closing = [name for name, law in KNOWN_LAWS.items() if law.link_loop]
-    return {name: text for name in closing if (text := loop_refusal(driver, name, instead))}
+    return {name: text for name in closing if (text := loop_refusal(driver, name, instead, where))}
 
 
 def _reject_recording_place(settings: Sequence[str]) -> None:

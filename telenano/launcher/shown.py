@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from operator import le
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -187,7 +188,14 @@ def outside(shown: Shown, session: Session) -> Axis | None:
     return next((axis for axis, part in alone.items() if not shown.holds_some(part)), "together")
 
 
-def advice(table: Mapping[str, Shown], law: str, axis: Axis, session: Session, choices: Sequence[str]) -> str:
+def advice(
+    table: Mapping[str, Shown],
+    law: str,
+    axis: Axis,
+    session: Session,
+    choices: Sequence[str],
+    absent: Mapping[str, str] = MappingProxyType({}),
+) -> str:
     """Return what happened, what it means and what to do, in sentences.
 
     Args:
@@ -196,13 +204,15 @@ def advice(table: Mapping[str, Shown], law: str, axis: Axis, session: Session, c
         axis: By what the session is outside.
         session: What is known of the session.
         choices: The laws that can be taken instead.
+        absent: Laws that can be taken once their package is installed, and where they are; named where no other fits.
     """
     happened, remedy = _HAPPENED[axis](table[law], law, session)
     means = "The hand may feel an oscillation, or the tip may rest at another force than intended."
-    fitting = [name for name in choices if name != law and name in table and table[name].fits(session)]
-    best = min(fitting, key=lambda name: (table[name].tracking_error or math.inf, name), default="")
-    if best:
-        return f"{happened} {means} Take {best} (--set controller.law={best}) or {remedy}."
+    fitting = [name for name in (*choices, *absent) if name != law and name in table and table[name].fits(session)]
+    nearest = min(fitting, key=lambda name: (name in absent, table[name].tracking_error or math.inf, name), default="")
+    if nearest:
+        where = f"; {absent[nearest]}" if nearest in absent else ""
+        return f"{happened} {means} Take {nearest} (--set controller.law={nearest}) or {remedy}{where}."
     return f"{happened} {means} Take {remedy}: no law held such a session in the benchmark."
 
 

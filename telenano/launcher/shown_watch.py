@@ -13,6 +13,7 @@ from telenano.laws.config import LAWS, ControllerConfig
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.loop.log import StructuredLog
 from telenano.settings.config import section_of
+from telenano.settings.known_packages import known_of, where_it_is
 from telenano.timing.clock import Clock
 from telenano.wire.messages import AfmState, LawStatus, Message, Scalar
 
@@ -127,7 +128,8 @@ class ShownWatch:
             if not self._lasts(axis is not None, _OUTSIDE_NS, now_ns) or axis is None:
                 return None
             self._warned, self._since_ns = session, None
-            text = advice(table, self._law, axis, session, [law for law in LAWS if law in self._laws])
+            choices = [law for law in LAWS if law in self._laws]
+            text = advice(table, self._law, axis, session, choices, absent_laws())
             return Advice(text, {"outside": axis, "law": self._law, **_facts(session)})
         # What is not known any more is not known to be inside.
         is_known = all(new is not None for old, new in zip(self._warned, session, strict=True) if old is not None)
@@ -142,6 +144,11 @@ class ShownWatch:
         elif self._since_ns is None:
             self._since_ns = now_ns
         return self._since_ns is not None and now_ns - self._since_ns >= for_ns
+
+
+def absent_laws() -> dict[str, str]:
+    """Return the laws of this project's packages that are not installed, each with where it is."""
+    return {law: where_it_is(f"law {law}") for law in known_of("law") if law not in LAWS}
 
 
 def laws_as_shown(controller: ControllerConfig) -> list[str]:

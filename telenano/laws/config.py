@@ -13,7 +13,6 @@ from telenano.laws.deadband import DeadbandConfig
 from telenano.laws.integration import TimingParams
 from telenano.laws.lateral import LateralParams
 from telenano.laws.lateral_settings import LateralConfig
-from telenano.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
 from telenano.laws.tactile import TACTILE, TactileConfig
@@ -21,12 +20,10 @@ from telenano.laws.wave import WAVE, WaveConfig
 from telenano.settings.config import Settings, keys_of, merge, nested, package_fields, section_of, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import load, refuse
-from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.errors import ConfigError, RefusedError, known_names
 from telenano.wire.messages import Scalar
 
-OWN_LAWS: dict[str, Law] = {
-    law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED)
-}
+OWN_LAWS: dict[str, Law] = {law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY)}
 _KINDS = {type(law.config().to_params(1e-3)): law.name for law in (*OWN_LAWS.values(), TACTILE)}  # type: ignore[attr-defined]
 
 
@@ -69,9 +66,6 @@ class _OwnSections(Settings):
     )
     wave: WaveConfig = Field(default=WaveConfig(), description="Parameters of the wave variables")
     passivity: PassivityConfig = Field(default=PassivityConfig(), description="Parameters of passivity control")
-    model_mediated: ModelMediatedConfig = Field(
-        default=ModelMediatedConfig(), description="Parameters of the local surface model"
-    )
     tactile: TactileConfig = Field(default=TactileConfig(), description="Parameters of tactile feedback")
 
     @field_validator("law", mode="before")
@@ -168,6 +162,14 @@ class _OwnSections(Settings):
         return TimingParams(round(1e9 * self.period_s), longest, local_ns if self.local_loop else 0)
 
 
+class _Laws(dict[str, Law]):
+    """Laws by their names; ConfigError for another name states which there are, or where that one is."""
+
+    def __missing__(self, name: str) -> Law:
+        refused = PACKAGE_LAWS.problems.get(name) or where_it_is(f"law {name}")
+        raise ConfigError(refused or f"unknown law {name!r}: {known_names(name, self)}; `telenano new law` makes one")
+
+
 def late_periods(latency_s: float, period_s: float) -> int:
     """Return the periods that an instrument answers late, where a part of one counts as a whole one."""
     return math.ceil(latency_s / period_s - 1e-9)
@@ -176,7 +178,7 @@ def late_periods(latency_s: float, period_s: float) -> int:
 # Packages may not use the keys of the section. Laws of installed packages have the entry point `telenano.laws`.
 TAKEN = frozenset({*OWN_LAWS, *_OwnSections.model_fields})
 PACKAGE_LAWS = load("laws", _with_own_parameters, TAKEN)
-LAWS: dict[str, Law] = {**OWN_LAWS, **PACKAGE_LAWS.found}
+LAWS: dict[str, Law] = _Laws({**OWN_LAWS, **PACKAGE_LAWS.found})
 # Under the tactile law the hand follows the surface and does not move the tip, so that there is no loop to study.
 KNOWN_LAWS: dict[str, Law] = {**LAWS, TACTILE.name: TACTILE}
 

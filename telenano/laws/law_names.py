@@ -4,4 +4,4 @@ They stand by themselves, so that the shell's completion need not import a law; 
 `config`. A name that is added makes other cells of a seed that `telenano study validate` draws.
 """
 
-LAW_NAMES = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated")
+LAW_NAMES = ("virtual_impedance", "position_force", "wave", "passivity")

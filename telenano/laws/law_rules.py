@@ -10,12 +10,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement
-from telenano.laws.config import LAWS, PACKAGE_LAWS, ControllerConfig
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, TipMeasurement
+from telenano.laws.config import LAWS, ControllerConfig
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
-from telenano.settings.known_packages import where_it_is
-from telenano.wire.errors import ConfigError, known_names
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
 _TIP = TipMeasurement(
@@ -73,20 +71,14 @@ class Rule(NamedTuple):
     broken_by: Callable[[str], Iterator[str]]
 
 
-def known_law(name: str) -> Law:
-    """Return a law by its name; ConfigError names those there are, or what keeps one of a package from use."""
-    if name in PACKAGE_LAWS.problems:
-        raise ConfigError(PACKAGE_LAWS.problems[name])
-    if name not in LAWS and (where := where_it_is(f"law {name}")):
-        raise ConfigError(where)
-    if name not in LAWS:
-        raise ConfigError(f"unknown law {name!r}: {known_names(name, LAWS)}; `telenano new law` makes one")
-    return LAWS[name]
-
-
 def broken_rules(name: str) -> dict[str, list[str]]:
-    """Return what a law does against each rule, by the rule's name; an empty list where it keeps it."""
+    """Return what a law does against each rule, by the rule's name; an empty list where it keeps it.
+
+    Raises:
+        ConfigError: There is no such law.
+    """
     broken: dict[str, list[str]] = {}
+    name = LAWS[name].name
     for rule in RULES:
         try:
             broken[rule.name] = list(rule.broken_by(name))

@@ -97,7 +97,6 @@ from telenano.extend.virtual_mass import (
     paid_stretch,
     periods_in,
     placed,
-    port_at,
     put_in,
     rescaled,
     resumed,
@@ -303,13 +302,14 @@ def reopen(account: Account, start_j: float, sent_j: float) -> Account:
 @compiled
 def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0, port_at(hand.position_m))
+    port = HandPort(hand.position_m, 0.0, 0.0, 0.0)
+    return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0, port)
 
 
 @compiled
 def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    mass, port = resumed(params.mass, hand, tip_reference_m), port_at(hand.position_m)
+    mass, port = resumed(params.mass, hand, tip_reference_m), HandPort(hand.position_m, 0.0, 0.0, 0.0)
     return MasterState(mass, opened(params.start_j), 0.0, port)
 
 

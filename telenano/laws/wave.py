@@ -76,7 +76,6 @@ from telenano.extend.virtual_mass import (
     let_go,
     moved,
     periods_in,
-    port_at,
     put_in,
     rescaled,
     resumed,
@@ -211,7 +210,9 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def _begun(mass: Mass) -> MasterState:
-    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, port_at(mass.position_m))
+    return MasterState(
+        mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, HandPort(mass.position_m, 0.0, 0.0, 0.0)
+    )
 
 
 @compiled

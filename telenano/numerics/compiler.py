@@ -39,9 +39,17 @@ VECTORIZED = "_telenano_vectorized"
 _unregistered: list[tuple[Callable[..., Any], Callable[[type], Callable[..., Any]]]] = []
 
 
-def compiled(function: F) -> F:
-    """Mark a pure step: plain Python where Python calls it, compiled where compiled code calls it."""
+def compiled(function: F, *, at_once: F | None = None) -> F:
+    """Mark a pure step: plain Python where Python calls it, compiled where compiled code calls it.
+
+    Args:
+        function: The step.
+        at_once: What compiled code runs instead: a loop of the same bits over many elements. The compiler does several
+            elements at once, for which a division by zero must raise nothing there.
+    """
     setattr(function, STEP, None)
+    if at_once is not None:
+        setattr(function, VECTORIZED, at_once)
     return function
 
 
@@ -52,19 +60,6 @@ def inlined(function: F) -> F:
     """
     setattr(function, INLINED, True)
     return compiled(function)
-
-
-def vectorized(plain: F) -> Callable[[F], F]:
-    """Mark a function that compiled code runs in the place of `plain`: a loop of the same bits over many elements.
-
-    The compiler does several elements at once, for which a division by zero must raise nothing there.
-    """
-
-    def mark(function: F) -> F:
-        setattr(compiled(plain), VECTORIZED, function)
-        return function
-
-    return mark
 
 
 def is_step(function: Callable[..., Any]) -> bool:

@@ -10,21 +10,16 @@ if TYPE_CHECKING:
     from telenano.recording.arrays import last_force_profile as last_force_profile
     from telenano.recording.channel_filter import Selection as Selection
     from telenano.recording.column_table import ColumnTable as ColumnTable
-    from telenano.recording.export import Payload as Payload
-    from telenano.recording.export import plain_schema as plain_schema
     from telenano.recording.export import viewer_json as viewer_json
-    from telenano.recording.export import viewer_schema as viewer_schema
     from telenano.recording.export import write_mcap as write_mcap
     from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
     from telenano.recording.indexed import IndexedRecording as IndexedRecording
     from telenano.recording.made_records import recorded as recorded
-    from telenano.recording.messages import RawChannel as RawChannel
     from telenano.recording.messages import RecordedChannel as RecordedChannel
     from telenano.recording.messages import RecordedMessage as RecordedMessage
     from telenano.recording.multi_file import RecordingSource as RecordingSource
     from telenano.recording.multi_file import open_recordings as open_recordings
     from telenano.recording.provenance import versions as versions
-    from telenano.recording.quantities import model_of as model_of
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording
     from telenano.recording.rewrite import CopyResult as CopyResult
@@ -32,9 +27,6 @@ if TYPE_CHECKING:
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.site_merge import merge_sites as merge_sites
     from telenano.recording.tables import columns_of as columns_of
-    from telenano.recording.tables import plain as plain
-    from telenano.recording.tables import typed_columns as typed_columns
-    from telenano.recording.tables import uniform as uniform
     from telenano.recording.tolerance import Tolerances as Tolerances
     from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_scan import Damage, describe_damage
@@ -15,17 +15,20 @@ from telenano.recording.quantities import model_of
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
-from telenano.recording.tables import plain
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
-from telenano.wire.messages import Record
 from telenano.wire.schema import json_schema
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
 FORMATS = ("mcap-json",)
-# What a message becomes: of each new one its channel and payload. It may raise TypeError, ValueError or KeyError.
-Encodes = Callable[[RecordedMessage], Iterable[tuple[RawChannel, bytes]]]
+# What the messages of a topic become for viewers: encoding, schema (name, encoding and data), and the bytes of the JSON
+# values of one.
+Payload = tuple[str, tuple[str, str, bytes], Callable[[dict[str, Any]], bytes]]
+# Any key by which a message is assigned to a channel of the file.
+K = TypeVar("K")
+# What a channel of the file is: name, encoding, metadata, and schema (name, encoding and data).
+Described = tuple[str, str, tuple[tuple[str, str], ...], tuple[str, str, bytes]]
 
 
 def export_recording(source: Path, target: Path, kind: str, selection: Selection = ALL) -> CopyResult:
@@ -100,14 +103,6 @@ _TEXT = "_text"
 _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
 
 
-class Payload(NamedTuple):
-    """How the messages of a channel are written: encoding, schema, and a function of the JSON values of one."""
-
-    encoding: str
-    schema: tuple[str, str, bytes]
-    encode: Callable[[dict[str, Any]], bytes]
-
-
 def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
     loaded = plugins.load("exports", taken=FORMATS, only=kind)
     if kind in loaded.problems:
@@ -136,40 +131,70 @@ def _written_by_package(write: Any, recording: Recording, target: Path, kind: st
 
 
 def write_viewer_mcap(
-    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str], Payload]
+    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str, Mapping[str, Any]], Payload]
 ) -> CopyResult:
-    """Write the chosen channels as MCAP for viewers, in what `payload_of` makes of each topic (`write_mcap`)."""
-    publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
-    payloads = {channel.topic: payload_of(channel.topic) for channel in recording.channels if selection(channel)}
-    channels: dict[RecordedChannel, RawChannel] = {}
-
-    def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
-        payload = payloads[message.topic]
-        if message.channel not in channels:
-            several = publishers[message.channel_topic] > 1
-            channels[message.channel] = _viewer_channel(message.channel, payload, several)
-        yield channels[message.channel], payload.encode(plain(message))
-
-    return write_mcap(recording, target, selection, encode)
-
-
-def write_mcap(
-    recording: Recording, target: Path, selection: Callable[[RecordedChannel], bool], encode: Encodes, profile: str = ""
-) -> CopyResult:
-    """Write the chosen channels of a recording in the order of their sending, with what `encode` makes of each message.
+    """Write the chosen channels as MCAP for viewers, with the time of the sending of each message.
 
     Args:
         recording: The recording.
         target: The file to write.
         selection: Which channels are written.
-        encode: Returns channels and payloads of a message; what it refuses is left out and named in the result.
+        payload_of: Returns encoding, schema (name, encoding and data) and encoder of a topic, from its name and the
+            schema of its messages as `plain()` gives them: without references and alternatives. It has the name of the
+            message as `title`, and neither that nor properties for a topic that this version does not know.
+
+    Raises:
+        RecordingError: The file cannot be written.
+
+    Example:
+        >>> write_viewer_mcap(recording, target, selection, lambda topic, schema: ("cbor", (topic, "", b""), dumps))
+    """
+    publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
+    topics = {channel.topic for channel in recording.channels if selection(channel)}
+    payloads = {topic: payload_of(topic, _plain_schema_of(topic)) for topic in topics}
+
+    def encode(message: RecordedMessage) -> Iterator[tuple[RecordedChannel, bytes]]:
+        yield message.channel, payloads[message.topic][2](message.plain())
+
+    def describe(channel: RecordedChannel) -> Described:
+        encoding, schema, _ = payloads[channel.topic]
+        # viewers draw a channel as one line, no matter which node sent its messages
+        several = publishers[channel.channel_topic] > 1
+        name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
+        facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
+        return name, encoding, tuple(sorted(facts.items())), schema
+
+    return write_mcap(recording, target, selection, encode, describe)
+
+
+def write_mcap(
+    recording: Recording,
+    target: Path,
+    selection: Callable[[RecordedChannel], bool],
+    encode: Callable[[RecordedMessage], Iterable[tuple[K, bytes]]],
+    describe: Callable[[K], Described],
+    profile: str = "",
+) -> CopyResult:
+    """Write the chosen channels of a recording in the order of their sending.
+
+    Args:
+        recording: The recording.
+        target: The file to write.
+        selection: Which channels are written.
+        encode: Returns what a message becomes: for each new one the key of its channel, and its bytes. What it refuses
+            by TypeError, ValueError or KeyError is left out and named in the result.
+        describe: Returns name, encoding, metadata and schema (name, encoding and data) of a channel by its key.
         profile: The profile of MCAP that the channels follow.
 
     Raises:
         RecordingError: The file cannot be written.
+
+    Example:
+        >>> write_mcap(recording, target, ALL, lambda message: [(message.topic, message.payload)], described)
     """
     skipped: list[Damage] = list(recording.structural_damage)
     refused: list[str] = []
+    channels: dict[K, RawChannel] = {}
     # viewers draw by log_time, and against the recorder's a ramp is a staircase
     select = partial(recording.select, report=skipped.append)
     sent = SenderOrder(recording, selection, SenderClock(recording), select=select, ends=True)
@@ -181,48 +206,47 @@ def write_mcap(
             except (TypeError, ValueError, KeyError) as error:
                 refused.append(f"{message.channel_topic}, seq {message.seq}: {error}")
                 continue
-            for channel, data in made:
+            for key, data in made:
+                if (channel := channels.get(key)) is None:
+                    channel = channels[key] = RawChannel(*describe(key))
                 writer.add(RawMessage(channel, sent_ns, message.publish_ns, message.seq, data))
     return CopyResult(path=str(target), messages=writer.messages, skipped=(*describe_damage(skipped), *refused))
 
 
-def _viewer_channel(channel: RecordedChannel, payload: Payload, several: bool) -> RawChannel:
-    # viewers draw a channel as one line, no matter which node sent its messages
-    name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
-    facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
-    return RawChannel(name, payload.encoding, tuple(sorted(facts.items())), payload.schema)
-
-
-def _as_json(topic: str) -> Payload:
+def _plain_schema_of(topic: str) -> dict[str, Any]:
     model = model_of(topic)
-    schema: dict[str, Any] = {"type": "object", "properties": {}} if model is None else viewer_schema(model)
-    name = topic if model is None else f"telenano.{model.__name__}"
+    return {"type": "object", "properties": {}} if model is None else plain_schema(json_schema(model))
+
+
+def viewer_json(topic: str) -> Payload:
+    """Return how viewers get a topic as JSON: encoding, schema (name, encoding and data), and the bytes of a message.
+
+    Beside each time in ns there is the same in digits: a viewer in JavaScript keeps numbers as doubles, which round the
+    time of today to 256 ns.
+
+    Args:
+        topic: The topic.
+
+    Example:
+        >>> encoding, (name, _, schema), encode = viewer_json("afm/state")
+        >>> encode(message.plain())
+    """
+    return _as_json(topic, _plain_schema_of(topic))
+
+
+def _as_json(topic: str, plain: Mapping[str, Any]) -> Payload:
+    properties = plain["properties"]
+    times = [name for name, part in properties.items() if name.endswith("_ns") and part.get("type") == "integer"]
+    texts = {f"{name}{_TEXT}": {"type": "string", "description": f"{name} in digits"} for name in times}
+    schema = {**plain, "properties": {**properties, **texts}}
+    name = f"telenano.{plain['title']}" if "title" in plain else topic
 
     def encode(fields: dict[str, Any]) -> bytes:
-        return viewer_json(fields, schema)
+        document = fitted(fields, schema)
+        digits = {f"{time}{_TEXT}": str(document[time]) for time in document if f"{time}{_TEXT}" in texts}
+        return json.dumps({**document, **digits}, separators=(",", ":")).encode()
 
-    return Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
-
-
-def viewer_schema(model: type[Record]) -> dict[str, Any]:
-    """Return the plain schema of the JSON of a message; beside each time in ns there is the same in digits.
-
-    A viewer in JavaScript keeps numbers as doubles, which round the time of today to 256 ns.
-    """
-    schema = plain_schema(json_schema(model))
-    times = [
-        name for name, part in schema["properties"].items() if name.endswith("_ns") and part.get("type") == "integer"
-    ]
-    texts = {f"{name}{_TEXT}": {"type": "string", "description": f"{name} in digits"} for name in times}
-    return {**schema, "properties": {**schema["properties"], **texts}}
-
-
-def viewer_json(fields: Mapping[str, Any], schema: Mapping[str, Any]) -> bytes:
-    """Return a message as the JSON that its `viewer_schema` describes."""
-    document = fitted(dict(fields), schema)
-    properties = schema["properties"]
-    texts = {f"{name}{_TEXT}": str(part) for name, part in document.items() if f"{name}{_TEXT}" in properties}
-    return json.dumps({**document, **texts}, separators=(",", ":")).encode()
+    return "json", (name, "jsonschema", json.dumps(schema).encode()), encode
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:

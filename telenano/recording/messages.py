@@ -135,6 +135,24 @@ class RecordedMessage(NamedTuple):
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not a msgpack map")
         return document
 
+    def plain(self) -> dict[str, Any]:
+        """Return the message as JSON values: arrays as lists of numbers, bytes as base64.
+
+        The fields of a message that this version cannot decode are returned as they are.
+
+        Raises:
+            RecordingError: The payload is not a msgpack map either.
+
+        Example:
+            >>> json.dumps([message.plain() for message in recording.messages(["session/event"])])
+        """
+        from telenano.recording.json_values import json_fields, json_value
+
+        try:
+            return json_fields(self.decode())
+        except RecordingError:
+            return {key: json_value(value) for key, value in self.fields().items()}
+
     def checked_fields(self) -> Mapping[str, Any]:
         """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""
         from telenano.wire.codec import fields_of

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from telenano.serving.panels import Guests as Guests
     from telenano.serving.panels import Panel as Panel
     from telenano.serving.panels import PanelRig as PanelRig
-    from telenano.serving.serve import announced as announced
     from telenano.serving.serve import web_folder as web_folder
     from telenano.serving.token_socket import TokenSocket as TokenSocket
 else:

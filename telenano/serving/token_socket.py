@@ -26,7 +26,7 @@ from telenano.serving.access import Access
 from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Connections, most_connections
 from telenano.serving.gate import POLICY, client_of, guarded
-from telenano.serving.serve import bind, make_server
+from telenano.serving.serve import announced, bind, make_server
 
 _LEAST_STRANGERS = 8
 _WRONG_TOKEN_S = 0.5
@@ -87,6 +87,19 @@ class TokenSocket:
         with contextlib.suppress(RuntimeError):
             if loop is not None:
                 loop.call_soon_threadsafe(function, *arguments)
+
+    def announced(self, called: str, show: Callable[[str], None], what: str) -> contextlib.AbstractContextManager[None]:
+        """Keep the address in a private file while a block runs, and show it on a terminal.
+
+        Args:
+            called: What a person does with the address, such as `open in a viewer`.
+            show: Prints a line.
+            what: The name of the server, which begins that of the file.
+
+        Example:
+            >>> with server.announced("open in a viewer", print, "bridge"): ...
+        """
+        return announced({called: self.address}, show, what)
 
     def close(self) -> None:
         """End the server and its connections."""

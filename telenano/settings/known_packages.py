@@ -63,6 +63,7 @@ KNOWN_PACKAGES = {
     "law four_channel": "telenano-laws",
     "law fractal_impedance": "telenano-laws",
     "law matched_wave": "telenano-laws",
+    "law model_mediated": "telenano-laws",
     "law smith": "telenano-laws",
     "law tdpa": "telenano-laws",
     "law two_layer": "telenano-laws",
@@ -85,6 +86,8 @@ KNOWN_PACKAGES = {
 }
 # what `link.transport: auto` of a site file takes where it is installed
 KNOWN_TRANSPORT = "datagram"
+# the laws of this table that close no loop through the instrument, of which a slow one needs one
+KNOWN_MODEL_LAWS = ("model_mediated", "bounded_model")
 
 
 def known_of(kind: str) -> dict[str, str]:

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from telenano.wire.errors import cause as cause
     from telenano.wire.errors import known_names as known_names
     from telenano.wire.examples import example as example
-    from telenano.wire.faults import Fault as Fault
-    from telenano.wire.faults import faults_of as faults_of
     from telenano.wire.faults import made as made
     from telenano.wire.instrument import AfmProgram as AfmProgram
     from telenano.wire.messages import AfmScanline as AfmScanline
@@ -60,7 +58,6 @@ if TYPE_CHECKING:
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
-    from telenano.wire.schema import json_schema as json_schema
     from telenano.wire.sequence import SequenceTracker as SequenceTracker
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS

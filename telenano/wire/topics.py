@@ -14,6 +14,7 @@ import msgspec
 
 from telenano.wire import messages as m
 from telenano.wire import network_messages as network
+from telenano.wire.faults import Fault, faults_of
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import NODES, name_of, site_of
@@ -40,6 +41,14 @@ class Topic:
     deadline_s: float | None
     bridged: Literal["forward", "backward", "both"] | None
     recorded: bool = True
+
+    def faults_in(self, fields: Mapping[str, Any]) -> list[Fault]:
+        """Return what is wrong with the fields of a message of this topic, each with key and kind.
+
+        Example:
+            >>> [fault.key for fault in TOPICS["afm/state"].faults_in({"seq": -1})]
+        """
+        return faults_of(self.model, fields)
 
 
 _COMMANDERS = ("launcher", "console", "console_*", "estop")

@@ -1,6 +1,6 @@
 """Force and potential of the compact surface, each by itself."""
 
-from telenano.laws.surface import Surface, force_and_potential
+from telenano_laws.surface import Surface, force_and_potential
 
 
 def force_nn(surface: Surface, cantilever: float, range_nm: float, position_nm: float) -> float:

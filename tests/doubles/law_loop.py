@@ -8,8 +8,10 @@ import numpy as np
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.clamp import ClampConfig, clamped
-from telenano.laws.config import LAWS, ControllerConfig
+from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
 
+# the laws of the core, and the one of a package that a slow instrument needs
+TRIED_LAWS = (*OWN_LAWS, "model_mediated")
 PERIOD_S = 1e-3
 LOST = -1
 

@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from telenano.wire import Topic, decode, encode, json_schema
+from telenano.wire import Topic, decode, encode
 from telenano.wire.codec import decode_header
+from telenano.wire.schema import json_schema
 from telenano.wire.topics import register_topic
 
 

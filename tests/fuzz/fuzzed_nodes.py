@@ -33,8 +33,7 @@ from telenano.hand.sim import SimulatedHaptic
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.config import ControllerConfig
+from telenano.laws.config import OWN_LAWS, ControllerConfig
 from telenano.link.config import LinkSettings
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
@@ -54,6 +53,7 @@ from telenano.wire.nodes import HAND, TIP
 from telenano.wire.received import Received
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
+LAWS = (*OWN_LAWS, "model_mediated")
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood
 STEP_NS = 100_000

@@ -39,7 +39,6 @@ from telenano.recording.channel_filter import ALL
 from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
-from telenano.recording.tables import plain
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.serving.access import Role
@@ -164,7 +163,7 @@ def test_a_recorder_keeps_them_as_they_came(
 def test_what_bridges_are_handed_has_a_plain_form(reader: Subscriber, messages: list[tuple[str, bytes]]) -> None:
     taken = [each for each in messages if reader.accepted([each[0].encode(), each[1]]) is not None]
     for topic, payload in taken:
-        assert json.dumps(plain(recorded(topic, payload)), allow_nan=False)
+        assert json.dumps(recorded(topic, payload).plain(), allow_nan=False)
     assert len(taken) + sum(reader.rejected.values()) == len(messages)
     assert sum(reader.rejected.values()) > 0.5 * len(messages)
 

@@ -11,9 +11,9 @@ import fuzzed_nodes
 import msgpack
 import pytest
 from fuzz_frames import Frames, stream
+from law_loop import TRIED_LAWS as LAWS
 from wire_contract import examples
 
-from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.wire import encode
 from telenano.wire.codec import accept
 from telenano.wire.sequence import MOST_COUNTED

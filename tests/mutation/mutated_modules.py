@@ -205,8 +205,8 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             name: "how long a device stood counts only for a mass that is coupled, whose half sets it to nought at each"
             " sample of a hand that follows"
             for name in (
-                "master_start: return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0,"
-                " port_at(hand.position_m)) [0.0 => 1.0]",
+                "master_start: return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0, port)"
+                " [0.0 => 1.0]",
                 "master_resume: return MasterState(mass, opened(params.start_j), 0.0, port) [0.0 => 1.0]",
                 *(
                     f"master_receive: stood = 0.0 if hand.following else state.stood_s + dt {change}"

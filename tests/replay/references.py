@@ -123,8 +123,8 @@ REFERENCES = {
         },
     ),
 }
-# the laws of the core, and one of a package that has been here from the beginning
-REFERENCED = (*OWN_LAWS, "smith")
+# the laws of the core, and two of a package that have been here from the beginning
+REFERENCED = (*OWN_LAWS, "model_mediated", "smith")
 # recordings for whoever needs one to read: the first 1.1 s of Fig. 12 over a link of 4 ms, under each law
 EXAMPLES = {
     f"fig12_{law}": Reference(law, {"delay_s": 0.004}, 1, duration_s=2.0, scenario="fig12", session_s=1.1)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from law_loop import TRIED_LAWS as LAWS
 from telenano_studies.loops.cells import Cell, rig_of
 from test_virtual_lockstep import (
     HAND_POINTS,
@@ -28,7 +29,6 @@ from test_virtual_lockstep import (
 )
 from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
-from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule, last_together, schedule_from
 from telenano.lockstep.lockstep import Trajectory

@@ -11,10 +11,10 @@ import msgpack
 import msgspec
 import pytest
 from in_memory import InMemory
+from references import REFERENCED as LAWS
 from references import REFERENCES
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
-from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.recording.channel_filter import Selection
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import RawMessage, Recording

@@ -3,10 +3,10 @@
 from typing import Any
 
 import pytest
+from law_loop import TRIED_LAWS
 from stack_rig import judged
 
 import telenano
-from telenano.laws.config import OWN_LAWS
 
 
 def run(rig: Any, law: str, environment: str, scenario: str, *options: str) -> dict[str, Any]:
@@ -18,7 +18,7 @@ def run(rig: Any, law: str, environment: str, scenario: str, *options: str) -> d
 
 @pytest.mark.endurance
 @pytest.mark.parametrize("environment", ["tip_sample", "spring"])
-@pytest.mark.parametrize("law", (*OWN_LAWS, "tactile"))
+@pytest.mark.parametrize("law", (*TRIED_LAWS, "tactile"))
 def test_the_bus_gives_the_verdict_of_the_lockstep(rig: Any, law: str, environment: str) -> None:
     expected = telenano.simulate("fig12", law=law, environment=environment)
     summary = run(rig, law, environment, "fig12")

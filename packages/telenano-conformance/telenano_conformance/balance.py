@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from telenano.extend.laws import (
-    NO_SIGNAL,
     EnergyAccount,
     HandSample,
     Law,
@@ -207,8 +206,8 @@ class _Run:
         # the line
         self.reign, self.away = 0, False
         self.master_switching = self.slave_switching = False
-        self.heard_tick, self.heard = _UNHEARD, NO_SIGNAL
-        self.slave_tick, self.slave_heard, self.hand_tick, self.behind = _UNHEARD, NO_SIGNAL, _UNHEARD, 0
+        self.heard_tick, self.heard = _UNHEARD, PortSignal()
+        self.slave_tick, self.slave_heard, self.hand_tick, self.behind = _UNHEARD, PortSignal(), _UNHEARD, 0
         self.last_sample_tick = -1
         self.retunes: list[tuple[int, Any]] = []
         # the books
@@ -321,8 +320,8 @@ class _Run:
         self.master = self._resumed(self.base_m)
         self.slave = self.law.slave_start(self.slave_params, self.tip)
         self.master_switching = self.slave_switching = True
-        self.heard_tick, self.heard = _UNHEARD, NO_SIGNAL
-        self.slave_tick, self.slave_heard = _UNHEARD, NO_SIGNAL
+        self.heard_tick, self.heard = _UNHEARD, PortSignal()
+        self.slave_tick, self.slave_heard = _UNHEARD, PortSignal()
 
     def _resumed(self, tip_m: float) -> Any:
         hand = HandSample(self.reference.position_m, 0.0, self.hand.force_n, self.hand.following)
@@ -424,7 +423,7 @@ class _Run:
             return
         before = self.reference
         silent = 0 if self.heard_tick == tick else tick + 1 - self.heard_tick
-        signal = NO_SIGNAL
+        signal = PortSignal()
         if self.heard_tick != _UNHEARD:
             trip_s = max(0, tick - self.heard_hand_tick) * self.period_s
             signal = self.heard._replace(silence_s=silent * self.period_s, round_trip_s=trip_s)
@@ -448,9 +447,9 @@ class _Run:
         if elapsed > longest:
             elapsed, self.behind = 1, 0
             if not self.slave_switching:
-                self.slave = self.law.slave_receive(self.slave_params, self.slave, NO_SIGNAL, self.tip, self.period_s)[
-                    0
-                ]
+                self.slave = self.law.slave_receive(
+                    self.slave_params, self.slave, PortSignal(), self.tip, self.period_s
+                )[0]
         if self.is_lost:
             # the instrument says nothing, so the half answers with what it knew, as one that does not follow
             self.slave, answer = self.law.slave_send(self.slave_params, self.slave, self.tip, self.period_s)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from telenano.cli import JsonOption, print_json, report_errors
-from telenano.laws import known_law
+from telenano.laws import LAWS
 from telenano.wire import ConfigError, TelenanoError
 from telenano_conformance.balance import TOLERANCE_J, Balance, states_passivity, worst_balances
 from telenano_conformance.balance_draws import KINDS, MIXED
@@ -37,7 +37,7 @@ def law_balance(
         if unknown := [name for name in kinds if name not in _ALL]:
             raise ConfigError(f"--kind {unknown[0]}: known are {', '.join(_ALL)}")
         for name in laws:
-            known_law(name)
+            states_passivity(LAWS[name])
         rows: list[Row] = []
         if not as_json:
             typer.echo(_head(laws))
@@ -45,7 +45,7 @@ def law_balance(
             rows.append((name, one, _run(name, one, seed, cases, longest)))
             if not as_json:
                 typer.echo(_line(_facts(*rows[-1]), laws))
-    broken = [row for row in rows if states_passivity(known_law(row[0])) and not row[2][0].is_kept]
+    broken = [row for row in rows if states_passivity(LAWS[row[0]]) and not row[2][0].is_kept]
     if as_json:
         print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in rows]})
     else:
@@ -56,7 +56,7 @@ def law_balance(
 
 def _run(name: str, kind: str, seed: int, cases: int, longest_s: float) -> list[Balance]:
     try:
-        return worst_balances(known_law(name), [kind], seed=seed, cases=cases, longest_s=longest_s)[kind]
+        return worst_balances(LAWS[name], [kind], seed=seed, cases=cases, longest_s=longest_s)[kind]
     except (ArithmeticError, ValueError) as error:
         raise TelenanoError(f"law {name}, {kind}: fails: {type(error).__name__}: {error}") from error
 
@@ -96,7 +96,7 @@ def _print_findings(rows: list[Row], broken: list[Row]) -> None:
     for name in dict.fromkeys(row[0] for row in rows):
         lost = sum(row[0] == name for row in broken)
         kinds = sum(row[0] == name for row in rows)
-        if not states_passivity(known_law(name)):
+        if not states_passivity(LAWS[name]):
             typer.echo(f"{name} does not claim passivity: its energy is shown, not judged")
         else:
             typer.echo(

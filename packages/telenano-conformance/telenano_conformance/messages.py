@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgpack
 import msgspec
 
-from telenano.wire import TOPICS, Fault, decode, faults_of, keys_twice
+from telenano.wire import TOPICS, decode, keys_twice
 from telenano_conformance.rules import Account
 
 _S = 1_000_000_000
@@ -150,13 +150,13 @@ class MessageExaminer:
             account.fail("msgpack", f"{topic}: a map has a key twice, of which a reader takes the last")
         else:
             account.hold("msgpack")
-        faults = faults_of(TOPICS[topic].model, fields)
-        if not faults:
-            account.hold(*_CONTENT)
-        return fields if self._is_meant(topic, fields, faults) else None
+        return fields if self._is_meant(topic, fields) else None
 
-    def _is_meant(self, topic: str, fields: dict[str, Any], faults: Sequence[Fault]) -> bool:
+    def _is_meant(self, topic: str, fields: dict[str, Any]) -> bool:
         """Report what is wrong with the fields; return whether they are meant for this topic."""
+        faults = TOPICS[topic].faults_in(fields)
+        if not faults:
+            self._account.hold(*_CONTENT)
         is_short = any(fault.kind == "missing" and fault.key in required_keys(topic) for fault in faults)
         other = next((name for name in TOPICS if _has_the_keys(name, fields)), "") if is_short else ""
         if other:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.recording import ColumnTable, RecordedMessage, Recording, Timeline, columns_of, quantity, uniform
+from telenano.recording import ColumnTable, RecordedMessage, Recording, Timeline, columns_of, quantity
 from telenano.wire import RecordingError
 from telenano_experiments.disturbances import Evidence, Hold, Passage
 from telenano_experiments.extend import TrialData
@@ -194,7 +194,7 @@ class _Rows:
 
     def column(self, name: str) -> npt.NDArray[Any]:
         """Return a field of the messages, shape (n,)."""
-        return _column(self.columns[name])
+        return _column(self.columns[name].uniform())
 
 
 def _seconds(stamps_ns: list[int], start_ns: int) -> npt.NDArray[np.float64]:
@@ -202,8 +202,7 @@ def _seconds(stamps_ns: list[int], start_ns: int) -> npt.NDArray[np.float64]:
     return np.array([1e-9 * (stamp_ns - start_ns) for stamp_ns in sorted(stamps_ns)], dtype=np.float64)
 
 
-def _column(values: Any) -> npt.NDArray[Any]:
-    plain = uniform(list(values))
+def _column(plain: list[Any]) -> npt.NDArray[Any]:
     kinds = {type(value) for value in plain if value is not None}
     if kinds <= {float, int} and kinds:
         return np.array([np.nan if value is None else value for value in plain], dtype=np.float64)

@@ -5,13 +5,13 @@ import json
 import secrets
 import struct
 from collections import deque
-from collections.abc import Iterable, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from telenano.console import Rate
-from telenano.recording import RecordedMessage, plain, viewer_json, viewer_schema
+from telenano.recording import RecordedMessage, viewer_json
 from telenano.serving import TokenSocket, ViewConfig
 from telenano.wire import TOPICS, RecordingError
 
@@ -126,6 +126,10 @@ class FoxgloveServer:
         if channel in self._wanted:
             self._socket.call(self._offer, channel, log_ns, payload)
 
+    def announced(self, called: str, show: Callable[[str], None]) -> AbstractContextManager[None]:
+        """Keep the address in a private file while a block runs, and show it on a terminal."""
+        return self._socket.announced(called, show, "bridge")
+
     def close(self) -> None:
         self._socket.close()
 
@@ -199,17 +203,15 @@ class OpensOutlets(Protocol):
 
 
 class Bridge:
-    """Hands messages on, of each channel no more than a rate.
+    """Hands messages on.
 
     Channels are named topic@site/source, as `teleop/forward@slave/controller@master`: each is one line of a plot.
     """
 
-    def __init__(self, server: OpensOutlets, rate_hz: float) -> None:
-        """Prepare to hand on up to `rate_hz` messages a second of each channel [Hz]; 0 for all of them."""
+    def __init__(self, server: OpensOutlets) -> None:
         self.sent = 0
         self._server = server
-        self._rate = Rate(rate_hz)
-        self._outlets: dict[tuple[str, str], tuple[Outlet, dict[str, Any]]] = {}
+        self._outlets: dict[tuple[str, str], tuple[Outlet, Callable[[dict[str, Any]], bytes]]] = {}
 
     def run(self, messages: Iterable[RecordedMessage]) -> None:
         """Hand on messages until there are no more."""
@@ -217,21 +219,19 @@ class Bridge:
             self.take(message)
 
     def take(self, message: RecordedMessage) -> None:
-        """Hand on a message if its channel is due; topics sent on change always are, and what has no form never is."""
-        if message.topic not in TOPICS or message.topic in LEFT_OUT or not self._rate.is_due(message):
+        """Hand on a message; what has no form is left out."""
+        if message.topic not in TOPICS or message.topic in LEFT_OUT:
             return
         key = message.channel_topic, message.src
-        outlet, schema = self._outlets.get(key) or self._open(key, message.topic)
+        outlet, encode = self._outlets.get(key) or self._open(key, message.topic)
         try:
-            payload = viewer_json(plain(message), schema)
+            payload = encode(message.plain())
         except (RecordingError, TypeError, ValueError):
             return
         outlet.log(payload, log_time=message.publish_ns)
         self.sent += 1
 
-    def _open(self, key: tuple[str, str], topic: str) -> tuple[Outlet, dict[str, Any]]:
-        model = TOPICS[topic].model
-        schema = viewer_schema(model)
-        opened = self._server.open("/".join(key), f"telenano.{model.__name__}", json.dumps(schema).encode())
-        self._outlets[key] = opened, schema
-        return opened, schema
+    def _open(self, key: tuple[str, str], topic: str) -> tuple[Outlet, Callable[[dict[str, Any]], bytes]]:
+        _, (name, _, schema), encode = viewer_json(topic)
+        opened = self._outlets[key] = self._server.open("/".join(key), name, schema), encode
+        return opened

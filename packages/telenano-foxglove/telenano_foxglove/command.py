@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from telenano.cli import DurationOption, SiteFileOption, report_errors, validated, with_options
-from telenano.console import Rate, hand_on, live_rig
-from telenano.serving import ViewConfig, announced
+from telenano.console import LiveRecording, hand_on, live_rig
+from telenano.serving import ViewConfig
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano_foxglove.bridge import DEFAULT_PORT, Bridge, FoxgloveServer
 
@@ -30,7 +30,7 @@ def foxglove(
     ] = None,
     rate: Annotated[
         float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most messages of each channel per second; 0: all.")
-    ] = Rate.DEFAULT_HZ,
+    ] = LiveRecording.VIEWER_HZ,
     duration: DurationOption = None,
 ) -> None:
     """Serve every topic with its schema to Foxglove and Lichtblick, until Ctrl-C; prints the address to open.
@@ -42,8 +42,8 @@ def foxglove(
         config = validated(ViewConfig, {**given, "port": port})
         token = os.environ.get(TOKEN_VARIABLE, "")
         with (
-            live_rig(site_file) as live,
+            live_rig(site_file, rate_hz=rate) as live,
             contextlib.closing(FoxgloveServer(config, token, allow_origin or ())) as server,
-            announced({"open in Foxglove or Lichtblick": server.address}, typer.echo, "bridge"),
+            server.announced("open in Foxglove or Lichtblick", typer.echo),
         ):
-            hand_on(Bridge(server, rate), live, duration)
+            hand_on(Bridge(server), live, duration)

@@ -24,7 +24,6 @@ G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derive
 import math
 from typing import NamedTuple
 
-from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
@@ -53,6 +52,7 @@ from telenano.extend.virtual_mass import (
     tip_reference,
 )
 from telenano.numerics import compiled
+from telenano_laws.drift import Drift, drifted, error_of, no_drift
 from telenano_laws.ports import (
     Store,
     account_of,

@@ -28,7 +28,6 @@ from telenano.extend.laws import (
     TipMeasurement,
     port_signal,
     the_hands_force,
-    tip_signal,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -241,14 +240,6 @@ def slave_receive(
     speed = (pulled - p.force_scale * tip.force_n) / params.damping_n_s_per_m
     base = start + p.position_scale * p.period_s * speed
     return SlaveState(base, turn), SlaveReference(base, True)
-
-
-@compiled
-def slave_send(
-    params: FractalImpedanceParams, state: SlaveState, tip: TipMeasurement, dt: float
-) -> tuple[SlaveState, PortSignal]:
-    """Return where the tip is and what it measures."""
-    return state, tip_signal(tip, tip.base_position_m, tip.force_n)
 
 
 @compiled

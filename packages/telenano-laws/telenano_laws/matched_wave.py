@@ -60,7 +60,6 @@ from telenano_laws.ports import (
     is_retracted,
     kept_near,
     of_scales,
-    port_at,
     put_in,
     slid_work,
     worked_at,
@@ -198,7 +197,7 @@ def drawn(params: MatchedWaveParams, inbox: Inbox, wave_sqrt_w: float) -> tuple[
 
 @compiled
 def _begun(mass: Mass) -> MasterState:
-    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, port_at(mass.position_m))
+    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, HandPort(mass.position_m, 0.0, 0.0, 0.0))
 
 
 @compiled

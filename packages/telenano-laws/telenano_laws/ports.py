@@ -14,7 +14,6 @@ from telenano.extend.virtual_mass import bounded as bounded
 from telenano.extend.virtual_mass import followed as followed
 from telenano.extend.virtual_mass import is_retracted as is_retracted
 from telenano.extend.virtual_mass import kept_near as kept_near
-from telenano.extend.virtual_mass import port_at as port_at
 from telenano.extend.virtual_mass import put_in as put_in
 from telenano.extend.virtual_mass import unpaid_j as unpaid_j
 from telenano.extend.virtual_mass import worked as worked

@@ -69,7 +69,6 @@ from telenano_laws.ports import (
     opened,
     paid_base,
     paid_or_granted,
-    port_at,
     put_in,
     rearm,
     recount_received,
@@ -152,7 +151,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def _begun(params: Any, mass: Mass) -> MasterState:
-    return MasterState(mass, opened(params.start_j), 0.0, port_at(mass.position_m))
+    return MasterState(mass, opened(params.start_j), 0.0, HandPort(mass.position_m, 0.0, 0.0, 0.0))
 
 
 @compiled

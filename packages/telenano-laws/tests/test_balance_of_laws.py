@@ -2,7 +2,7 @@
 
 import pytest
 
-from telenano.laws import known_law
+from telenano.laws import LAWS
 from telenano.testing import balance, drawn, worst_balances
 
 OWN = ("bounded_model", "matched_wave", "tdpa", "two_layer")
@@ -39,7 +39,7 @@ BROKEN: dict[str, set[str]] = {name: set() for name in (*OWN, *CORE)}
 
 @pytest.mark.parametrize("name", OWN)
 def test_a_law_of_this_package_that_states_passivity_makes_no_energy_in_a_mixture(name: str) -> None:
-    law = known_law(name)
+    law = LAWS[name]
     assert law.passive
     found = balance(law, drawn(1, 1, "mixed", law.config().silence_limit_s, 6.0))
     assert found.is_kept, found.sentence()
@@ -47,14 +47,14 @@ def test_a_law_of_this_package_that_states_passivity_makes_no_energy_in_a_mixtur
 
 def test_a_device_that_something_else_moves_while_it_is_off_brings_no_energy_into_the_model() -> None:
     """The device is moved 0.1 s long into the model, whose energy nobody has paid: 0.4 mJ came out at the hand."""
-    found = balance(known_law("bounded_model"), drawn(3, 2, "resume", 0.5, 10.0))
+    found = balance(LAWS["bounded_model"], drawn(3, 2, "resume", 0.5, 10.0))
     assert found.is_kept, found.sentence()
 
 
 @pytest.mark.check("seventeen orders for every passive law, up to 8 s of processor time each law")
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_a_passive_law_makes_no_energy_in_the_orders_in_which_laws_did(name: str) -> None:
-    law = known_law(name)
+    law = LAWS[name]
     limit_s = law.config().model_dump().get("silence_limit_s", 0.2)
     broken = []
     for kind, seed, case, longest_s in (*FOUND, *OTHERS):
@@ -68,7 +68,7 @@ def test_a_passive_law_makes_no_energy_in_the_orders_in_which_laws_did(name: str
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_a_passive_law_makes_energy_at_no_transition_but_those_that_are_known(name: str, seed: int) -> None:
-    found = worst_balances(known_law(name), seed=seed, cases=8, longest_s=60.0)
+    found = worst_balances(LAWS[name], seed=seed, cases=8, longest_s=60.0)
     assert len(found) == 16
     broken = {kind: rows[0].sentence() for kind, rows in found.items() if not rows[0].is_kept}
     assert set(broken) == BROKEN[name], broken

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
-from telenano.recording import RecordedMessage, plain, quantity
+from telenano.recording import RecordedMessage, quantity
 from telenano.wire import TOPICS, ConfigError, RecordingError
 
 DEFAULT_NAME = "telenano"
@@ -153,7 +153,7 @@ class LslBridge:
             message.publish_ns - self._offsets_ns[message.src] if is_offset_known else message.log_ns - self._own_ns
         )
         stamped = "sent" if is_offset_known else "received"
-        text = json.dumps({"topic": message.topic, "src": message.src, "stamped": stamped, **plain(message)})
+        text = json.dumps({"topic": message.topic, "src": message.src, "stamped": stamped, **message.plain()})
         self._send_marker(Sample((text,), self._time_s(sent_ns)))
         self.sent += 1
 

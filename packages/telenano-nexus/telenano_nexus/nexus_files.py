@@ -17,10 +17,9 @@ import numpy as np
 from telenano_microscopy.image_files import Image, ImageFacts, LiveImage, images_of_lines
 
 from telenano.afm import AfmConfig
-from telenano.analysis import scenario_in
 from telenano.files import atomic_file
 from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_force_profile
-from telenano.settings import validate
+from telenano.settings import LoadedScenario, validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 
 # The version of the definitions that are followed.
@@ -272,7 +271,7 @@ def _facts_of(recording: Recording, mode: str) -> Facts:
         f"{recording.path.stem}: a session of remote touch", mode, _UNKNOWN, version, began=began, ended=ended
     )
     try:
-        scenario = scenario_in(recording)
+        scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario
         afm = validate(AfmConfig, scenario.afm_node, str(recording.path), "afm_node")
     except (ConfigError, RecordingError):
         # a recording without its scenario, or of a package that is not here, has its values all the same

@@ -1,9 +1,10 @@
 """A recording as MCAP with protobuf, which Rerun, Foxglove and Lichtblick decode."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from telenano.recording import CopyResult, Payload, Recording, Selection, model_of, plain_schema, write_viewer_mcap
-from telenano.wire import json_schema
+from telenano.recording import CopyResult, Recording, Selection, write_viewer_mcap
 from telenano_protobuf.message import ProtobufMessage
 
 
@@ -18,11 +19,12 @@ def export_protobuf(recording: Recording, target: Path, selection: Selection) ->
     return write_viewer_mcap(recording, target, selection, _payload_of)
 
 
-def _payload_of(topic: str) -> Payload:
-    model = model_of(topic)
-    if model is None:
+def _payload_of(
+    topic: str, schema: Mapping[str, Any]
+) -> tuple[str, tuple[str, str, bytes], Callable[[dict[str, Any]], bytes]]:
+    if "title" not in schema:
         unknown = ProtobufMessage("Unknown", {"properties": {"json": {"type": "object"}}})
         described = (unknown.name, "protobuf", unknown.descriptor_set)
-        return Payload("protobuf", described, lambda fields: unknown.encode({"json": fields}))
-    message = ProtobufMessage(model.__name__, plain_schema(json_schema(model)))
-    return Payload("protobuf", (message.name, "protobuf", message.descriptor_set), message.encode)
+        return "protobuf", described, lambda fields: unknown.encode({"json": fields})
+    message = ProtobufMessage(schema["title"], schema)
+    return "protobuf", (message.name, "protobuf", message.descriptor_set), message.encode

@@ -6,8 +6,7 @@ import logging
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from telenano.console import Rate
-from telenano.recording import RecordedMessage, plain
+from telenano.recording import RecordedMessage
 from telenano.wire import ConfigError, RecordingError
 from telenano_ros2.crtk import TOPICS_IN, Encoder, definitions
 
@@ -31,27 +30,25 @@ Opens = Callable[[str, str, str, str], Publisher]
 
 
 class Ros2Bridge:
-    """Hands the messages of a rig on, of each topic no more than a rate."""
+    """Hands the messages of a rig on."""
 
-    def __init__(self, open_publisher: Opens, rate_hz: float = Rate.DEFAULT_HZ, namespace: str = "") -> None:
+    def __init__(self, open_publisher: Opens, namespace: str = "") -> None:
         """Prepare a bridge without topics: each is opened with its first message.
 
         Args:
             open_publisher: Opens a topic.
-            rate_hz: Most messages of a topic a second; 0 is all.
             namespace: What stands before the names of the topics.
         """
         self.sent = 0
         self._encoder = Encoder()
         self._open = open_publisher
         self._prefix = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
-        self._rate = Rate(rate_hz)
         self._publishers: dict[str, Publisher] = {}
 
     def run(self, messages: Iterable[RecordedMessage]) -> None:
         """Publish messages until there are no more; what cannot be decoded is left out."""
         for message in messages:
-            if message.topic in TOPICS_IN and message.channel_topic == message.topic and self._rate.is_due(message):
+            if message.topic in TOPICS_IN and message.channel_topic == message.topic:
                 self._publish(message)
 
     def close(self) -> None:
@@ -61,7 +58,7 @@ class Ros2Bridge:
 
     def _publish(self, message: RecordedMessage) -> None:
         try:
-            messages = list(self._encoder.messages(message.topic, message.topic, message.publish_ns, plain(message)))
+            messages = list(self._encoder.messages(message.topic, message.topic, message.publish_ns, message.plain()))
         except (RecordingError, KeyError, TypeError, ValueError):
             return
         for made in messages:

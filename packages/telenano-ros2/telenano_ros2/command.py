@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from telenano.cli import DurationOption, SiteFileOption, report_errors
-from telenano.console import Rate, hand_on, live_rig
+from telenano.console import LiveRecording, hand_on, live_rig
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano_ros2.bridge import DEFAULT_ROUTER, Ros2Bridge, close_session, is_connected, zenoh_publishers
 
@@ -23,7 +23,7 @@ def ros2(
     namespace: Annotated[str, typer.Option("--namespace", metavar="NAME", help="What stands before each topic.")] = "",
     rate: Annotated[
         float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most messages of each topic per second; 0: all.")
-    ] = Rate.DEFAULT_HZ,
+    ] = LiveRecording.VIEWER_HZ,
     duration: DurationOption = None,
 ) -> None:
     """Publish positions and forces in ROS 2 by the names of CRTK, until Ctrl-C; no ROS has to be installed here.
@@ -33,8 +33,8 @@ def ros2(
     with report_errors(False), contextlib.ExitStack() as open_parts:
         open_publisher = zenoh_publishers(router, domain)
         open_parts.callback(close_session)
-        bridge = open_parts.enter_context(contextlib.closing(Ros2Bridge(open_publisher, rate, namespace)))
-        live = open_parts.enter_context(live_rig(site_file))
+        bridge = open_parts.enter_context(contextlib.closing(Ros2Bridge(open_publisher, namespace)))
+        live = open_parts.enter_context(live_rig(site_file, rate_hz=rate))
         typer.echo(f"publishing to the router at {router}, domain {domain}")
         if not is_connected():
             typer.echo(f"telenano: no router answers at {router} yet; the bridge keeps trying", err=True)

@@ -5,12 +5,10 @@ from pathlib import Path
 
 from telenano.recording import (
     CopyResult,
-    RawChannel,
     RecordedChannel,
     RecordedMessage,
     Recording,
     Selection,
-    plain,
     write_mcap,
 )
 from telenano_ros2.crtk import TOPICS_IN, Encoder
@@ -30,17 +28,19 @@ def export_ros2(recording: Recording, target: Path, selection: Selection) -> Cop
         RecordingError: The target cannot be written.
     """
     encoder = Encoder()
-    channels: dict[str, RawChannel] = {}
+    kinds: dict[str, str] = {}
 
     def wanted(channel: RecordedChannel) -> bool:
         return channel.topic in TOPICS_IN and channel.topic == channel.channel_topic and selection(channel)
 
-    def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
-        fields = plain(message)
+    def encode(message: RecordedMessage) -> Iterator[tuple[str, bytes]]:
+        fields = message.plain()
         for encoded in encoder.messages(message.topic, message.channel_topic, message.publish_ns, fields):
-            if encoded.topic not in channels:
-                schema = (encoded.kind, "ros2msg", encoder.definition(encoded.kind).encode())
-                channels[encoded.topic] = RawChannel(f"/{encoded.topic}", "cdr", _QOS, schema)
-            yield channels[encoded.topic], encoder.cdr(encoded)
+            kinds[encoded.topic] = encoded.kind
+            yield encoded.topic, encoder.cdr(encoded)
 
-    return write_mcap(recording, target, wanted, encode, _PROFILE)
+    def describe(topic: str) -> tuple[str, str, tuple[tuple[str, str], ...], tuple[str, str, bytes]]:
+        kind = kinds[topic]
+        return f"/{topic}", "cdr", _QOS, (kind, "ros2msg", encoder.definition(kind).encode())
+
+    return write_mcap(recording, target, wanted, encode, describe, _PROFILE)

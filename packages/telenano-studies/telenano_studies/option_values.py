@@ -15,8 +15,8 @@ _OF_A_LINE = (
     "; of a log of a line `telenano link fit` makes a network, and `study advise` and `study validate` run over it"
     " (--network)"
 )
-# The laws of every comparison: those of telenano, and the predictor of telenano-laws, which this package requires.
-COMPARED_LAWS = (*OWN_LAWS, "smith")
+# The laws of every comparison: those of telenano, and two of telenano-laws, which this package requires.
+COMPARED_LAWS = (*OWN_LAWS, "model_mediated", "smith")
 LONGEST_MS = 10_000.0
 STIFFEST_N_PER_M = 1e5
 

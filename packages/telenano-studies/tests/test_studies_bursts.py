@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_laws.model_mediated import ModelMediatedConfig
 from telenano_studies.loops.cells import (
     Cell,
     CellResult,
@@ -20,7 +21,6 @@ from telenano_studies.loops.cells import (
 )
 
 from telenano.extend.virtual_mass import FOLLOWED_M
-from telenano.laws.model_mediated import ModelMediatedConfig
 from telenano.link.config import LinkSettings
 from telenano.lockstep.link import Schedule, schedule_from
 

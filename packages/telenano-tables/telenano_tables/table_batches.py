@@ -1,12 +1,12 @@
 """Tables of a recording of any length, written batch by batch in bounded memory."""
 
 import gc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.recording import CopyResult, RecordedMessage, Recording, Selection, typed_columns, uniform
+from telenano.recording import CopyResult, RecordedMessage, Recording, Selection, columns_of
 from telenano.wire import RecordingError
 
 # The rows of a channel are written when there are this many, or this number of bytes of them.
@@ -23,8 +23,6 @@ Kinds = dict[str, set[type]]
 Write = Callable[[Columns], None]
 # open the table of a channel, with the columns that it has
 OpenTable = Callable[[str, Kinds], Write]
-# the values of a column, and their types
-TypedColumn = tuple[Sequence[Any], set[type]]
 
 
 class Tables(NamedTuple):
@@ -103,17 +101,20 @@ def _write_once(
     total, widened = 0, False
     with begin() as open_table:
         for name, messages in _batches(recording, wanted, damage):
-            columns = typed_columns(messages)
-            is_new = _add_kinds(kinds.setdefault(name, {}), columns)
+            columns = columns_of(messages)
+            is_new = _add_kinds(kinds.setdefault(name, {}), {column: part.kinds for column, part in columns.items()})
             widened = widened or (is_new and name in tables)
             total += len(messages)
             if widened:
                 continue
             if name not in tables:
                 tables[name] = open_table(name, kinds[name])
-            absent: TypedColumn = [None] * len(messages), _NONE
+            absent: list[Any] = [None] * len(messages)
             tables[name](
-                {column: uniform(columns.get(column, absent)[0], types) for column, types in kinds[name].items()}
+                {
+                    column: columns[column].uniform(types) if column in columns else absent
+                    for column, types in kinds[name].items()
+                }
             )
     return total, damage, widened
 
@@ -126,11 +127,11 @@ def kind_of(types: set[type]) -> type:
     return next(iter(kinds), type(None))
 
 
-def _add_kinds(kinds: Kinds, batch: Mapping[str, TypedColumn]) -> bool:
+def _add_kinds(kinds: Kinds, batch: Kinds) -> bool:
     """Add the types in a batch to those that are known; return whether one of them is new."""
     is_new = False
     for column in {**kinds, **batch}:
-        types = batch[column][1] if column in batch else _NONE
+        types = batch.get(column, _NONE)
         before = kinds.setdefault(column, set())
         if not types <= before:
             before |= types

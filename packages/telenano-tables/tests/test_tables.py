@@ -14,7 +14,7 @@ import pytest
 from export_samples import HEIGHTS, hand_recording, rich_recording
 from recorder_samples import EPOCH_NS, NODE, haptic_state
 
-from telenano.recording import Selection, typed_columns
+from telenano.recording import Selection, columns_of
 from telenano.recording.export import export_recording
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.recorder_config import RecorderConfig
@@ -165,10 +165,10 @@ def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatc
 
     def counted(messages: Any) -> Any:
         lengths.append(len(messages))
-        return typed_columns(messages)
+        return columns_of(messages)
 
     monkeypatch.setattr("telenano_tables.table_batches._MOST_ROWS", 64)
-    monkeypatch.setattr("telenano_tables.table_batches.typed_columns", counted)
+    monkeypatch.setattr("telenano_tables.table_batches.columns_of", counted)
     export_recording(writer.path, tmp_path / "parquet", "parquet")
     assert (max(lengths), sum(lengths)) == (64, 1000)
 

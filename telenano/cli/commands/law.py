@@ -39,9 +39,8 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
     """Show what a law is, and its parameters with default, range and unit."""
     with report_errors(as_json):
         from telenano.laws.config import LAWS
-        from telenano.laws.law_rules import known_law
 
-        row = known_law(law)
+        row = LAWS[law]
         properties: dict[str, Any] = row.config.model_json_schema()["properties"]
         parameters = [
             {
@@ -58,7 +57,7 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
             "states_passivity": row.passive,
             "must_know": list(row.must_know),
         }
-        facts = {"law": law, **_origin(law), "about": _about(LAWS[law]), **says}
+        facts = {"law": law, **_origin(law), "about": _about(row), **says}
     if as_json:
         print_json({**facts, "parameters": parameters})
         return
@@ -70,10 +69,10 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        from telenano.laws.config import ControllerConfig
-        from telenano.laws.law_rules import LATE_PERIODS, broken_rules, known_law
+        from telenano.laws.config import LAWS, ControllerConfig
+        from telenano.laws.law_rules import LATE_PERIODS, broken_rules
 
-        known_law(law)
+        law = LAWS[law].name
         if not as_json:
             typer.echo(
                 "checking the rules; the first time needs a minute or less, because the steps are compiled", err=True

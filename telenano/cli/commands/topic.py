@@ -20,8 +20,8 @@ from telenano.cli.options import (
 )
 from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
 from telenano.launcher.scenario_keys import value_at
+from telenano.recording.json_values import json_fields, json_value
 from telenano.recording.quantities import quantity
-from telenano.recording.tables import json_fields, json_value
 from telenano.runtime.wiring.observer import (
     RIG_HINT,
     Observer,

@@ -5,7 +5,7 @@ possible, before anything is started. A driver of a package brings its own row; 
 says of itself whether it closes a loop (`Law.link_loop`), so no law is known here by its name.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from telenano.afm.config import DRIVERS
@@ -55,13 +55,14 @@ TABLE: Mapping[str, AfmCapabilities] = {
 }
 
 
-def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
+def loop_refusal(driver: str, law: str, instead: Iterable[str], where: str = "") -> str:
     """Return why a law that closes a loop through the instrument cannot be used with a driver; empty where it can.
 
     Args:
         driver: The value of `afm_node.driver`.
         law: The name of the law.
         instead: The laws that close no such loop, of which one may be taken.
+        where: The package of one of them that is not installed; empty where all are.
     """
     able = AfmCapabilities.of(driver)
     if able is None or able.sample_hz >= LEAST_LOOP_HZ:
@@ -70,6 +71,7 @@ def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
         f"controller.law: {law} closes a loop through the instrument, and {driver} gives {able.sample_hz:g} samples a"
         f" second, {able.latency_s * 1e3:g} ms late, where a loop needs {LEAST_LOOP_HZ:g}: use a law whose hand meets"
         f" a model of the contact at once, which the instrument corrects, or moves no tip ({', '.join(instead)})"
+        f"{where and '; '}{where}"
     )
 
 

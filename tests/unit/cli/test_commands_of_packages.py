@@ -198,9 +198,9 @@ def test_a_format_of_a_package_exports_a_recording_and_one_that_is_missing_is_na
     make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = """
-from telenano.recording import CopyResult, plain
+from telenano.recording import CopyResult
 def names(recording, target, selection):
-    found = [plain(message)["src"] for message in recording.select(selection)]
+    found = [message.plain()["src"] for message in recording.select(selection)]
     target.write_text(" ".join(found))
     return CopyResult(path=str(target), messages=len(found), skipped=())
 """

@@ -1,6 +1,7 @@
 """What a driver may be used with: the table, and its refusals in a plan and at a node."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import TABLE, refusal
 from telenano.launcher.plan import UpRequest, make_plan, refused_laws
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.laws.law_names import LAW_NAMES
+from telenano.settings.known_packages import KNOWN_MODEL_LAWS
 from telenano.wire.errors import ConfigError
 
 
@@ -41,7 +42,6 @@ def test_a_plan_gives_both_halves_the_laws_that_they_have_to_refuse_later(tmp_pa
     plan = make_plan(UpRequest(scenario="fig12", settings=settings), tmp_path)
     config = plan.loaded.section("controller", ControllerConfig)
     assert set(config.refused_laws) == {name for name, law in KNOWN_LAWS.items() if law.link_loop}
-    assert set(LAW_NAMES) - set(config.refused_laws) == {"model_mediated"}
     assert config.refused_laws == refused_laws("nanonis")
     simulated = make_plan(UpRequest(scenario="fig12"), tmp_path)
     assert "refused_laws" not in (simulated.loaded.document.get("controller") or {})
@@ -57,6 +57,14 @@ def test_a_law_is_judged_by_what_it_says_of_itself_and_not_by_its_name(monkeypat
     assert "somebodys_model" not in refused and "somebodys_loop" in refused
     assert "(model_mediated, " in refused["somebodys_loop"] and "somebodys_model" in refused["somebodys_loop"]
     assert "bounded_model" not in refused and "bounded_model" in refused["wave"]
+
+
+def test_a_refusal_names_the_package_of_a_law_that_would_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not any(KNOWN_LAWS[name].link_loop for name in KNOWN_MODEL_LAWS)
+    for name in KNOWN_MODEL_LAWS:
+        monkeypatch.delitem(KNOWN_LAWS, name)
+    where = f"; the law {KNOWN_MODEL_LAWS[0]} is in the package telenano-laws: "
+    assert re.search(rf"\({', '.join(KNOWN_MODEL_LAWS)}, .*{where}", refused_laws("nanonis")["wave"])
 
 
 def test_a_driver_of_another_package_is_not_judged() -> None:

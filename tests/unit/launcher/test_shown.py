@@ -102,6 +102,9 @@ def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
         "Take other (--set controller.law=other) or a shorter line."
     )
     assert text(far, ("one", "nearer")).endswith("Take a shorter line: no law held such a session in the benchmark.")
+    # a law that is not installed is named where no other fits, with how it is
+    where = {"other": "the law other is in the package somebodys-laws"}
+    assert advice(table, "one", "line", far, ["nearer"], where).endswith(f" or a shorter line; {where['other']}.")
     assert "5 ms there and back, at times 90 ms more, and it held up to 70 ms more" in text(
         Session(exactly(5.0), exactly(90.0))
     )
@@ -117,7 +120,7 @@ def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
 def test_the_table_that_comes_with_the_rig_is_that_of_its_laws() -> None:
     table = read_shown()
     assert set(table) >= {"virtual_impedance", "position_force", "wave", "passivity", "model_mediated"}
-    assert set(table) <= set(LAWS) | {"smith"}
+    assert set(table) <= set(LAWS)
     for shown in table.values():
         assert shown.held
         for place in shown.held:

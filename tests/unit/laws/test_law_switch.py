@@ -4,11 +4,11 @@ from itertools import pairwise, permutations
 from typing import Any
 
 import pytest
+from law_loop import TRIED_LAWS as LAWS
 
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
 from telenano.laws.config import LAWS as INSTALLED
-from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.received import Received

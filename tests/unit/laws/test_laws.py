@@ -17,6 +17,7 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     checked_law,
+    measured_tip,
     no_energy_account,
     the_hands_force,
 )
@@ -56,7 +57,7 @@ def test_table_is_made_of_the_steps_that_a_module_has() -> None:
     )  # fmt: skip
     plain = LAWS["virtual_impedance"]
     assert (plain.slave_start, plain.slave_receive, plain.slave_send) == (
-        pass_through.slave_start, pass_through.slave_receive, pass_through.slave_send,
+        pass_through.slave_start, pass_through.slave_receive, measured_tip,
     )  # fmt: skip
     assert plain.master_energy_account is plain.slave_energy_account is no_energy_account
     assert not (plain.uses_waves or plain.uses_energy or plain.local_loop or plain.passive)
@@ -188,7 +189,7 @@ def test_bad_parameters_are_refused(name: str, parameters: dict[str, float], tex
 
 
 def test_unknown_law_is_refused() -> None:
-    with pytest.raises(ValidationError, match="model_mediated"):
+    with pytest.raises(ValidationError, match="passivity"):
         ControllerConfig.model_validate({"law": "telepathy"})
 
 

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from law_loop import TRIED_LAWS
 
 from telenano.afm.config import AfmConfig
 from telenano.extend.laws import MOST_PERIODS_A_STEP, NO_SIGNAL, PortSignal, SlaveReference, TipMeasurement
 from telenano.extend.virtual_mass import FOLLOWED_M
-from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.config import LAWS, ControllerConfig
 from telenano.laws.law_rules import RULES
 
 T = 1e-3
@@ -127,7 +128,7 @@ def test_the_stated_share_keeps_an_integrator_stable_for_all_orders_of_delays(
 
 
 def test_the_limits_are_those_that_the_document_derives() -> None:
-    limits = {name: config_of(name).stiffness_limit_n_per_m() for name in OWN_LAWS}
+    limits = {name: config_of(name).stiffness_limit_n_per_m() for name in TRIED_LAWS}
     assert limits == {
         "virtual_impedance": None,
         "position_force": None,

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.extend.pass_through import slave_receive, slave_send, slave_start
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement, measured_tip
+from telenano.extend.pass_through import slave_receive, slave_start
 from telenano.extend.virtual_mass import tip_reference
 from telenano.laws.position_force import (
     PositionForceConfig,
@@ -71,7 +71,7 @@ def test_slave_passes_reference_and_force() -> None:
     tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True, 0.0)
     state, reference = slave_receive(PARAMS, slave_start(PARAMS, tip), NO_SIGNAL._replace(position_m=1e-8), tip, 1e-3)
     assert reference == (1e-8, True)
-    _, signal = slave_send(PARAMS, state, tip, 1e-3)
+    _, signal = measured_tip(PARAMS, state, tip, 1e-3)
     assert (signal.force_n, signal.position_m, signal.in_contact, signal.active) == (-3e-9, 9e-9, True, True)
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
-from telenano.extend.pass_through import slave_receive, slave_send, slave_start
+from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, measured_tip
+from telenano.extend.pass_through import slave_receive, slave_start
 from telenano.extend.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,
@@ -131,6 +131,6 @@ def test_slave_half_passes_through() -> None:
     assert state.position_m == 9e-9
     state, reference = slave_receive(PARAMS, state, answer(0.0)._replace(position_m=1.1e-8), tip, PERIOD_S)
     assert (reference.position_m, reference.active) == (1.1e-8, True)
-    _, signal = slave_send(PARAMS, state, tip, PERIOD_S)
+    _, signal = measured_tip(PARAMS, state, tip, PERIOD_S)
     assert (signal.position_m, signal.force_n, signal.separation_m) == (9e-9, -3e-9, 2e-10)
     assert (signal.separation_valid, signal.in_contact, signal.active) == (True, True, True)

@@ -27,7 +27,6 @@ from telenano.extend.virtual_mass import (
     paid_stretch,
     periods_in,
     placed,
-    port_at,
     put_in,
     rescaled,
     resumed,
@@ -106,7 +105,7 @@ def test_whole_periods_in_a_time(dt: float, count: int) -> None:
 def test_energy_of_the_channel_is_sent_when_the_hand_has_worked_for_it_at_its_device() -> None:
     hand = HandSample(0.0, 0.0, 2.0, True)
     # the reference goes 1 mm against 1 N and the device stands
-    port = put_in(worked(port_at(0.0), hand, True), 1e-3, 1e-3)
+    port = put_in(worked(HandPort(0.0, 0.0, 0.0, 0.0), hand, True), 1e-3, 1e-3)
     assert (port.sent_j, unpaid_j(port)) == (0.0, 1e-3)
     # the device comes a quarter of the way under 2 N, and all of it later
     port = put_in(worked(port, hand._replace(position_m=2.5e-4), True), 0.0, 1e-3)
@@ -219,9 +218,8 @@ def test_the_shipped_mass_has_the_impedance_and_the_scales_of_the_documentation(
     assert config.mass_params(PERIOD_S) == config.mass_params(PERIOD_S, 0.0)
 
 
-def test_a_mass_that_begins_is_at_rest_and_uncoupled_and_its_port_is_empty() -> None:
+def test_a_mass_that_begins_is_at_rest_and_uncoupled() -> None:
     assert at_rest(3e-3) == Mass(3e-3, 0.0, 0.0, False)
-    assert port_at(3e-3) == HandPort(3e-3, 0.0, 0.0, 0.0)
     assert not resumed(PARAMS, HandSample(5e-3, 0.01, 1.0, True), 0.0).coupled
     assert moved(PARAMS, at_rest(3e-3), 0.0).coupled
     assert placed(Mass(1.0, 2.0, 3e-9, True), 4.0, 5.0) == Mass(4.0, 5.0, 3e-9, True)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from figure_layout import faults
+from law_loop import TRIED_LAWS as ALL_LAWS
 from matplotlib.figure import Figure
 from telenano_experiments.benchmark import results
 from telenano_experiments.benchmark_page import benchmark_figure
@@ -18,7 +19,6 @@ from telenano_studies.push_command import push_figure
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.laws.config import OWN_LAWS as ALL_LAWS
 
 
 def test_a_fault_in_a_layout_is_found() -> None:

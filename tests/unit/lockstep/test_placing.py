@@ -3,10 +3,10 @@
 from typing import Any
 
 import pytest
+from law_loop import TRIED_LAWS
 
 import telenano
 from telenano.extend.laws import NO_TIP
-from telenano.laws.config import OWN_LAWS
 from telenano.laws.entering import CLEARANCE_M, LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from telenano.wire.errors import RigError
 
@@ -36,7 +36,7 @@ def test_a_tip_that_cannot_be_placed_is_named_with_place_and_speed() -> None:
 @pytest.mark.check("runs every law once")
 @pytest.mark.usefixtures("plain_loop")
 @pytest.mark.grid(law="virtual_impedance")
-@pytest.mark.parametrize("law", OWN_LAWS)
+@pytest.mark.parametrize("law", TRIED_LAWS)
 @pytest.mark.parametrize("start_m", [0.002, 0.008, 0.014])
 def test_a_hand_that_is_beyond_the_surface_when_it_is_armed_gives_no_law_a_strike(law: str, start_m: float) -> None:
     settings = {"haptic_node.device.start_position_m": start_m}

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from law_loop import TRIED_LAWS as LAWS
 from telenano_studies.loops.cells import Cell, course_of, rig_of, trajectory_of
 from telenano_studies.loops.links import symmetric_link
 
@@ -12,7 +13,6 @@ from telenano.afm.config import AfmConfig
 from telenano.afm.safety import MODE_FOLLOW
 from telenano.extend.laws import NO_SIGNAL, HandSample
 from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
-from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.lockstep.link import Schedule
 
 PERIOD_S = 1e-3

@@ -3,14 +3,13 @@
 from typing import Any
 
 import pytest
+from law_loop import TRIED_LAWS as LAWS
 
 import telenano
-from telenano.laws.config import OWN_LAWS
 from telenano.lockstep.simulation import SimulatedSession
 from telenano.settings.included import SCENARIO_DIRECTORY
 from telenano.wire.errors import ConfigError, RigError
 
-LAWS = tuple(OWN_LAWS)
 ENVIRONMENTS = ("tip_sample", "spring")
 PRESS = {"kind": "force_profile", "points": [{"time_s": 0.5, "force_n": 0.0}, {"time_s": 0.9, "force_n": 1.0}]}
 # beyond what theory lets them bear: 43 ms on the spring of 20 N/m

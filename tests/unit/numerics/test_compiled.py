@@ -401,7 +401,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
     "before",
     [
         "import telenano.lockstep.simulation",
-        "from telenano.laws.law_rules import known_law",
+        "from telenano.laws.law_rules import broken_rules",
         "import telenano.afm.cantilever",
     ],
 )

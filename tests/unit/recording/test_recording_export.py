@@ -17,7 +17,7 @@ from telenano.recording.quantities import quantity
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import REJECTED_TOPIC
-from telenano.recording.tables import line, plain
+from telenano.recording.tables import line
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError, RecordingError
@@ -187,7 +187,7 @@ def test_what_is_not_understood_is_given_as_it_is(tmp_path: Path) -> None:
     writer.write(hand, EPOCH_NS, 0, 0, b"\x81\xa1a\x01")
     writer.finish()
     (message,) = Recording(writer.path).messages()
-    assert plain(message) == {"a": 1}
+    assert message.plain() == {"a": 1}
     assert AfmScanline.version >= 1
 
 

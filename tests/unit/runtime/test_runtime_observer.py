@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from telenano.recording.tables import json_fields
+from telenano.recording.json_values import json_fields
 from telenano.runtime.wiring.observer import Observer, known_name
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import AfmScanline, Array

@@ -13,7 +13,7 @@ from wire_contract import CASES, WITH_OPTIONAL, examples, has_optional_keys, pre
 
 from telenano.wire import WireError, compose
 from telenano.wire.codec import accept
-from telenano.wire.faults import Fault, faults_of
+from telenano.wire.faults import Fault
 from telenano.wire.messages import Array
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
@@ -54,7 +54,7 @@ STRANGE = [b"\x00\x01", {"": None}, msgpack.ExtType(5, b"x")]
 
 def stated(topic: str, fields: dict[str, Any]) -> list[Fault]:
     """Return the faults of some fields, which sender and receiver have to state alike."""
-    faults = faults_of(TOPICS[topic].model, fields)
+    faults = TOPICS[topic].faults_in(fields)
     with pytest.raises(WireError) as received:
         accept(topic, msgpack.packb(fields))
     assert str(received.value) == f"{topic}: {faults[0].text}"
@@ -64,7 +64,7 @@ def stated(topic: str, fields: dict[str, Any]) -> list[Fault]:
 
 @pytest.mark.parametrize("topic", TOPICS)
 def test_a_whole_message_has_no_fault(topic: str) -> None:
-    assert faults_of(TOPICS[topic].model, full(topic)) == []
+    assert TOPICS[topic].faults_in(full(topic)) == []
 
 
 @given(st.sampled_from(PLACES), st.sampled_from(STRANGE))
@@ -72,7 +72,7 @@ def test_the_key_of_a_value_of_another_type_is_named_wherever_it_stands(
     place: tuple[str, Path, Any], strange: Any
 ) -> None:
     topic, path, _ = place
-    found = faults_of(TOPICS[topic].model, replaced(full(topic), path, strange))
+    found = TOPICS[topic].faults_in(replaced(full(topic), path, strange))
     assert [fault.kind for fault in found] == ["type"]
     assert found[0].key == ".".join(map(str, path))[:100]
     if not isinstance(strange, msgpack.ExtType):
@@ -117,7 +117,7 @@ def test_a_key_that_is_missing_or_misspelled_is_named(topic: str, data: st.DataO
     fields = full(topic)
     key = data.draw(st.sampled_from(sorted(fields)))
     misspelled = {f"{name}x" if name == key else name: value for name, value in fields.items()}
-    found = faults_of(TOPICS[topic].model, misspelled)
+    found = TOPICS[topic].faults_in(misspelled)
     assert Fault(f"{key}x", "unknown", found[-1].text) in found
     assert f"did you mean {key}? Known are " in found[-1].text or len(key) < 3
     assert len(found) == 1 or found[0] == Fault(key, "missing", f"{key} is missing")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from telenano.laws import LAWS
+from telenano.laws import LAWS, OWN_LAWS
 from telenano_studies.loops.transparency import Spectrum
 
 if TYPE_CHECKING:
@@ -20,7 +20,10 @@ _LOOKS = (
     ("#d55e00", "v", (0, (6, 1, 1, 1, 1, 1))),
     ("#cc79a7", "P", (0, (3, 1))),
 )
-LAW_LOOKS: dict[str, tuple[str, str, Any]] = {law: _LOOKS[n % len(_LOOKS)] for n, law in enumerate(LAWS)}
+# A law that has moved into a package keeps its look.
+LAW_LOOKS: dict[str, tuple[str, str, Any]] = {
+    law: _LOOKS[n % len(_LOOKS)] for n, law in enumerate(dict.fromkeys((*OWN_LAWS, "model_mediated", *LAWS)))
+}
 
 
 def impedance_figure(spectra: Sequence[Spectrum]) -> "Figure":

@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from telenano.extend.virtual_mass import bounded
-from telenano.numerics.compiler import compiled
+from telenano.numerics import compiled
 
 # time constant over which the changes of force and place are taken for a drift [s]
 STEADY_S = 0.1

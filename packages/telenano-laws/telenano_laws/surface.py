@@ -21,12 +21,13 @@ Inside, lengths are in nm and forces in nN, so that the fit is of numbers near o
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.numerics.compiler import compiled, vectorized
+from telenano.numerics import compiled
 
 NANO = 1e-9
 # The factor is kappa in nN/nm^1.5 for one N/m^1.5.
@@ -151,13 +152,6 @@ def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) ->
     return Fit(surface, samples, index, fit.damping, fit.known)
 
 
-def place_roots(samples: npt.NDArray[np.float64], contact_nm: float, ratio: float) -> None:
-    """Put the root at the position of every sample over a contact that ends at contact_nm [nm]."""
-    for index in range(BINS):
-        samples[_ROOT, index] = root_of(float(samples[_AT, index]) - contact_nm, ratio)
-
-
-@vectorized(place_roots)
 def _place_roots_at_once(samples: npt.NDArray[np.float64], contact_nm: float, ratio: float) -> None:
     """Take a step of Newton for all samples before the next one; the steps are those of `root_of`."""
     at, roots, is_iterating = samples[_AT], samples[_ROOT], np.empty(BINS, np.bool_)
@@ -175,6 +169,13 @@ def _place_roots_at_once(samples: npt.NDArray[np.float64], contact_nm: float, ra
             left += is_iterating[index]
         if left == 0:
             break
+
+
+@partial(compiled, at_once=_place_roots_at_once)
+def place_roots(samples: npt.NDArray[np.float64], contact_nm: float, ratio: float) -> None:
+    """Put the root at the position of every sample over a contact that ends at contact_nm [nm]."""
+    for index in range(BINS):
+        samples[_ROOT, index] = root_of(float(samples[_AT, index]) - contact_nm, ratio)
 
 
 @compiled

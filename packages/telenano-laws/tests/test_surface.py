@@ -8,10 +8,8 @@ from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
 from instrument_theory import base_for
-
-from telenano.afm.config import AfmConfig
-from telenano.laws.model_mediated import ModelMediatedConfig
-from telenano.laws.surface import (
+from telenano_laws.model_mediated import ModelMediatedConfig
+from telenano_laws.surface import (
     BINS,
     Surface,
     _place_roots_at_once,
@@ -26,6 +24,8 @@ from telenano.laws.surface import (
     solved_pair,
     unknown,
 )
+
+from telenano.afm.config import AfmConfig
 from telenano.numerics.compiler import compiled_form
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit

@@ -8,10 +8,8 @@ import pytest
 from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
-
-from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.extend.virtual_mass import tip_reference
-from telenano.laws.model_mediated import (
+from law_loop import loop as run_loop
+from telenano_laws.model_mediated import (
     ModelMediatedConfig,
     master_energy_account,
     master_receive,
@@ -25,7 +23,10 @@ from telenano.laws.model_mediated import (
     slave_start,
     updated,
 )
-from telenano.laws.surface import Surface
+from telenano_laws.surface import Surface
+
+from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import tip_reference
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)
@@ -64,7 +65,7 @@ def between(value: float) -> Any:
 
 
 @pytest.mark.parametrize("delay", [*map(between, [0, 20, 100]), 250])
-def test_surface_is_learnt_and_held(run_loop: Any, delay: int) -> None:
+def test_surface_is_learnt_and_held(delay: int) -> None:
     truth = Surface(5.0, 18.2, 12.0)
 
     def environment(x: float) -> float:
@@ -89,14 +90,14 @@ def test_surface_is_learnt_and_held(run_loop: Any, delay: int) -> None:
 
 @pytest.mark.parametrize("stiffness", [10.0, between(20.0), 38.0])
 @pytest.mark.parametrize("delay", [0, between(50), 250])
-def test_spring_is_held_at_any_delay(run_loop: Any, stiffness: float, delay: int) -> None:
+def test_spring_is_held_at_any_delay(stiffness: float, delay: int) -> None:
     run = run_loop("model_mediated", lambda n: 1.0, lambda x: stiffness * x, 6000, lambda n: delay, lambda n: delay)
     assert np.ptp(1e8 * run.force_n[-500:]) < 1e-2
     assert 1e8 * run.force_n[-1] == pytest.approx(1.0, rel=0.03, abs=0.0)
     assert master_energy_account(PARAMS, run.masters[-1]).dissipated_j >= 0.0
 
 
-def test_updates_are_paid_from_the_damper_at_all_times(run_loop: Any) -> None:
+def test_updates_are_paid_from_the_damper_at_all_times() -> None:
     run = run_loop(
         "model_mediated", lambda n: 2.0, lambda x: max(38.0 * (x - 5e-9), 0.0), 6000, lambda n: 250, lambda n: 9
     )
@@ -129,7 +130,7 @@ def test_guard_presses_no_harder_than_the_hand() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_tip_never_takes_more_than_the_hand_has_worked(run_loop: Any, seed: int) -> None:
+def test_the_tip_never_takes_more_than_the_hand_has_worked(seed: int) -> None:
     """A hand that pulled felt nothing of a spring, and the tip took the energy of it from nowhere."""
     draw = random.Random(seed)
     stiffness, delay, size = draw.uniform(5.0, 150.0), draw.randrange(10, 150), draw.uniform(0.5, 3.0)

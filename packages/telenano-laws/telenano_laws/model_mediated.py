@@ -37,7 +37,6 @@ round trip.
 
 from typing import NamedTuple
 
-from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
@@ -49,7 +48,6 @@ from telenano.extend.laws import (
     port_signal,
     the_hands_force,
 )
-from telenano.extend.pass_through import slave_send as slave_send
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     HandPort,
@@ -66,14 +64,15 @@ from telenano.extend.virtual_mass import (
     moved,
     paid_stretch,
     periods_in,
-    port_at,
     rescaled,
     resumed,
     tip_reference,
     worked,
 )
-from telenano.laws.energy import Port, opened, with_outflow
-from telenano.laws.surface import (
+from telenano.numerics import compiled
+from telenano_laws.drift import Drift, drifted, error_of, no_drift
+from telenano_laws.ports import slid_work
+from telenano_laws.surface import (
     KAPPA_UNIT,
     NANO,
     Fit,
@@ -87,7 +86,6 @@ from telenano.laws.surface import (
     root_of,
     unknown,
 )
-from telenano.numerics.compiler import compiled
 
 # A drift is seen where the force at the tip changes by less than this [nN/s].
 _STANDS_NN_PER_S = 2.0
@@ -188,15 +186,23 @@ class MasterState(NamedTuple):
     port: HandPort
 
 
+class TipPort(NamedTuple):
+    """Where the tip is [m] and with what force [N], at the hand's scale, and the energy that it may still take [J]."""
+
+    position_m: float
+    force_n: float
+    energy_j: float
+
+
 class SlaveState(NamedTuple):
-    """The reference of the base [m], the tip's port, whose energy is what the tip may still take [J], and more.
+    """The reference of the base [m], the tip's port, and more.
 
     received_j: the hand's work as it was heard of last; granted_j: what the tip was granted by all armings [J];
     coupled: the base was led by the hand.
     """
 
     position_m: float
-    port: Port
+    port: TipPort
     received_j: float
     granted_j: float
     coupled: bool
@@ -214,7 +220,7 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
         dissipated_j=0.0,
         drift=no_drift(0.0, 0.0, _FASTEST_NM_PER_S),
         since_s=0.0,
-        port=port_at(mass.position_m),
+        port=HandPort(mass.position_m, 0.0, 0.0, 0.0),
     )
 
 
@@ -386,7 +392,7 @@ def master_receive(
 @compiled
 def slave_start(params: ModelMediatedParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base, with nothing granted until a hand is heard of."""
-    return SlaveState(tip.base_position_m, opened(0.0, 0.0), 0.0, 0.0, False)
+    return SlaveState(tip.base_position_m, TipPort(0.0, 0.0, 0.0), 0.0, 0.0, False)
 
 
 @compiled
@@ -399,13 +405,13 @@ def _left(params: ModelMediatedParams, state: SlaveState, signal: PortSignal, ti
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
     left, granted, received = state.port.energy_j, state.granted_j, state.received_j
     if state.coupled and tip.following:
-        left = with_outflow(state.port, here, force).energy_j
+        left -= slid_work(state.port.position_m, state.port.force_n, here, force)
     if signal.silence_s <= p.silence_limit_s:
         left = min(left + signal.energy_j - received, params.tip_cap_j) if granted > 0.0 else 0.0
         received = signal.energy_j
         if granted == 0.0 or not (tip.following or tip.in_contact):
             left, granted = params.start_j, granted + max(params.start_j - left, 0.0)
-    return SlaveState(state.position_m, Port(here, force, left), received, granted, state.coupled)
+    return SlaveState(state.position_m, TipPort(here, force, left), received, granted, state.coupled)
 
 
 @compiled
@@ -455,7 +461,7 @@ def slave_retune(old: ModelMediatedParams, new: ModelMediatedParams, state: Slav
     """Keep the tip's port, which is at the hand's scale, with no more to take than the new cap."""
     place = state.port.position_m * old.mass.position_scale / new.mass.position_scale
     force = state.port.force_n * new.mass.force_scale / old.mass.force_scale
-    port = Port(place, force, min(state.port.energy_j, new.tip_cap_j))
+    port = TipPort(place, force, min(state.port.energy_j, new.tip_cap_j))
     return SlaveState(state.position_m, port, state.received_j, state.granted_j, state.coupled)
 
 

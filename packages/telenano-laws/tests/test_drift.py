@@ -6,11 +6,10 @@ from collections import deque
 from typing import Any
 
 import pytest
+from telenano_laws.drift import Drift, drifted, error_of, no_drift
 
-from telenano.extend.drift import Drift, drifted, error_of, no_drift
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.config import LAWS
-from telenano.laws.law_rules import known_law
 
 SCALE, PERIOD_S = 1.5e-6, 2e-3
 
@@ -69,7 +68,7 @@ def swung(name: str, drift_m_per_s: float, delay: int, held_s: float = 8.0) -> t
 
     delay: periods each way; held_s: for how long it is held [s].
     """
-    law = known_law(name)
+    law = LAWS[name]
     params = law.config().to_params(PERIOD_S)
     x = base = 0.0
     tip = TipMeasurement(0.0, 0.0, 0.0, True, True, True, 0.0)
