@@ -10,8 +10,8 @@ import ctypes
 import platform
 from typing import Any
 
-from telenano.extend.hands import UPRIGHT, Capabilities, DeviceError, Quaternion
-from telenano.hand import ZERO, Vector
+from telenano.extend.hands import Capabilities, DeviceError
+from telenano_haptic_devices.coupling import UPRIGHT, ZERO, Quaternion, Vector
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.vendor_library import (
     LibraryWire,

@@ -17,9 +17,9 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.hands import UPRIGHT, Capabilities, DeviceError, Quaternion
-from telenano.hand import ZERO, Vector
+from telenano.extend.hands import Capabilities, DeviceError
 from telenano.runtime import StructuredLog
+from telenano_haptic_devices.coupling import UPRIGHT, ZERO, Quaternion, Vector
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from telenano.hand import ZERO, Vector
+from telenano_haptic_devices.coupling import ZERO, Vector
 from telenano_haptic_devices.emulated_arm import EmulatedArm, HandMotion
 from telenano_haptic_devices.emulated_service import EmulatedService, serve_service
 from telenano_haptic_devices.haply import BUTTONS, EMULATED, SESSION_RUNS

@@ -11,7 +11,7 @@ import ctypes
 from typing import Any
 
 from telenano.extend.hands import Capabilities, DeviceError
-from telenano.hand import ZERO, Vector
+from telenano_haptic_devices.coupling import ZERO, Vector
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.vendor_library import (
     LibraryWire,

@@ -14,7 +14,8 @@ from telenano.extend.hands import (
     HapticReport,
     SpatialReading,
 )
-from telenano.hand import ZERO, CouplingConfig
+from telenano_haptic_devices.coupling import ZERO
+from telenano_haptic_devices.impedance_config import CouplingConfig
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
 # A sample that is older than this is stale, and one that is older than the silence of the coupling is lost.

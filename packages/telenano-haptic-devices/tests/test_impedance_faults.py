@@ -15,8 +15,7 @@ if shutil.which("cc") is None:
 
 from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
 
-from telenano.extend.hands import DeviceError
-from telenano.hand import Gate
+from telenano.extend.hands import DeviceError, Gate
 
 HAND_N = 1.0
 # The hand pushes, something breaks, the hand holds the arm, it is mended, and the hand pushes again.

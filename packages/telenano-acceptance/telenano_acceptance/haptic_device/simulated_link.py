@@ -9,11 +9,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from telenano_haptic_devices.coupled import arm_step
+from telenano_haptic_devices.coupling import UPRIGHT, ZERO, Quaternion, Vector
 from telenano_haptic_devices.emulated_arm import HandMotion
 from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample
 
-from telenano.extend.hands import UPRIGHT, Capabilities, Quaternion
-from telenano.hand import ZERO, Vector, arm_step
+from telenano.extend.hands import Capabilities
 from telenano.numerics import normal_number
 
 

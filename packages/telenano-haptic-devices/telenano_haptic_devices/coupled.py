@@ -13,23 +13,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from telenano.extend.hands import MODE_POSITION, UPRIGHT, DeviceReading, DriveCommand, Pair, SpatialReading
+from telenano.extend.hands import MODE_POSITION, DeviceReading, DriveCommand, SpatialReading
 from telenano.extend.operators import OperatorInputs
-from telenano.hand.coupling import (
+from telenano.hand import HandPart, interpolate, operator_step, register_hand_part
+from telenano.numerics import compiled
+from telenano_haptic_devices.coupling import (
     GATE_ACTIVE,
     GATE_READY,
+    UPRIGHT,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
     CouplingState,
+    Pair,
     Vector,
     coupling_at_start,
     coupling_step,
 )
-from telenano.hand.operator import interpolate
-from telenano.hand.operator_models import operator_at_rest, operator_step
-from telenano.numerics.compiler import compiled
 
 
 class LateralHand(NamedTuple):
@@ -75,15 +76,15 @@ class CoupledState(NamedTuple):
     arm_count: int
 
 
-def initial_coupled(params: CoupledParams, position_m: float) -> CoupledState:
-    """Return device and hand at rest at position_m [m] along the paper's axis."""
+def initial_coupled(params: CoupledParams, position_m: float, operator: Any) -> CoupledState:
+    """Return a device at rest at position_m [m] along the paper's axis, with the state of the hand on it."""
     periods = math.floor(params.delay_s / params.servo_period_s + 1e-9)
     return CoupledState(
         coupling=coupling_at_start(),
         position_m=(0.0, 0.0, 0.0 - position_m),
         velocity_m_per_s=ZERO,
         late=(ZERO,) * (periods + 1),
-        operator=operator_at_rest(params.operator, position_m),
+        operator=operator,
         reference_m=position_m,
         engaged=False,
         arm_count=0,
@@ -272,3 +273,15 @@ def reading_of(params: CoupledParams, state: CoupledState) -> DeviceReading:
         torque_limited=False,
         spatial=spatial,
     )
+
+
+@compiled
+def _place(params: CoupledParams, state: CoupledState) -> tuple[float, bool]:
+    return 0.0 - state.position_m[2], waits(state)
+
+
+def _pushed(params: CoupledParams, force_n: Pair) -> CoupledParams:
+    return params._replace(lateral=params.lateral._replace(force_n=force_n))
+
+
+register_hand_part(CoupledParams, HandPart(initial_coupled, coupled_plant_step, _place, _pushed))
