@@ -12,7 +12,6 @@ from pathlib import Path
 from services.haptic_node.node import INPUTS, HapticNode
 from telenano.extend.hands import HapticDevice
 from telenano.hand.config import DRIVERS, HapticConfig
-from telenano.hand.disturbances import DisturbedHaptic
 from telenano.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
 
@@ -24,10 +23,7 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
 
 def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
     if config.in_lockstep:
-        hand = config.to_simulated_hand()
-        return DisturbedHaptic(
-            hand.params, config.device.start_position_m, config.disturbances, hand.capabilities, hand.about
-        )
+        return config.to_simulated_device()
     if (driver := DRIVERS.find(config.driver)) is not None:
         device: HapticDevice = driver.device(config, config.limits, period_s)
         return device

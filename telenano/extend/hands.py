@@ -166,7 +166,7 @@ class HapticReport(NamedTuple):
 class SimulatedHand(NamedTuple):
     """A simulated device with the hand on it, which a rig and a session in lockstep run alike.
 
-    params: of a class that `telenano.hand.register_hand_part` knows. capabilities: what the device declares. about: a
+    params: of a class that `telenano.hand.HandPart.register` knows. capabilities: what the device declares. about: a
     sentence that the node reports at its start.
     """
 

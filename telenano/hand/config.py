@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.extend.hands import SimulatedHand
 from telenano.hand import sim, step
-from telenano.hand.disturbances import HandDisturbanceConfig, disturbed_plant_params
+from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, disturbed_plant_params
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.hand.motor import SUBSTEP_S, MotorParams
 from telenano.hand.operator_config import ForceProfileConfig, OperatorConfig
@@ -230,6 +230,12 @@ class _OwnSections(Settings):
             return hand
         params = self.to_plant_params()
         return SimulatedHand(params, sim.capabilities(params))
+
+    def to_simulated_device(self) -> DisturbedHaptic:
+        """Return that device and hand as a `HapticDevice`, with the disturbances of the section."""
+        hand = self.to_simulated_hand()
+        start_m = self.device.start_position_m
+        return DisturbedHaptic(hand.params, start_m, self.disturbances, hand.capabilities, hand.about)
 
     def to_simulated_params(self) -> Any:
         """Return the constants of that device and hand."""

@@ -29,21 +29,20 @@ class HandPart(NamedTuple):
     place: Callable[[Any, Any], tuple[float, bool]]
     pushed: Callable[[Any, Pair], Any] | None = None
 
+    def register(self, kind: type) -> None:
+        """Let the device be chosen by the class of its parameters.
+
+        HandPart(start, step, place).register(SlideParams)
+
+        Raises:
+            TypeError: Another device has this class already.
+        """
+        if _PARTS.get(kind, self) != self:
+            raise TypeError(f"another hand device has the parameters {kind.__module__}.{kind.__name__} already")
+        _PARTS[kind] = self
+
 
 _PARTS: dict[type, HandPart] = {}
-
-
-def register_hand_part(kind: type, part: HandPart) -> None:
-    """Let a simulated hand device be chosen by the class of its parameters.
-
-    register_hand_part(BrakeParams, HandPart(start, step, place))
-
-    Raises:
-        TypeError: Another device has this class already.
-    """
-    if _PARTS.get(kind, part) != part:
-        raise TypeError(f"another hand device has the parameters {kind.__module__}.{kind.__name__} already")
-    _PARTS[kind] = part
 
 
 def initial_plant(params: Any, position_m: float) -> Any:

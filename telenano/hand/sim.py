@@ -63,7 +63,7 @@ class SimulatedHaptic:
         """Put device and hand at a place.
 
         Args:
-            params: The constants, of a class that `part.register_hand_part` knows.
+            params: The constants, of a class that `part.HandPart.register` knows.
             start_position_m: Where the arm is [m].
             declared: What it declares; None for the device of the paper, which declares what its constants give.
             about: A sentence that the node reports at its start.

@@ -13,7 +13,7 @@ from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand, Spatial
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import motor, safety
 from telenano.hand.operator_models import operator_step
-from telenano.hand.part import HandPart, initial_plant, place_of, plant_step, register_hand_part
+from telenano.hand.part import HandPart, initial_plant, place_of, plant_step
 from telenano.numerics.compiler import compiled
 
 
@@ -183,8 +183,8 @@ def _disturbed_place(params: DisturbedPlantParams, state: DisturbedPlantState) -
 
 
 _CENTRE = SpatialCommand((0.0, 0.0), (0.0, 0.0), False)
-register_hand_part(PlantParams, HandPart(_start, motor_plant_step, _motor_place))
-register_hand_part(DisturbedPlantParams, HandPart(_disturbed_start, _disturbed_plant_step, _disturbed_place))
+HandPart(_start, motor_plant_step, _motor_place).register(PlantParams)
+HandPart(_disturbed_start, _disturbed_plant_step, _disturbed_place).register(DisturbedPlantParams)
 
 
 @compiled

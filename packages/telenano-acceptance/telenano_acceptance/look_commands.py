@@ -11,11 +11,12 @@ from telenano_haptic_devices.impedance import coupling_of, takes_force
 
 from telenano.afm import AfmConfig
 from telenano.cli import JsonOption, print_answer, report_errors
-from telenano.devices import driver_of_file
+from telenano.devices import driver_of
 from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.hand import HapticConfig, LimitsConfig
 from telenano.settings import DeviceDriver, fault_of_package, flag_overrides, validate
 from telenano.wire import ConfigError, TelenanoError, known_names
+from telenano_acceptance.instrument.instruments import config_of
 
 _PERIOD_S = 1e-3
 _ABILITIES = (
@@ -276,7 +277,7 @@ def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
 
 def _instrument_of(calibration: Path) -> Any:
     """Return the driver of an instrument by its calibration file, to be looked at while it stays retracted."""
-    return driver_of_file(calibration, AfmConfig(attended=True))
+    return driver_of(config_of(calibration, {"attended": True}), _PERIOD_S)
 
 
 def _reads_handle(device: Any) -> Tick:

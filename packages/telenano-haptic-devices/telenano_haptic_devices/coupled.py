@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from telenano.extend.hands import MODE_POSITION, DeviceReading, DriveCommand, SpatialReading
 from telenano.extend.operators import OperatorInputs
-from telenano.hand import HandPart, interpolate, operator_step, register_hand_part
+from telenano.hand import HandPart, interpolate, operator_step
 from telenano.numerics import compiled
 from telenano_haptic_devices.coupling import (
     GATE_ACTIVE,
@@ -284,4 +284,4 @@ def _pushed(params: CoupledParams, force_n: Pair) -> CoupledParams:
     return params._replace(lateral=params.lateral._replace(force_n=force_n))
 
 
-register_hand_part(CoupledParams, HandPart(initial_coupled, coupled_plant_step, _place, _pushed))
+HandPart(initial_coupled, coupled_plant_step, _place, _pushed).register(CoupledParams)
