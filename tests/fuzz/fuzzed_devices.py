@@ -163,13 +163,13 @@ class OddConversation(MemoryConversation):
         super().__init__(service, time)
         self._source, self._share, self._service = source, source.choice([0.02, 0.1, 0.5]), "ws://odd"
         self._messages = self._answers
-        self._about, self._decode = haply.INVERSE_SERVICE, haply._DECODER.decode
+        self._about, self._decode = haply.INVERSE_SERVICE, haply.DECODE
 
     receive = haply.Conversation.receive
 
     def wait(self, patience_s: float = 0.0) -> None:
         self._messages = self._answers
-        self._about, self._decode = haply.INVERSE_SERVICE, haply._DECODER.decode
+        self._about, self._decode = haply.INVERSE_SERVICE, haply.DECODE
         if not self._answers:
             raise DeviceError("the service has been silent for 0.5 s")
         if self._source.random() > self._share:

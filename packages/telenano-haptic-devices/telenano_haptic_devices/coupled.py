@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from telenano.extend.hands import MODE_POSITION, DeviceReading, DriveCommand, SpatialReading
+from telenano.extend.hands import MODE_POSITION, DeviceReading, DriveCommand
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import HandPart, interpolate, operator_step
 from telenano.numerics import compiled
@@ -30,6 +30,7 @@ from telenano_haptic_devices.coupling import (
     Vector,
     coupling_at_start,
     coupling_step,
+    reading_of,
 )
 
 
@@ -243,36 +244,10 @@ def coupled_plant_step(
         engaged=engaged,
         arm_count=arm_count,
     )
-    return state, reading_of(params, state)
-
-
-@compiled
-def reading_of(params: CoupledParams, state: CoupledState) -> DeviceReading:
-    """Return the sample of the device: the force that its coupling sent is the estimate of the hand's."""
-    p, v, f, coupling = state.position_m, state.velocity_m_per_s, state.coupling.force_n, state.coupling
-    spatial = SpatialReading(
-        lateral_m=(p[0], p[1]),
-        lateral_velocity_m_per_s=(v[0], v[1]),
-        lateral_operator_force_n=(0.0 - f[0], 0.0 - f[1]),
-        lateral_force_n=(f[0], f[1]),
-        orientation=UPRIGHT,
-        buttons=0,
-        gate=coupling.gate,
-        hand_energy_j=coupling.hand_energy_j,
-        coupling_energy_j=coupling.coupling_energy_j,
-    )
-    return DeviceReading(
-        position_m=0.0 - p[2],
-        velocity_m_per_s=0.0 - v[2],
-        operator_force_n=f[2],
-        operator_force_limited=coupling.limited,
-        motor_force_n=0.0 - f[2],
-        motor_voltage_v=0.0,
-        end_stop=max(abs(p[0]), abs(p[1]), abs(p[2])) >= params.reach_m,
-        voltage_limited=False,
-        torque_limited=False,
-        spatial=spatial,
-    )
+    p, coupling = state.position_m, state.coupling
+    at_end = max(abs(p[0]), abs(p[1]), abs(p[2])) >= params.reach_m
+    marks, energies_j = (coupling.limited, at_end, coupling.gate), (coupling.hand_energy_j, coupling.coupling_energy_j)
+    return state, reading_of(p, state.velocity_m_per_s, coupling.force_n, marks, (UPRIGHT, 0), energies_j)
 
 
 @compiled

@@ -25,7 +25,7 @@ Vectors are in the master frame of the messages: z away from the sample, so push
 import math
 from typing import NamedTuple
 
-from telenano.extend.hands import Gate, SpatialReading
+from telenano.extend.hands import DeviceReading, Gate, SpatialReading
 from telenano.numerics import compiled
 
 Pair = tuple[float, float]
@@ -395,4 +395,49 @@ def _step_of_a_good_reading(
         arm_count=reference.arm_count,
         hand_energy_j=hand_j,
         coupling_energy_j=coupling_j,
+    )
+
+
+@compiled
+def reading_of(
+    place: Vector,
+    velocity: Vector,
+    force: Vector,
+    marks: tuple[bool, bool, int],
+    handle: tuple[Quaternion, int],
+    energies_j: tuple[float, float],
+) -> DeviceReading:
+    """Return the sample of a device along the paper's axis: the force that its coupling sent is that of the hand.
+
+    Args:
+        place: The place [m].
+        velocity: The velocity [m/s].
+        force: The force that was sent [N].
+        marks: Whether clamp or slew acts, whether the arm is at an end stop, and the gate.
+        handle: Orientation and buttons.
+        energies_j: The accounts of the hand and of the coupling [J].
+    """
+    limited, at_end, gate = marks
+    spatial = SpatialReading(
+        lateral_m=(place[0], place[1]),
+        lateral_velocity_m_per_s=(velocity[0], velocity[1]),
+        lateral_operator_force_n=(0.0 - force[0], 0.0 - force[1]),
+        lateral_force_n=(force[0], force[1]),
+        orientation=handle[0],
+        buttons=handle[1],
+        gate=gate,
+        hand_energy_j=energies_j[0],
+        coupling_energy_j=energies_j[1],
+    )
+    return DeviceReading(
+        position_m=0.0 - place[2],
+        velocity_m_per_s=0.0 - velocity[2],
+        operator_force_n=force[2],
+        operator_force_limited=limited,
+        motor_force_n=0.0 - force[2],
+        motor_voltage_v=0.0,
+        end_stop=at_end,
+        voltage_limited=False,
+        torque_limited=False,
+        spatial=spatial,
     )

@@ -77,7 +77,7 @@ class MemoryConversation:
         return dropped
 
     def receive(self, patience_s: float = 0.0) -> haply.Answer:
-        return haply._DECODER.decode(self._answers.pop(0))
+        return haply.DECODE(self._answers.pop(0))
 
     def close(self) -> None:
         """Do nothing: there is no socket."""

@@ -306,7 +306,7 @@ def test_call_of_the_scheduler_that_took_long_and_has_just_ended_is_no_silence(t
     in_call, ends, ended = threading.Event(), threading.Event(), threading.Event()
     frames: list[Any] = []
 
-    def long_frame(lib: Any, turn: Any) -> bool:
+    def long_frame(turn: Any) -> bool:
         in_call.set()
         assert ends.wait(10.0)
         return len(frames) < 2
