@@ -11,8 +11,7 @@ from pathlib import Path
 
 from services.haptic_node.node import INPUTS, HapticNode
 from telenano.extend.hands import HapticDevice
-from telenano.hand.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
-from telenano.hand.disturbances import DisturbedHaptic
+from telenano.hand.config import DRIVERS, HapticConfig
 from telenano.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
 
@@ -23,14 +22,12 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
 
 
 def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
+    if config.in_lockstep:
+        return config.to_simulated_device()
     if (driver := DRIVERS.find(config.driver)) is not None:
         device: HapticDevice = driver.device(config, config.limits, period_s)
         return device
-    if config.serial is None or config.driver in ("simulated", SIMULATED_IMPEDANCE):
-        declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None
-        return DisturbedHaptic(
-            config.to_simulated_params(), config.device.start_position_m, config.disturbances, declared
-        )
+    assert config.serial is not None
     from telenano.devices.hand.calibration import HandleCalibration
     from telenano.devices.hand.serial_driver import SerialHandle
 

@@ -10,12 +10,12 @@ from telenano.extend.hands import (
     MODE_POSITION,
     DeviceReading,
     DriveCommand,
+    Gate,
     HapticDevice,
     HapticReport,
 )
 from telenano.hand import safety
 from telenano.hand.config import DRIVERS, HapticConfig, changed_operator
-from telenano.hand.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, Gate
 from telenano.hand.disturbances import DisturbedHaptic
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
@@ -92,9 +92,9 @@ class HapticNode(DeviceNode):
         self._coupled = able.kind == "impedance"
         self._waits_for = ""
         if self._coupled:
-            self._memory.gate = GATE_REST
-            if device.report is None:
-                self.event("node", "info", f"{able.identity}; {config.coupling.bounds(able).sentence()}")
+            self._memory.gate = int(Gate.REST)
+        if isinstance(device, SimulatedHaptic) and device.about:
+            self.event("node", "info", device.about)
         self._command_is_new = False
         self._ignored_force = False
         self._switch_pressed = False
@@ -307,7 +307,7 @@ class HapticNode(DeviceNode):
         """Return why an impedance device is not to be driven now, empty if it may be."""
         if self._memory.let_go_ticks:
             return _LAW_CHANGES
-        return "" if self._memory.gate in (GATE_ACTIVE, GATE_READY) else Gate(self._memory.gate).text
+        return "" if self._memory.gate in (Gate.ACTIVE, Gate.READY) else Gate(self._memory.gate).text
 
 
 def _device_limited(reading: DeviceReading) -> bool:

@@ -10,6 +10,7 @@ from telenano.extend.hands import (
     MODE_OFF,
     Capabilities,
     DeviceReading,
+    Gate,
     HapticDevice,
     HapticReport,
     Pair,
@@ -18,7 +19,6 @@ from telenano.extend.hands import (
 )
 from telenano.hand import safety
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import GATE_ACTIVE, Gate
 from telenano.hand.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
 from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
@@ -38,7 +38,7 @@ class HapticMemory(msgspec.Struct, array_like=True):
     The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
     [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
     holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
-    device gives no force, of `coupling.Gate`; ticks for which it is let go of, after a change of law; the force of
+    device gives no force, of `Gate`; ticks for which it is let go of, after a change of law; the force of
     that operator across [N], and the simulated hand there.
     """
 
@@ -52,7 +52,7 @@ class HapticMemory(msgspec.Struct, array_like=True):
     estop_requested: bool = False
     arm_requested: bool = False
     session_ticks: int | None = None
-    gate: int = GATE_ACTIVE
+    gate: int = int(Gate.ACTIVE)
     let_go_ticks: int = 0
     operator_across_n: tuple[float, float] = (0.0, 0.0)
     across: LateralHandState = LateralHandState()

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.afm.config import DRIVERS as DRIVERS
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
     from telenano.afm.contact.capillary import printed_meniscus_force as printed_meniscus_force

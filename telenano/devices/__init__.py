@@ -13,19 +13,14 @@ if TYPE_CHECKING:
     from telenano.devices.afm.guarded import line_fields as line_fields
     from telenano.devices.afm.instrument import calibration_of_file as calibration_of_file
     from telenano.devices.afm.instrument import driver_of as driver_of
-    from telenano.devices.afm.instrument import driver_of_file as driver_of_file
     from telenano.devices.afm.modbus_driver import ModbusAfm as ModbusAfm
-    from telenano.devices.afm.modbus_frames import FeedbackAnswer as FeedbackAnswer
     from telenano.devices.afm.modbus_frames import FeedbackRequest as FeedbackRequest
-    from telenano.devices.afm.modbus_frames import Operation as Operation
     from telenano.devices.afm.modbus_line import Line as Line
-    from telenano.devices.afm.register_map import read_map as read_map
     from telenano.devices.afm.tcp_driver import TcpDriver as TcpDriver
     from telenano.devices.afm.virtual_instrument import VirtualInstrument as VirtualInstrument
     from telenano.devices.hand.calibration import HandleCalibration as HandleCalibration
     from telenano.devices.hand.serial_driver import SerialHandle as SerialHandle
     from telenano.devices.hand.wire import HandleAbility as HandleAbility
     from telenano.devices.hand.wire import HandleFlag as HandleFlag
-    from telenano.devices.hand.wire import HandleHello as HandleHello
 else:
     __getattr__, __dir__ = face(__name__)

@@ -6,8 +6,9 @@ sample.
 """
 
 from collections.abc import Mapping
+from enum import IntEnum
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, Self
 
 from telenano.wire.errors import ConfigError
 
@@ -54,7 +55,7 @@ class Capabilities(NamedTuple):
     # identity.
     damping_n_s_per_m: float = 0.0
     mass_kg: float = 0.0
-    # From a sample to the moment at which the force that answers it acts [s]: D of the bounds in `coupling`.
+    # From a sample to the moment at which the force that answers it acts [s].
     drive_delay_s: float = 0.0
     # names of the buttons, bit 0 first; the one that has to be held, empty if there is none
     buttons: tuple[str, ...] = ()
@@ -83,12 +84,42 @@ class DriveCommand(NamedTuple):
     spatial: SpatialCommand = SpatialCommand()
 
 
+class Gate(IntEnum):
+    """Why an impedance device gives no force; a fault is refused until armed, and the node takes the device as lost."""
+
+    text: str
+
+    def __new__(cls, number: int, text: str = "") -> Self:
+        gate = int.__new__(cls, number)
+        gate._value_, gate.text = number, text
+        return gate
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether a person has to arm the device again."""
+        return self >= Gate.NOT_A_NUMBER
+
+    ACTIVE = 0, "the device follows the law"
+    READY = 1, "the device gives no force until the law engages it"
+    RELEASED = 2, "the device gives no force until the law has let go of it once"
+    REST = 3, "the device gives no force until the hand has been at rest"
+    SILENT = 4, "the device gives no force: its servo has heard nothing from the node within its deadline"
+    DEADMAN = 5, "the device gives no force: its dead-man button is not held, or its grip is asleep"
+    REFERENCE = 6, "the device gives no force: the reference is not a finite number"
+    DEVICE_SILENT = 7, "the device gives no force: it has sent no sample within the deadline"
+    NOT_A_NUMBER = 8, "the device is refused until armed: its position was not a finite number"
+    JUMP = 9, "the device is refused until armed: its position jumped, as that of a lost encoder does"
+    FROZEN = 10, "the device is refused until armed: its position stood still while the force on it changed"
+    RUNAWAY = 11, "the device is refused until armed: it ran against its force, as one whose sign is wrong does"
+
+
 class SpatialReading(NamedTuple):
     """What a device of impedance type or of three axes says besides; x and y are of the master frame.
 
     lateral_operator_force_n: estimate of the hand's force; lateral_force_n: what the device sent. orientation: of the
-    handle, w x y z. buttons: bit 0 is the first that the device names. gate: why there is no force, of
-    `telenano.hand.coupling.Gate`. The energies are the accounts of `coupling.CouplingState`.
+    handle, w x y z. buttons: bit 0 is the first that the device names. gate: why there is no force, of `Gate`.
+    hand_energy_j: what the hand has put in, less what it got; coupling_energy_j: what spring and damper between the law
+    and the device have taken in.
     """
 
     lateral_m: Pair = (0.0, 0.0)
@@ -130,6 +161,18 @@ class HapticReport(NamedTuple):
     estop_pressed: bool
     text: str
     counts: Mapping[str, int] = MappingProxyType({})
+
+
+class SimulatedHand(NamedTuple):
+    """A simulated device with the hand on it, which a rig and a session in lockstep run alike.
+
+    params: of a class that `telenano.hand.HandPart.register` knows. capabilities: what the device declares. about: a
+    sentence that the node reports at its start.
+    """
+
+    params: Any
+    capabilities: Capabilities
+    about: str = ""
 
 
 class HapticDevice(Protocol):

@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, create_model, model_validator
 
-from telenano.hand import step
-from telenano.hand.coupled import CoupledParams
-from telenano.hand.disturbances import HandDisturbanceConfig, disturbed_plant_params
-from telenano.hand.impedance_config import CouplingConfig, SimulatedImpedanceConfig
+from telenano.extend.hands import SimulatedHand
+from telenano.hand import sim, step
+from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, disturbed_plant_params
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.hand.motor import SUBSTEP_S, MotorParams
 from telenano.hand.operator_config import ForceProfileConfig, OperatorConfig
 from telenano.hand.safety import SafetyParams
 from telenano.settings.config import Settings, filled, validate
 from telenano.settings.device_drivers import Drivers
+from telenano.settings.entries import Entries, checked_model
+from telenano.settings.known_packages import SIMULATED_DRIVERS
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 from telenano.wire.topics import deadline_of
@@ -146,8 +147,7 @@ class SerialConfig(Settings):
 
 _DRIVER: Any = Field(
     default="simulated",
-    description="simulated: device and operator below; simulated_impedance: a simulated device of three axes that takes"
-    " a force; serial: a real handle; or the driver of a package",
+    description="simulated: device and operator below; serial: a real handle; or the driver of a package",
 )
 
 
@@ -159,12 +159,6 @@ class _OwnSections(Settings):
     driver: str = _DRIVER
     serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
-    impedance: SimulatedImpedanceConfig = Field(
-        default=SimulatedImpedanceConfig(), description="The simulated device of three axes that takes a force"
-    )
-    coupling: CouplingConfig = Field(
-        default=CouplingConfig(), description="Spring and damper between the law and a device that takes a force"
-    )
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
@@ -181,7 +175,13 @@ class _OwnSections(Settings):
     @property
     def simulated(self) -> bool:
         """Whether the readings of the device follow from what it was sent alone."""
-        return self.driver in _SIMULATED or DRIVERS.is_simulated(self.driver)
+        return self.driver == "simulated" or DRIVERS.is_simulated(self.driver)
+
+    @property
+    def in_lockstep(self) -> bool:
+        """Whether a session without a rig can run the device."""
+        driver = DRIVERS.find(self.driver)
+        return self.driver == "simulated" if driver is None else driver.in_lockstep
 
     @model_validator(mode="after")
     def _serial_is_described(self) -> Self:
@@ -192,13 +192,13 @@ class _OwnSections(Settings):
 
     @model_validator(mode="after")
     def _limits_inside_travel(self) -> Self:
-        if self.driver == SIMULATED_IMPEDANCE:
-            try:
-                self.coupling.to_settings(self.impedance.capabilities())
-            except ConfigError as error:
-                raise ValueError(str(error)) from None
         if self.driver != "simulated":
-            # the travel of a real device is in its calibration
+            # The travel of a real device is in its calibration, and the constants of a simulated one have to fit.
+            if self.in_lockstep:
+                try:
+                    self.to_simulated_hand()
+                except ConfigError as error:
+                    raise ValueError(str(error)) from None
             return self
         device, limits = self.device, self.limits
         for name, value in (("position_min_m", limits.position_min_m), ("position_max_m", limits.position_max_m)):
@@ -218,11 +218,28 @@ class _OwnSections(Settings):
     def to_plant_params(self) -> step.PlantParams:
         return step.PlantParams(self.device.to_params(), self.operator.to_params())
 
-    def to_simulated_params(self) -> step.PlantParams | CoupledParams:
-        """Return the constants of the simulated device that the driver names, and of the hand on it."""
-        if self.driver == SIMULATED_IMPEDANCE:
-            return self.impedance.to_params(self.coupling, self.operator.to_params())
-        return self.to_plant_params()
+    def to_simulated_hand(self) -> SimulatedHand:
+        """Return the simulated device that the driver names, or that of the paper, and the hand on it.
+
+        Raises:
+            ConfigError: The settings of the device do not fit together; the message names the key.
+        """
+        driver = DRIVERS.find(self.driver)
+        if driver is not None and driver.in_lockstep:
+            hand: SimulatedHand = driver.model(self)
+            return hand
+        params = self.to_plant_params()
+        return SimulatedHand(params, sim.capabilities(params))
+
+    def to_simulated_device(self) -> DisturbedHaptic:
+        """Return that device and hand as a `HapticDevice`, with the disturbances of the section."""
+        hand = self.to_simulated_hand()
+        start_m = self.device.start_position_m
+        return DisturbedHaptic(hand.params, start_m, self.disturbances, hand.capabilities, hand.about)
+
+    def to_simulated_params(self) -> Any:
+        """Return the constants of that device and hand."""
+        return self.to_simulated_hand().params
 
     def to_params(self, samples: int = 0, period_s: float = 0.0) -> step.HapticParams:
         """Return the constants of the whole compiled chain; no simulated device has a force mode.
@@ -242,12 +259,11 @@ class _OwnSections(Settings):
         return step.initial_state(self.to_simulated_params(), self.device.start_position_m)
 
 
-SIMULATED_IMPEDANCE = "simulated_impedance"
-_SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
-_OWN_DRIVERS = (*_SIMULATED, "serial")
+_OWN_DRIVERS = ("simulated", "serial")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields})
-DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN, experimental=("serial",))
+SECTIONS = Entries("hand_sections", "devices of a package", checked_model, TAKEN, absent="section")
+DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN | set(SECTIONS.names), experimental=("serial",))
 
 if TYPE_CHECKING:
     DriverName = str
@@ -257,7 +273,9 @@ if TYPE_CHECKING:
 
 else:
     DriverName = DRIVERS.name_type()
-    _DriverSections = create_model("_DriverSections", __base__=_OwnSections, **DRIVERS.sections())
+    _DriverSections = create_model(
+        "_DriverSections", __base__=_OwnSections, **DRIVERS.sections(), **SECTIONS.sections()
+    )
 
 
 class HapticConfig(_DriverSections):
@@ -269,7 +287,7 @@ class HapticConfig(_DriverSections):
 def recorded_hand(section: Mapping[str, Any], origin: str) -> tuple[OperatorConfig, bool]:
     """Return the simulated hand of a section, and whether it was at a simulated device.
 
-    The package that has the driver of a recorded section is not needed: one that is missing drove a real device.
+    The package that has the driver of a recorded section is not needed.
 
     Raises:
         ConfigError: The hand cannot be read; the message names the key.
@@ -277,7 +295,7 @@ def recorded_hand(section: Mapping[str, Any], origin: str) -> tuple[OperatorConf
     operator = {key: value for key, value in section.items() if key == "operator"}
     driver = str(section.get("driver", "simulated"))
     try:
-        simulated = driver in _SIMULATED or DRIVERS.is_simulated(driver)
+        simulated = driver in ("simulated", *SIMULATED_DRIVERS) or DRIVERS.is_simulated(driver)
     except ValueError:
         simulated = False
     return validate(HapticConfig, operator, origin, "haptic_node").operator, simulated

@@ -20,9 +20,8 @@ import numpy.typing as npt
 from pydantic import Field
 
 from telenano.extend.hands import Capabilities, DeviceReading
-from telenano.hand.coupled import CoupledParams
 from telenano.hand.sim import SimulatedHaptic
-from telenano.hand.step import DisturbedPlantParams, PlantParams, disturbed_reading
+from telenano.hand.step import DisturbedPlantParams, disturbed_reading
 from telenano.numerics.normal_numbers import normal_number
 from telenano.numerics.sines import sine_noise, sines_of
 from telenano.settings.config import Settings
@@ -167,12 +166,13 @@ class DisturbedHaptic(SimulatedHaptic):
 
     def __init__(
         self,
-        params: PlantParams | CoupledParams,
+        params: Any,
         start_position_m: float,
         config: HandDisturbanceConfig,
         declared: Capabilities | None = None,
+        about: str = "",
     ) -> None:
-        super().__init__(params, start_position_m, declared)
+        super().__init__(params, start_position_m, declared, about)
         self.state.disturbed = HandDisturbances(config, HandDisturbanceState(start_position_m, 0.0, 0.0, 0))
 
     def configure(self, config: HandDisturbanceConfig) -> None:

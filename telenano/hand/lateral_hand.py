@@ -66,6 +66,10 @@ class LateralPoint(Corner):
     y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]")
 
 
+# The intended path of a hand across: `path: LateralPath = ()` in settings.
+LateralPath = Course[LateralPoint]
+
+
 class LateralHandConfig(Settings):
     """The simulated hand across the sample."""
 
@@ -93,7 +97,7 @@ class LateralHandConfig(Settings):
     stiffness_n_per_m: float = Field(
         default=200.0, ge=0.0, le=1e5, description="Spring of the person to the path below [N/m]"
     )
-    path: Annotated[Course[LateralPoint], Field(strict=False)] = Field(
+    path: Annotated[LateralPath, Field(strict=False)] = Field(
         default=(), max_length=10_000, description="Corners of the intended path, linear between; none: no person"
     )
 

@@ -1,4 +1,4 @@
-"""The simulated haptic devices: motor or coupled mass, and hand, behind the driver protocol.
+"""The simulated haptic devices, each with the hand on it, behind the driver protocol.
 
 They have no socket and no clock: time is passed in.
 """
@@ -18,9 +18,9 @@ from telenano.extend.hands import (
     DriveCommand,
     Pair,
 )
-from telenano.hand.coupled import CoupledParams
 from telenano.hand.operator_models import operator_at_rest
-from telenano.hand.step import PlantParams, found, initial_plant, plant_step
+from telenano.hand.part import initial_plant, place_of, plant_step, pushed_across
+from telenano.hand.step import PlantParams
 
 SAMPLE_TIME_S = 1e-3
 _OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
@@ -58,10 +58,17 @@ class SimulatedHaptic:
     """A HapticDevice whose motor and hand are the compiled models."""
 
     def __init__(
-        self, params: PlantParams | CoupledParams, start_position_m: float, declared: Capabilities | None = None
+        self, params: Any, start_position_m: float, declared: Capabilities | None = None, about: str = ""
     ) -> None:
-        """Put device and hand at a place; a device of impedance type declares what its own configuration says."""
-        self._params: Any = params
+        """Put device and hand at a place.
+
+        Args:
+            params: The constants, of a class that `part.HandPart.register` knows.
+            start_position_m: Where the arm is [m].
+            declared: What it declares; None for the device of the paper, which declares what its constants give.
+            about: A sentence that the node reports at its start.
+        """
+        self._params, self.about = params, about
         self._capabilities = capabilities(cast(PlantParams, params)) if declared is None else declared
         self.state = HandleState(initial_plant(params, start_position_m))
         self._opened = False
@@ -115,13 +122,12 @@ class SimulatedHaptic:
 
     def push_lateral(self, force_n: Pair) -> None:
         """Hold a force of the hand [N] along x and y of the master frame; a device of one axis feels none."""
-        if isinstance(self._params, CoupledParams):
-            self._params = self._params._replace(lateral=self._params.lateral._replace(force_n=force_n))
+        self._params = pushed_across(self._params, force_n)
 
     def take_operator(self, params: Any) -> None:
         """Put another hand, at rest, on the device; params are those of one of the models of the operator."""
         self._params = self._params._replace(operator=params)
-        position_m = found(self._params, self.state.plant)[0]
+        position_m = place_of(self._params, self.state.plant)[0]
         self.state.plant = self.state.plant._replace(operator=operator_at_rest(params, position_m))
 
     def make_safe(self) -> None:

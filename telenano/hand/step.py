@@ -12,9 +12,9 @@ import numpy.typing as npt
 from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand, SpatialCommand
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import motor, safety
-from telenano.hand.coupled import CoupledParams, coupled_plant_step, initial_coupled, waits
-from telenano.hand.operator_models import operator_at_rest, operator_step
-from telenano.numerics.compiler import chosen_step, compiled
+from telenano.hand.operator_models import operator_step
+from telenano.hand.part import HandPart, initial_plant, place_of, plant_step
+from telenano.numerics.compiler import compiled
 
 
 class PlantParams(NamedTuple):
@@ -44,6 +44,11 @@ class DisturbedPlantParams(NamedTuple):
     wander_n: npt.NDArray[np.float64]
     resolution_m: float
 
+    @property
+    def operator(self) -> Any:
+        """Return the constants of the hand on the device."""
+        return self.plant.operator
+
 
 class DisturbedPlantState(NamedTuple):
     """State of the device that is disturbed, the position last read [m], and how many samples were taken."""
@@ -54,7 +59,7 @@ class DisturbedPlantState(NamedTuple):
 
 
 class HapticParams(NamedTuple):
-    """Constants of the whole chain; the plant is that of one of the two simulated devices, disturbed or not."""
+    """Constants of the whole chain; the plant is that of a simulated device, disturbed or not."""
 
     safety: safety.SafetyParams
     plant: Any
@@ -90,18 +95,17 @@ class HapticOutputs(NamedTuple):
     reading: DeviceReading
 
 
-def initial_plant(params: Any, position_m: float) -> Any:
-    """Return the device and the hand at rest at position_m [m]."""
-    if isinstance(params, DisturbedPlantParams):
-        return DisturbedPlantState(initial_plant(params.plant, position_m), position_m, 0)
-    if isinstance(params, CoupledParams):
-        return initial_coupled(params, position_m)
-    return PlantState(motor.MotorState(position_m, 0.0), operator_at_rest(params.operator, position_m))
-
-
 def initial_state(params: Any, position_m: float) -> HapticStepState:
     """Return the chain at rest at position_m [m], off, not latched."""
     return HapticStepState(safety.SafetyState(False, MODE_OFF, position_m), initial_plant(params, position_m))
+
+
+def _start(params: PlantParams, position_m: float, operator: Any) -> PlantState:
+    return PlantState(motor.MotorState(position_m, 0.0), operator)
+
+
+def _disturbed_start(params: DisturbedPlantParams, position_m: float, operator: Any) -> DisturbedPlantState:
+    return DisturbedPlantState(initial_plant(params.plant, position_m), position_m, 0)
 
 
 @compiled
@@ -129,13 +133,8 @@ def motor_plant_step(
 
 
 @compiled
-def _motor_found(params: PlantParams, state: PlantState) -> tuple[float, bool]:
+def _motor_place(params: PlantParams, state: PlantState) -> tuple[float, bool]:
     return state.motor.position_m, False
-
-
-@compiled
-def _coupled_found(params: CoupledParams, state: Any) -> tuple[float, bool]:
-    return 0.0 - state.position_m[2], waits(state)
 
 
 @compiled
@@ -178,17 +177,14 @@ def _disturbed_plant_step(
 
 
 @compiled
-def _disturbed_found(params: DisturbedPlantParams, state: DisturbedPlantState) -> tuple[float, bool]:
-    position_m, is_waiting = found(params.plant, state.plant)
+def _disturbed_place(params: DisturbedPlantParams, state: DisturbedPlantState) -> tuple[float, bool]:
+    position_m, is_waiting = place_of(params.plant, state.plant)
     return position_m, is_waiting
 
 
 _CENTRE = SpatialCommand((0.0, 0.0), (0.0, 0.0), False)
-_STEPS: dict[type, Any] = {CoupledParams: coupled_plant_step, DisturbedPlantParams: _disturbed_plant_step}
-_FOUND: dict[type, Any] = {CoupledParams: _coupled_found, DisturbedPlantParams: _disturbed_found}
-plant_step = chosen_step(lambda kind: _STEPS.get(kind, motor_plant_step))
-# where the device is [m], and whether it gives no force for a reason of its own
-found = chosen_step(lambda kind: _FOUND.get(kind, _motor_found))
+HandPart(_start, motor_plant_step, _motor_place).register(PlantParams)
+HandPart(_disturbed_start, _disturbed_plant_step, _disturbed_place).register(DisturbedPlantParams)
 
 
 @compiled
@@ -202,7 +198,7 @@ def step(
     """
     if not dt > 0.0:
         raise ValueError("dt of the haptic step must be a positive time in s")
-    position_m, device_waits = found(params.plant, state.plant)
+    position_m, device_waits = place_of(params.plant, state.plant)
     guard_inputs = safety.SafetyInputs(
         command_mode=inputs.command_mode,
         position_reference_m=inputs.position_reference_m,

@@ -35,7 +35,7 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import ModeReport, in_words, interruptions_of
 from telenano.extend.instruments import SafetyParams
-from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
+from telenano.hand.config import HapticConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.link.config import EVEN, LinkSettings
 from telenano.lockstep import across
@@ -356,8 +356,9 @@ def simulate_document(
     haptic = loaded.section("haptic_node", HapticConfig)
     afm = loaded.section("afm_node", AfmConfig)
     link = loaded.section("delay_node", LinkSettings)
-    for section, driver in (("haptic_node", haptic.driver), ("afm_node", afm.driver)):
-        if driver not in ("simulated", SIMULATED_IMPEDANCE):
+    runs = haptic.in_lockstep, afm.driver == "simulated"
+    for section, driver, has_model in zip(("haptic_node", "afm_node"), (haptic.driver, afm.driver), runs, strict=True):
+        if not has_model:
             raise ConfigError(f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it")
     if afm.model != "quasi_static":
         raise ConfigError(f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static")

@@ -12,7 +12,8 @@ from telenano.afm.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wa
 from telenano.afm.step import step as instrument_step
 from telenano.extend.hands import MODE_OFF, MODE_POSITION
 from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
-from telenano.hand.step import HapticInputs, HapticParams, found
+from telenano.hand.part import place_of
+from telenano.hand.step import HapticInputs, HapticParams
 from telenano.hand.step import HapticStepState as HapticChainState
 from telenano.hand.step import step as haptic_step
 from telenano.laws import integration
@@ -428,7 +429,7 @@ def instrument_at(state: Any, period_ns: int) -> Instrument:
 @inlined
 def master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainState) -> Master:
     """Return the master half before the first sample."""
-    hand = HandSample(found(haptic.plant, haptic_state.plant)[0], 0.0, 0.0, False)
+    hand = HandSample(place_of(haptic.plant, haptic_state.plant)[0], 0.0, 0.0, False)
     return Master(
         timing=integration.master_begin(),
         law=master_start(halves.law, hand),

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from telenano.settings.config import flatten as flatten
     from telenano.settings.config import merge as merge
     from telenano.settings.config import nested as nested
-    from telenano.settings.config import parse_yaml as parse_yaml
     from telenano.settings.config import permit_code as permit_code
     from telenano.settings.config import read_yaml as read_yaml
     from telenano.settings.config import refused_code as refused_code
@@ -23,10 +22,8 @@ if TYPE_CHECKING:
     from telenano.settings.included import DEMO_RECORDING as DEMO_RECORDING
     from telenano.settings.included import TWO_SITES_FILE as TWO_SITES_FILE
     from telenano.settings.included import find_scenario as find_scenario
-    from telenano.settings.known_packages import where_it_is as where_it_is
     from telenano.settings.named_instruments import instrument_named as instrument_named
     from telenano.settings.option import Option as Option
-    from telenano.settings.plugins import all_installed as all_installed
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import load as load
     from telenano.settings.scenario import LoadedScenario as LoadedScenario

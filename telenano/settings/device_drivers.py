@@ -13,7 +13,7 @@ from pydantic_core import PydanticKnownError, core_schema
 from telenano.settings.config import section_of, validate
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is
-from telenano.settings.plugins import installed
+from telenano.settings.plugins import Loaded, installed
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,12 @@ class DeviceDriver:
     `build(settings, limits)` returns a `HapticDevice` (`telenano.extend.hands`) or an `AfmDriver`
     (`telenano.extend.instruments`), not yet open: limits are those of the guard, of the AFM node `SafetyParams`.
     The guard stays in front of it. `simulated`: its readings follow from what it was sent alone, so that its node
-    can be run again from a recording.
+    can be run again from a recording. `in_lockstep`: it is simulated by a model that needs no rig, and `build` returns
+    a `SimulatedHand` (`telenano.extend.hands`), of which the haptic node makes its device and which `telenano.simulate`
+    runs.
 
     `keywords` names what build takes by keyword besides: `period_s`, the period of the loop [s], and keys of the node's
-    section, such as `coupling` of `haptic_node`, or `attended` of `afm_node`, whether a person stands by who retracts
+    section, such as `operator` of `haptic_node`, or `attended` of `afm_node`, whether a person stands by who retracts
     the tip. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
     with which laws and programs it is used; one without them is not judged. `what` names the
     devices in a list. `own` is what the package needs of it in a process of its own, which finds the driver by its name
@@ -41,6 +43,7 @@ class DeviceDriver:
     config: type[BaseModel]
     build: Callable[..., Any]
     simulated: bool = False
+    in_lockstep: bool = False
     keywords: tuple[str, ...] = ()
     capabilities: tuple[Any, ...] | None = None
     calibration: type[BaseModel] | None = None
@@ -62,12 +65,28 @@ class DeviceDriver:
             period_s: The period of the loop [s].
             settings: The settings of the driver, where they are not those of the section.
         """
-        named = {name: period_s if name == "period_s" else getattr(node, name) for name in self.keywords}
+        named = {name: period_s if name == "period_s" else section_of(node, name) for name in self.keywords}
         return self.build(settings or self.section(node), limits, **named)
+
+    def model(self, node: BaseModel) -> Any:
+        """Return the `SimulatedHand` of a driver that runs in lockstep, for the section of its node."""
+        return self.build(self.section(node), None, **{name: section_of(node, name) for name in self.keywords})
 
     def settings(self, values: dict[str, Any]) -> BaseModel:
         """Return the settings of the driver's section from plain values; ConfigError names the key at fault."""
         return validate(self.config, values, self.node, self.name)
+
+    @staticmethod
+    def all() -> "Loaded[DeviceDriver]":
+        """Return the drivers of installed packages for both nodes, imported now, as in `DeviceDriver.all().found`."""
+        loaded = Drivers("haptic_node", (), ()).all()
+        instruments = Drivers("afm_node", (), ()).all()
+        return Loaded({**loaded.found, **instruments.found}, {**loaded.problems, **instruments.problems})
+
+    @staticmethod
+    def why_missing(name: str) -> str:
+        """Return why no package gives a driver: what is wrong with it, or which package to install; else empty."""
+        return DeviceDriver.all().problems.get(name) or where_it_is(f"driver {name}")
 
     @staticmethod
     def haptic(name: str) -> "DeviceDriver | None":
@@ -131,6 +150,10 @@ class Drivers(Entries[DeviceDriver]):
             raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver")
         if value.name != name:
             raise ValueError(f"calls itself {value.name}")
+        if value.in_lockstep and not (value.simulated and value.node == "haptic_node"):
+            raise ValueError("in_lockstep is for a driver of the haptic node that is simulated as well")
+        if value.in_lockstep and "period_s" in value.keywords:
+            raise ValueError("keywords: a driver that runs in lockstep has no period_s, for a model has no loop")
         return value if value.node == self._node else None
 
 

@@ -6,13 +6,14 @@ The names of the sections come from the metadata of the packages; a package is i
 import json
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 from pydantic import BaseModel
 from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 
 from telenano.settings import plugins
 from telenano.settings.config import package_fields
+from telenano.settings.known_packages import known_of, where_it_is
 from telenano.settings.plugins import Loaded, load
 
 T = TypeVar("T")
@@ -27,6 +28,7 @@ class Entries(Generic[T]):
         check: Returns what is used of an entry, as for `plugins.load`.
         taken: What else in the section has a name.
         own: Names that are no entries of packages.
+        absent: What `known_packages` calls one, where a package of this project that is not installed has some.
     """
 
     def __init__(
@@ -36,9 +38,10 @@ class Entries(Generic[T]):
         check: Callable[[str, Any], T | None],
         taken: Collection[str],
         own: Collection[str] = (),
+        absent: str = "",
     ) -> None:
         self._kind, self._what, self._check = kind, what, check
-        self._taken, self._own = frozenset(taken), tuple(own)
+        self._taken, self._own, self._absent = frozenset(taken), tuple(own), absent
         self._asked: dict[str, T | None] = {}
 
     @property
@@ -68,7 +71,25 @@ class Entries(Generic[T]):
     def sections(self) -> Any:
         """Return the fields of a section for the settings of each entry; its model is loaded at validation."""
         about = f"Settings of {self._what}"
-        return package_fields({n: (Annotated[Any, _Section(self, n)], None, f"{about} {n}.") for n in self.names})
+        names = dict.fromkeys((*self.names, *known_of(self._absent)))
+        return package_fields({n: (Annotated[Any, _Section(self, n)], None, f"{about} {n}.") for n in names})
+
+    def where_it_is(self, name: str) -> str:
+        """Return which package of this project has an entry that is not installed; empty where none has."""
+        return where_it_is(f"{self._absent} {name}")
+
+
+class SharedSection(NamedTuple):
+    """A section that is no setting of one entry alone, such as one that several drivers of a package share."""
+
+    config: type[BaseModel]
+
+
+def checked_model(name: str, value: Any) -> SharedSection:
+    """Return the section whose entry is its model; TypeError for another entry."""
+    if not (isinstance(value, type) and issubclass(value, BaseModel)):
+        raise TypeError(f"is a {type(value).__name__}, must be a model of settings")
+    return SharedSection(value)
 
 
 @dataclass(frozen=True)
@@ -83,6 +104,8 @@ class _Section:
             return None
         entry = self.entries.find(self.name)
         if entry is None:
+            if hint := self.entries.where_it_is(self.name):
+                raise ValueError(hint)
             raise PydanticKnownError("extra_forbidden")
         config: type[BaseModel] = entry.config
         if info.mode == "json":

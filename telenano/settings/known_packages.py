@@ -53,6 +53,7 @@ KNOWN_PACKAGES = {
     "driver haply": "telenano-haptic-devices",
     "driver hd": "telenano-haptic-devices",
     "driver nanonis": "telenano-afm-controllers",
+    "driver simulated_impedance": "telenano-haptic-devices",
     "format csv": "telenano-tables",
     "format hdf5": "telenano-tables",
     "format nexus": "telenano-nexus",
@@ -72,6 +73,8 @@ KNOWN_PACKAGES = {
     "program push": "telenano-assembly",
     "reader other": "telenano-afm-files",
     "scenario assembly": "telenano-assembly",
+    "section coupling": "telenano-haptic-devices",
+    "section impedance": "telenano-haptic-devices",
     "task detect_contact": "telenano-experiments",
     "task discriminate_stiffness": "telenano-experiments",
     "task follow_profile": "telenano-experiments",
@@ -84,6 +87,8 @@ KNOWN_PACKAGES = {
     "topic experiment/trial": "telenano-experiments",
     "transport datagram": "telenano-wide-area",
 }
+# Drivers of these packages that are simulated, for recordings where the package is not installed.
+SIMULATED_DRIVERS = ("simulated_impedance",)
 # what `link.transport: auto` of a site file takes where it is installed
 KNOWN_TRANSPORT = "datagram"
 # the laws of this table that close no loop through the instrument, of which a slow one needs one

@@ -24,7 +24,10 @@ from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar, overload
 
 # What scenarios and experiments name, and so what a run depends on.
-SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "layers", "maps", "programs", "tasks", "scenarios")
+SCENARIO_KINDS = (
+    *("laws", "devices", "hand_sections", "operators", "samples", "layers", "maps"),
+    *("programs", "tasks", "scenarios"),
+)
 KINDS = (
     *SCENARIO_KINDS,
     *("commands", "checks", "exports", "images", "panels", "readers", "steps", "topics", "transports"),
@@ -194,7 +197,7 @@ def in_scenarios() -> list[Plugin]:
 
 
 def in_lockstep() -> list[Plugin]:
-    """Return those that a session without a rig can run: what is computed there depends on no driver of a device."""
+    """Return those that a session without a rig can run: what is computed there depends on no real device."""
     return [row for row in in_scenarios() if row.kind != "devices"]
 
 

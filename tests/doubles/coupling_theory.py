@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-
-from telenano.hand.coupling import stable_stiffness_n_per_m
+from telenano_haptic_devices.coupling import stable_stiffness_n_per_m
 
 
 def period_map(

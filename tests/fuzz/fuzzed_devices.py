@@ -14,6 +14,7 @@ from servo_bench import MemoryConversation, VirtualTime
 from stage_line import StageLine
 from telenano_afm_controllers import gwyscope_wire, nanonis_wire
 from telenano_haptic_devices import dhd, haply, hd
+from telenano_haptic_devices.coupling import ZERO, CouplingSettings
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.servo import ServoCommand
@@ -24,7 +25,6 @@ from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_POSITION, DeviceError, DriveCommand
 from telenano.extend.instruments import DeviceError as InstrumentError
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import ZERO, CouplingSettings
 
 REALS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 0.0, -1.0, 2.0**63)
 TICKS = 120
@@ -163,13 +163,13 @@ class OddConversation(MemoryConversation):
         super().__init__(service, time)
         self._source, self._share, self._service = source, source.choice([0.02, 0.1, 0.5]), "ws://odd"
         self._messages = self._answers
-        self._about, self._decode = haply.INVERSE_SERVICE, haply._DECODER.decode
+        self._about, self._decode = haply.INVERSE_SERVICE, haply.DECODE
 
     receive = haply.Conversation.receive
 
     def wait(self, patience_s: float = 0.0) -> None:
         self._messages = self._answers
-        self._about, self._decode = haply.INVERSE_SERVICE, haply._DECODER.decode
+        self._about, self._decode = haply.INVERSE_SERVICE, haply.DECODE
         if not self._answers:
             raise DeviceError("the service has been silent for 0.5 s")
         if self._source.random() > self._share:

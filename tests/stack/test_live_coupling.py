@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
 from live_devices import LiveDevice
+from telenano_haptic_devices.coupling import ZERO, CouplingSettings, Gate
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ProcessLink
-
-from telenano.hand.coupling import ZERO, CouplingSettings, Gate
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
 

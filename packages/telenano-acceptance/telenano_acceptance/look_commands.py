@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.impedance import coupling_of, takes_force
 
-from telenano.afm import DRIVERS as INSTRUMENTS
 from telenano.afm import AfmConfig
 from telenano.cli import JsonOption, print_answer, report_errors
-from telenano.devices import driver_of_file
+from telenano.devices import driver_of
 from telenano.extend.hands import MODE_OFF, DriveCommand
-from telenano.hand import DRIVERS as HANDLES
-from telenano.hand import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings import fault_of_package, flag_overrides, validate, where_it_is
+from telenano.hand import HapticConfig, LimitsConfig
+from telenano.settings import DeviceDriver, fault_of_package, flag_overrides, validate
 from telenano.wire import ConfigError, TelenanoError, known_names
+from telenano_acceptance.instrument.instruments import config_of
 
 _PERIOD_S = 1e-3
 _ABILITIES = (
@@ -158,29 +157,28 @@ def _probe_instrument(calibration: Path) -> dict[str, Any]:
 
 def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
     """Open what a driver drives, undriven, and return what it declares; of one that takes a force its coupling too."""
-    driver = None if name == SIMULATED_IMPEDANCE else _driver_of_package(name)
+    driver = _driver_of_package(name)
     with _errors_of_package():
-        if driver is None or takes_force(driver):
-            return _probe_impedance(name, settings)
+        if takes_force(driver):
+            return _probe_impedance(driver, settings)
         return _probe_package(driver, settings)
 
 
-def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
+def _probe_impedance(driver: DeviceDriver, settings: list[str]) -> dict[str, Any]:
     """Open a device without force and return what it declares, with the coupling and its two bounds."""
     from telenano_haptic_devices.servo_process import wire_of
 
-    chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
+    chosen = flag_overrides([f"haptic_node.driver={driver.name}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
-    if kind == SIMULATED_IMPEDANCE:
-        capabilities = config.impedance.capabilities()
+    if driver.in_lockstep:
+        capabilities = driver.model(config).capabilities
     else:
-        section = _driver_of_package(kind).section(config)
-        wire = wire_of(kind, section.model_dump(mode="json"))
+        wire = wire_of(driver.name, driver.section(config).model_dump(mode="json"))
         try:
             capabilities = wire.open()
         finally:
             wire.close()
-    bounds = config.coupling.bounds(capabilities)
+    bounds = coupling_of(config).bounds(capabilities)
     return {
         "identity": capabilities.identity,
         "max_force_n": capabilities.max_force_n,
@@ -198,7 +196,7 @@ def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     }
 
 
-def _probe_package(driver: Any, settings: list[str]) -> dict[str, Any]:
+def _probe_package(driver: DeviceDriver, settings: list[str]) -> dict[str, Any]:
     """Open the driver of a package without driving its device, and return what it declares and reads."""
     device, tick = _opened_of_package(driver, settings)
     try:
@@ -232,17 +230,17 @@ def _errors_of_package() -> Iterator[None]:
         raise TelenanoError(fault_of_package(error) or f"{type(error).__name__}: {error}") from error
 
 
-def _driver_of_package(name: str) -> Any:
+def _driver_of_package(name: str) -> DeviceDriver:
     """Return the driver of a package; ConfigError says why there is none, and which package would have it."""
-    handles, instruments = HANDLES.all(), INSTRUMENTS.all()
-    drivers = {**handles.found, **instruments.found}
+    drivers = DeviceDriver.all().found
     if name not in drivers:
-        why = {**handles.problems, **instruments.problems}.get(name) or where_it_is(f"driver {name}")
-        raise ConfigError(f"--device {name}: {why or known_names(name, (SIMULATED_IMPEDANCE, *drivers))}")
+        raise ConfigError(f"--device {name}: {DeviceDriver.why_missing(name) or known_names(name, drivers)}")
     return drivers[name]
 
 
-def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
+def _opened_of_package(driver: DeviceDriver, settings: list[str]) -> tuple[Any, Tick]:
+    if driver.in_lockstep:
+        raise ConfigError(f"--device {driver.name}: it is simulated, and has no samples to watch; probe it instead")
     name, node = driver.name, driver.node
     overrides = flag_overrides([f"{node}.driver={name}", *settings])
     if other := sorted(set(overrides) - {node}):
@@ -279,7 +277,7 @@ def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
 
 def _instrument_of(calibration: Path) -> Any:
     """Return the driver of an instrument by its calibration file, to be looked at while it stays retracted."""
-    return driver_of_file(calibration, AfmConfig(attended=True))
+    return driver_of(config_of(calibration, {"attended": True}), _PERIOD_S)
 
 
 def _reads_handle(device: Any) -> Tick:

@@ -12,12 +12,12 @@ import library_doubles
 import pytest
 import yaml
 from telenano_emulators.t7_model import calibration_of
+from telenano_haptic_devices.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 from test_haply_service import Served
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 

@@ -36,12 +36,12 @@ from telenano_acceptance.trial.sheet import judged_again, sheet_of
 from telenano_acceptance.trial.trial_command import make_trial
 from telenano_acceptance.trial.trial_file import Trial, read_trial, write_trial
 from telenano_haptic_devices import haply_service
+from telenano_haptic_devices.impedance_config import CouplingConfig
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
 from typer.testing import CliRunner
 
 from telenano.cli import run_ahead
 from telenano.cli.root import app
-from telenano.hand import CouplingConfig
 from telenano.hand.config import HapticConfig
 from telenano.runtime.loop import realtime
 from telenano.wire.errors import ConfigError

@@ -8,17 +8,20 @@ its square: there the errors partly cancel, and a sum of squares is too large ra
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import DEVIATIONS, Session, mean_half_width
+from telenano.analysis import Session, mean_half_width
 from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.recording import RecordingSource
 from telenano.timing import ACROSS_CLOCKS, STAGES
 from telenano.wire import TelenanoError
 
+# 95 % are within this number of standard uncertainties.
+_DEVIATIONS = NormalDist().inv_cdf(0.975)
 # the scales that each figure of a summary goes with, by the name of their source
 _SCATTER = "scatter in the session"
 _TIP_FORCE = ("stiffness of the cantilever", "deflection for a volt")
@@ -95,14 +98,14 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
         if value is None or not (interval or any(scale in shares for scale in scales)):
             continue
         # A record that does not say how well its mean is known leaves the scatter out, by name.
-        parts = {_SCATTER: 0.5 * (interval[1] - interval[0]) / DEVIATIONS} if interval else {}
+        parts = {_SCATTER: 0.5 * (interval[1] - interval[0]) / _DEVIATIONS} if interval else {}
         parts |= {scale: shares[scale] * abs(value) for scale in scales if scale in shares}
         variance = sum(part**2 for part in parts.values())
         sources = tuple(
             Source(figure, name, part, part**2 / variance if variance else 0.0) for name, part in parts.items()
         )
         without = tuple(scale for scale in scales if scale not in shares) + (() if interval else (_SCATTER,))
-        budgets.append(Budget(figure, value, DEVIATIONS * math.sqrt(variance), sources, without))
+        budgets.append(Budget(figure, value, _DEVIATIONS * math.sqrt(variance), sources, without))
     return budgets
 
 

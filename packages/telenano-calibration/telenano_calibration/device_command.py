@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-import yaml
 from telenano_afm_controllers.calibration_files import write_document
 
 from telenano.cli import command_group, report_errors
@@ -53,17 +52,16 @@ def calibrate_handle(
         from telenano_calibration.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, sample_raw
         from telenano_calibration.line_fit import fit_line
 
-        hello = None
+        handle = SerialHandle(port, baud, None, LimitsConfig())
         points: list[RawPoint] = []
         for text in [*(f"put the arm at {x:g} m" for x in gauges), *(f"let {m:g} kg pull at the arm" for m in masses)]:
             typer.prompt(f"{text}, hands off, then Enter", default="", show_default=False)
-            hello, point = sample_raw(SerialHandle(port, baud, None, LimitsConfig()), duration)
-            points.append(point)
+            points.append(sample_raw(handle, duration))
         placed, loaded = points[: len(gauges)], points[len(gauges) :]
         position = fit_line("position", [p.position for p in placed], [p.position_error for p in placed], gauges)
         forces = [mass * STANDARD_GRAVITY_M_PER_S2 for mass in masses]
         force = fit_line("force", [p.force for p in loaded], [p.force_error for p in loaded], forces)
-        if hello is None:
+        if (hello := handle.hello) is None:
             raise ConfigError("give two gauges and two masses at least")
         document: dict[str, object] = {
             "schema": 1,
@@ -91,7 +89,7 @@ def calibrate_handle(
 
 def _check_and_write(path: Path, document: dict[str, object]) -> None:
     from telenano.devices import HandleCalibration
-    from telenano.settings import parse_yaml, validate
+    from telenano.settings import validate
 
-    validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), str(path)), str(path))
+    validate(HandleCalibration, document, str(path))
     write_document(path, document)

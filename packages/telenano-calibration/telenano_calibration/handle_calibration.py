@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from telenano.devices import HandleHello, SerialHandle
+from telenano.devices import SerialHandle
 from telenano.extend.hands import DeviceError
 from telenano_calibration.line_fit import mean_of
 
@@ -19,8 +19,8 @@ class RawPoint(NamedTuple):
     force_error: float
 
 
-def sample_raw(handle: SerialHandle, duration_s: float) -> tuple[HandleHello, RawPoint]:
-    """Return who a handle is, and its means over a time [s], from what it sends by itself; it is never driven.
+def sample_raw(handle: SerialHandle, duration_s: float) -> RawPoint:
+    """Return the means of a handle over a time [s], from what it sends by itself; it is never driven.
 
     Args:
         handle: A handle that is not open yet, without a calibration.
@@ -36,4 +36,4 @@ def sample_raw(handle: SerialHandle, duration_s: float) -> tuple[HandleHello, Ra
         handle.close()
     if len(states) < _LEAST_SAMPLES:
         raise DeviceError(f"{handle.path}: {hello.identity} sent {len(states)} samples, {_LEAST_SAMPLES} are needed")
-    return hello, RawPoint(*mean_of([state.position for state in states]), *mean_of([state.force for state in states]))
+    return RawPoint(*mean_of([state.position for state in states]), *mean_of([state.force for state in states]))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 from telenano_afm_controllers.calibration_files import write_document
 
 from telenano.cli import report_errors
@@ -83,7 +82,6 @@ def calibrate_stage(
 
 
 def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
-    from telenano.devices import read_map
     from telenano_calibration.stage_calibration import fit_travel
 
     if len(outputs) < 2:
@@ -102,7 +100,7 @@ def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
             found_v.append(mover.output_v)
     finally:
         driver.close()
-    fit = fit_travel(found_v, gauges_m, read_map(document["instrument"]["map"]).output_step_v)
+    fit = fit_travel(found_v, gauges_m, driver.registers.output_step_v)
     document["stage"].update(m_per_v=fit.scale, standard_error_m_per_v=fit.scale_error)
     typer.echo(f"travel: {fit.scale:.4g} m/V, standard error {fit.scale_error:.2g}")
 
@@ -134,12 +132,11 @@ def _metres(text: str) -> float:
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return an open driver, what moves it, and the provisional calibration of both."""
     from telenano.afm import AfmConfig
-    from telenano.devices import InstrumentCalibration, ModbusAfm, read_map
-    from telenano.settings import parse_yaml, validate
+    from telenano.devices import InstrumentCalibration, ModbusAfm
+    from telenano.settings import validate
     from telenano_calibration.stage_calibration import Mover
 
-    text = yaml.safe_dump(document).encode()
-    calibration = validate(InstrumentCalibration, parse_yaml(text, "the options"), "the options")
+    calibration = validate(InstrumentCalibration, document, "the options")
     stage = calibration.stage
     limits = (
         AfmConfig()
@@ -150,7 +147,7 @@ def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
             retract_position_m=calibration.base_m(stage.retract_v),
         )
     )
-    driver = ModbusAfm(calibration, read_map(calibration.instrument.map), limits)
+    driver = ModbusAfm.of(calibration, limits)
     driver.open()
     return driver, Mover(driver, calibration, lambda: time.sleep(_PERIOD_S)), calibration
 

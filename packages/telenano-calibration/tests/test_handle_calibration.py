@@ -40,7 +40,7 @@ def test_points_that_make_no_line_are_refused(counts: list[float], values: list[
 @needs_compiler
 def test_raw_samples_come_without_a_command_and_are_averaged() -> None:
     line = Line()
-    hello, point = sample_raw(line.driver, 0.5)
+    point, hello = sample_raw(line.driver, 0.5), line.driver.hello
     assert hello.model == "telenano posix"
     assert (point.position, point.force) == (POSITION_ZERO, FORCE_ZERO)
     assert (point.position_error, line.handle.core.mode) == (0.0, 0)

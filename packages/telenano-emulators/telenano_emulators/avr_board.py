@@ -8,8 +8,8 @@ import ctypes
 from typing import Any
 
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, DriveCommand
-from telenano.hand import HapticConfig, initial_plant, plant_step
-from telenano_emulators.emulated_handle import drive_n_per_count
+from telenano.hand import HapticConfig
+from telenano_emulators.emulated_handle import drive_n_per_count, plant_of
 from telenano_emulators.firmware import SOURCES, FirmwareError, compiled
 
 IMAGE = SOURCES / "boards" / "avr328p" / "handle.hex"
@@ -99,9 +99,7 @@ class AvrHandle:
     """A handle with that board, a millisecond at a time, as `EmulatedHandle` is."""
 
     def __init__(self, config: HapticConfig) -> None:
-        plant = config.to_plant_params()
-        self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
-        self._plant = initial_plant(self._params, config.device.start_position_m)
+        self._plant = plant_of(config)
         self.board = AvrBoard()
 
     def reset(self, session: int) -> None:
@@ -116,12 +114,13 @@ class AvrHandle:
 
     def advance(self) -> None:
         """Continue by a millisecond: plant, sensor, processor."""
-        before_m, duty = self._plant.motor.position_m, self.board.duty
+        before_m, duty = self._plant.state.plant.motor.position_m, self.board.duty
         command = DriveCommand(MODE_OFF, 0.0, 0.0)
         if duty:
             volts = duty / FULL_DUTY * _FULL_V
             command = DriveCommand(MODE_POSITION, before_m + volts / _SOURCE_V_PER_M, 0.0)
-        self._plant, reading = plant_step(self._params, self._plant, command, -1.0, _TICK_S)
+        self._plant.write(command)
+        reading = self._plant.read(-1.0, _TICK_S)
         self.board.set_position(_ZERO_COUNTS + round(reading.position_m / M_PER_COUNT))
         self.board.run(CYCLES_A_TICK)
 

@@ -5,10 +5,11 @@ millisecond. The drive is a voltage, a millivolt a count.
 """
 
 from datetime import UTC, datetime
+from typing import Any
 
 from telenano.devices import HandleAbility, HandleFlag
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, DriveCommand
-from telenano.hand import HapticConfig, MotorParams, MotorState, initial_plant, plant_step
+from telenano.hand import HapticConfig, MotorParams
 from telenano_emulators.firmware import BoardIdentity, BoardSample, FirmwareCore
 
 TICK_US = 1000
@@ -39,6 +40,15 @@ def drive_n_per_count(motor: MotorParams) -> float:
     return V_PER_COUNT * per_volt
 
 
+def plant_of(config: HapticConfig) -> Any:
+    """Return the motor of a configuration as a voltage source, with the hand on it and without disturbances, open."""
+    source = config.device.model_copy(update={"servo_gain_v_per_m": _SOURCE_V_PER_M})
+    plain = HapticConfig(operator=config.operator).model_copy(update={"device": source})
+    plant = plain.to_simulated_device()
+    plant.open()
+    return plant
+
+
 class EmulatedHandle:
     """A handle in virtual time: `advance` takes the device from one millisecond to the next.
 
@@ -48,10 +58,9 @@ class EmulatedHandle:
     """
 
     def __init__(self, config: HapticConfig, session: int) -> None:
-        plant = config.to_plant_params()
-        self._drive_n = drive_n_per_count(plant.motor)
-        self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
-        self._plant = initial_plant(plant, config.device.start_position_m)
+        self._motor = config.device.to_params()
+        self._drive_n = drive_n_per_count(self._motor)
+        self._plant = plant_of(config)
         self._gauge_m: float | None = None
         self._load_n = 0.0
         self.time_us = 0
@@ -95,18 +104,21 @@ class EmulatedHandle:
         if self.core.mode != MODE_OFF:
             self._gauge_m, self._load_n = None, 0.0
         elif self._gauge_m is not None:
-            self._plant = self._plant._replace(motor=MotorState(self._gauge_m, 0.0))
-        before_m = self._plant.motor.position_m
+            plant = self._plant.state.plant
+            motor = plant.motor._replace(position_m=self._gauge_m, velocity_m_per_s=0.0)
+            self._plant.state.plant = plant._replace(motor=motor)
+        before_m = self.position_m
         command = DriveCommand(MODE_OFF, 0.0, 0.0)
         if self.core.mode != MODE_OFF:
             volts = self._drive * V_PER_COUNT
             command = DriveCommand(MODE_POSITION, before_m + volts / _SOURCE_V_PER_M, 0.0)
-        self._plant, reading = plant_step(self._params, self._plant, command, session_s, _TICK_S)
+        self._plant.write(command)
+        reading = self._plant.read(session_s, _TICK_S)
         flags = HandleFlag.ESTOP_PRESSED if self.estop_pressed else 0
         flags |= HandleFlag.FORCE_SATURATED if reading.operator_force_limited else 0
         flags |= HandleFlag.CURRENT_LIMITED if reading.torque_limited else 0
         if reading.end_stop:
-            towards = reading.position_m > 0.5 * (self._params.motor.position_min_m + self._params.motor.position_max_m)
+            towards = reading.position_m > 0.5 * (self._motor.position_min_m + self._motor.position_max_m)
             flags |= HandleFlag.AT_MAX if towards else HandleFlag.AT_MIN
         self._drive = self.core.tick(
             BoardSample(
@@ -122,7 +134,7 @@ class EmulatedHandle:
     @property
     def position_m(self) -> float:
         """Where the arm really is [m]."""
-        return float(self._plant.motor.position_m)
+        return float(self._plant.state.plant.motor.position_m)
 
     @property
     def drive_v(self) -> float:

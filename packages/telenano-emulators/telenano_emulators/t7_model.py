@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 from telenano.afm import AfmConfig, SimulatedInstrument, simulated_afm
-from telenano.devices import Operation
+from telenano.devices import FeedbackRequest
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.samples import AfmSample
 from telenano.wire import ConfigError
@@ -223,10 +223,10 @@ class T7Model:
         else:
             self._put(address, value)
 
-    def feedback(self, operations: Sequence[Operation], now_ns: int) -> list[int]:
+    def feedback(self, request: FeedbackRequest, now_ns: int) -> list[int]:
         """Carry out the frames of function 76 in order; return what was read."""
         answer: list[int] = []
-        for address, count, words in operations:
+        for address, count, words in request.operations:
             if words:
                 self.write(address, words, now_ns)
             else:

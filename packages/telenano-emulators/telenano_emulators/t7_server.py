@@ -15,7 +15,7 @@ from pymodbus.pdu.register_message import (
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from telenano.devices import FeedbackAnswer, FeedbackRequest
+from telenano.devices import FeedbackRequest
 from telenano_emulators.t7_model import RegisterError, T7Model
 
 # the step of a script on the device
@@ -36,7 +36,7 @@ def respond(model: T7Model, request: ModbusPDU, now_ns: int) -> ModbusPDU:
     """Return the answer of the device, an exception among them."""
     try:
         if isinstance(request, FeedbackRequest):
-            return FeedbackAnswer(registers=model.feedback(request.operations, now_ns))
+            return request.answered(model.feedback(request, now_ns))
         if isinstance(request, WriteMultipleRegistersRequest):
             model.write(request.address, list(request.registers), now_ns)
             return WriteMultipleRegistersResponse(address=request.address, count=len(request.registers))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from telenano_haptic_devices.vendor_library import LibraryWire as LibraryWire
     from telenano_haptic_devices.vendor_library import VendorLibrary as VendorLibrary
     from telenano_haptic_devices.vendor_service import Conversation as Conversation
+    from telenano_haptic_devices.vendor_service import Exchange as Exchange
     from telenano_haptic_devices.vendor_service import VendorService as VendorService
     from telenano_haptic_devices.wires import Cadence as Cadence
     from telenano_haptic_devices.wires import Declared as Declared

@@ -10,45 +10,11 @@ import ctypes
 import platform
 from typing import Any
 
-from telenano.extend.hands import UPRIGHT, Capabilities, DeviceError, Quaternion
-from telenano.hand import ZERO, Vector
-from telenano_haptic_devices.impedance_wire import Turn
-from telenano_haptic_devices.vendor_library import (
-    LibraryWire,
-    VendorLibrary,
-    is_double,
-)
-from telenano_haptic_devices.wires import Cadence, Declared, Frame, Mechanics, declared
+from telenano.extend.hands import Capabilities, DeviceError
+from telenano_haptic_devices.coupling import ZERO, Vector
+from telenano_haptic_devices.vendor_library import LibraryWire, VendorLibrary, text_of
+from telenano_haptic_devices.wires import Declared, Frame, Mechanics
 
-# The types of arguments and results.
-_ID = ctypes.c_byte
-_REAL = ctypes.c_double
-_INT = ctypes.c_int
-_BYTE = ctypes.c_ubyte
-_REALS = ctypes.POINTER(_REAL)
-_INTS = ctypes.POINTER(_INT)
-_CALLS: dict[str, tuple[type, tuple[type, ...]]] = {
-    "dhdGetAvailableCount": (_INT, ()),
-    "dhdErrorGetLast": (_INT, ()),
-    "dhdErrorGetLastStr": (ctypes.c_char_p, ()),
-    "dhdOpen": (_INT, ()),
-    "dhdOpenSerial": (_INT, (_INT,)),
-    "dhdClose": (_INT, (_ID,)),
-    "dhdStop": (_INT, (_ID,)),
-    "dhdGetSystemType": (_INT, (_ID,)),
-    "dhdGetSystemName": (ctypes.c_char_p, (_ID,)),
-    "dhdGetSerialNumber": (_INT, (ctypes.POINTER(ctypes.c_ushort), _ID)),
-    "dhdGetPosition": (_INT, (_REALS, _REALS, _REALS, _ID)),
-    "dhdGetOrientationFrame": (_INT, (_REALS, _ID)),
-    "dhdGetButtonMask": (ctypes.c_uint, (_ID,)),
-    "dhdGetStatus": (_INT, (_INTS, _ID)),
-    "dhdSetForce": (_INT, (_REAL, _REAL, _REAL, _ID)),
-    "dhdEnableForce": (_INT, (_BYTE, _ID)),
-    "dhdSetMaxForce": (_INT, (_REAL, _ID)),
-    "dhdEnableExpertMode": (_INT, ()),
-    "dhdDisableExpertMode": (_INT, ()),
-    "dhdSetWatchdog": (_INT, (_BYTE, _ID)),
-}
 LIBRARY = VendorLibrary(
     "Force Dimension SDK (libdhd)",
     # DRD has all of DHD; the versions are those of the SDK.
@@ -56,9 +22,15 @@ LIBRARY = VendorLibrary(
     (f"$FDSDK/lib/release/lin-{platform.machine()}-gcc", "~/.local/lib", "/usr/local/lib", "/usr/lib"),
     "haptic_node.dhd.library",
     "get the SDK at forcedimension.com (Software), unpack it, and set FDSDK to its folder; it needs libusb-1.0",
-    _CALLS,
+    """
+    int dhdGetAvailableCount() int dhdOpen() int dhdOpenSerial(int) int dhdClose(char) int dhdStop(char)
+    char* dhdErrorGetLastStr() int dhdGetSystemType(char) char* dhdGetSystemName(char)
+    int dhdGetSerialNumber(ushort*, char) int dhdGetStatus(int*, char) uint dhdGetButtonMask(char)
+    int dhdGetPosition(double*, double*, double*, char) int dhdGetOrientationFrame(double*, char)
+    int dhdSetForce(double, double, double, char) int dhdEnableForce(uchar, char) int dhdSetMaxForce(double, char)
+    int dhdEnableExpertMode() int dhdDisableExpertMode() int dhdSetWatchdog(uchar, char)
+    """,
 )
-_FRAME = Frame("y -x z")
 # 160 steps of 125 us are 20 ms.
 _WATCHDOG_STEPS = 160
 # indices of dhdGetStatus
@@ -76,7 +48,6 @@ _CAUSES = {
     5: "its USB",
     6: "its dead-man button",
 }
-_STATUS_EVERY_NS = 20_000_000
 # The values of each make are those that CHAI3D declares.
 _OMEGA = Declared(12.0, 5000.0, 30.0, 0.075)
 _DELTA = Declared(20.0, 5000.0, 30.0, 0.15)
@@ -91,42 +62,22 @@ _MAKES = {
     **dict.fromkeys((108, 109), _LAMBDA),
     60: _FALCON,
 }
-# the emulated omega of the tests
-_ARM = Mechanics(mass_kg=0.25, damping_n_s_per_m=0.5)
 
 
 class DhdWire(LibraryWire):
     """An `ImpedanceWire` to one device of Force Dimension."""
 
     library = LIBRARY
+    frame = Frame("y -x z")
+    # the emulated omega of the tests
+    arm = Mechanics(mass_kg=0.25, damping_n_s_per_m=0.5)
+    status_every_ns = 20_000_000
+    name = "the device of Force Dimension"
 
     def __init__(self, settings: Any, **clock: Any) -> None:
         super().__init__(settings, **clock)
-        self._id = _ID(-1)
-        self._name = "the device of Force Dimension"
-        self._has_wrist = False
-
-    def run(self, turn: Turn) -> None:
-        """Read, step and send at an absolute cadence; a call that takes longer than a period sets the rate itself."""
-        lib = self._lib
-        if lib is None:
-            raise DeviceError(f"{self._name} is not open")
-        x, y, z = _REAL(), _REAL(), _REAL()
-        place = ctypes.byref(x), ctypes.byref(y), ctypes.byref(z), self._id
-        cadence, deadman = Cadence(self._settings.rate_hz, self._now_ns, self._sleep), self._settings.deadman_button
-        status_ns, error = self._now_ns(), ""
-        while True:
-            taken_ns = self._now_ns()
-            self._checked(lib.dhdGetPosition(*place), "dhdGetPosition")
-            if taken_ns >= status_ns:
-                status_ns, error = taken_ns + _STATUS_EVERY_NS, self._trouble()
-            buttons, turned = lib.dhdGetButtonMask(self._id), self._orientation()
-            at = (x.value, y.value, z.value)
-            force = turn(_FRAME.sample(at, taken_ns, buttons=buttons, deadman=deadman, orientation=turned, error=error))
-            if force is None:
-                return
-            self._set_force(force)
-            cadence.wait()
+        self._id, self._has_wrist = ctypes.c_byte(-1), False
+        self._place, self._rows = [ctypes.c_double() for _ in "xyz"], (ctypes.c_double * 9)()
 
     def close(self) -> None:
         """Set no force, stop and close; what closing alone does to a force is not documented."""
@@ -135,70 +86,60 @@ class DhdWire(LibraryWire):
         self._lib.dhdSetForce(0.0, 0.0, 0.0, self._id)
         self._lib.dhdStop(self._id)
         self._lib.dhdClose(self._id)
-        self._id = _ID(-1)
+        self._id = ctypes.c_byte(-1)
 
-    def _come_up(self) -> Capabilities:
+    def come_up(self) -> Capabilities:
         lib, wanted = self._lib, self._settings.serial
         if lib.dhdGetAvailableCount() <= 0:
             text = "no device of Force Dimension is free: switch it on, plug it in, end other programs that use it"
             raise DeviceError(text)
-        opened = lib.dhdOpen() if wanted is None else lib.dhdOpenSerial(wanted)
-        self._id = _ID(self._checked(opened, "dhdOpen"))
-        make = _MAKES.get(self._checked(lib.dhdGetSystemType(self._id), "dhdGetSystemType"), _FALCON)
+        opened = self.call("dhdOpen") if wanted is None else self.call("dhdOpenSerial", wanted)
+        self._id = ctypes.c_byte(opened)
+        make = _MAKES.get(self.call("dhdGetSystemType", self._id), _FALCON)
         serial = ctypes.c_ushort()
-        self._checked(lib.dhdGetSerialNumber(ctypes.byref(serial), self._id), "dhdGetSerialNumber")
-        name = (lib.dhdGetSystemName(self._id) or b"device").decode(errors="replace")
-        able = declared(
-            f"Force Dimension {name}, serial number {serial.value}",
-            make,
-            self._settings.rate_hz,
-            arm=_ARM if is_double(lib) else None,
-            buttons=("0", "1", "2", "3"),
-            deadman="" if self._settings.deadman_button is None else str(self._settings.deadman_button),
-            has_orientation=bool(self._status()[_WRIST]),
-        )
-        self._name, self._has_wrist = able.identity, able.has_orientation
-        self._checked(lib.dhdEnableExpertMode(), "dhdEnableExpertMode")
+        self.call("dhdGetSerialNumber", ctypes.byref(serial), self._id)
+        name = text_of(lib.dhdGetSystemName(self._id), "device")
+        identity = f"Force Dimension {name}, serial number {serial.value}"
+        self._has_wrist = bool(self._status()[_WRIST])
+        able = self.declared(identity, make, ("0", "1", "2", "3"), self._has_wrist)
+        self.call("dhdEnableExpertMode")
         try:
-            self._checked(lib.dhdSetWatchdog(_WATCHDOG_STEPS, self._id), "dhdSetWatchdog")
+            self.call("dhdSetWatchdog", _WATCHDOG_STEPS, self._id)
         finally:
             lib.dhdDisableExpertMode()
-        self._checked(lib.dhdSetMaxForce(make.force_n, self._id), "dhdSetMaxForce")
-        self._checked(lib.dhdEnableForce(1, self._id), "dhdEnableForce")
-        self._set_force(ZERO)
+        self.call("dhdSetMaxForce", make.force_n, self._id)
+        self.call("dhdEnableForce", 1, self._id)
+        self.write(ZERO)
         return able
 
-    def _checked(self, code: int, call: str) -> int:
-        if code < 0:
-            reason = (self._lib.dhdErrorGetLastStr() or b"no reason").decode(errors="replace")
-            raise DeviceError(f"{self._name}: {call} failed: {reason}")
-        return code
+    def read(self) -> tuple[list[float], int, list[list[float]] | None]:
+        self.call("dhdGetPosition", *map(ctypes.byref, self._place), self._id)
+        place, buttons = [each.value for each in self._place], self._lib.dhdGetButtonMask(self._id)
+        if not self._has_wrist:
+            return place, buttons, None
+        self.call("dhdGetOrientationFrame", self._rows, self._id)
+        return place, buttons, [self._rows[3 * i : 3 * i + 3] for i in range(3)]
 
-    def _set_force(self, force: Vector) -> None:
-        self._checked(self._lib.dhdSetForce(*_FRAME.to_device(force), self._id), "dhdSetForce")
+    def write(self, force: Vector) -> None:
+        self.call("dhdSetForce", *force, self._id)
+
+    def reason(self, result: int) -> str:
+        return text_of(self._lib.dhdErrorGetLastStr(), "no reason") if result < 0 else ""
 
     def _status(self) -> list[int]:
-        status = (_INT * 17)()
-        self._checked(self._lib.dhdGetStatus(status, self._id), "dhdGetStatus")
+        status = (ctypes.c_int * 17)()
+        self.call("dhdGetStatus", status, self._id)
         return list(status)
 
-    def _trouble(self) -> str:
-        """Return why the device must not be driven now, in words; empty if it may."""
+    def trouble(self) -> str:
         status = self._status()
         if not status[_CONNECTED]:
-            raise DeviceError(f"{self._name} is not connected: plug it in")
+            raise DeviceError(f"{self.name} is not connected: plug it in")
         if status[_RESET]:
-            return f"{self._name} is not calibrated: put its handle into the pit until the light stays on"
+            return f"{self.name} is not calibrated: put its handle into the pit until the light stays on"
         if status[_ERROR]:
-            return f"{self._name} reports an error: switch it off and on"
+            return f"{self.name} reports an error: switch it off and on"
         if status[_FORCE_OFF]:
             cause = _CAUSES.get(status[_FORCE_OFF], "itself")
-            return f"{self._name} has no force, which was switched off by {cause}"
+            return f"{self.name} has no force, which was switched off by {cause}"
         return ""
-
-    def _orientation(self) -> Quaternion:
-        if not self._has_wrist:
-            return UPRIGHT
-        frame = (_REAL * 9)()
-        self._checked(self._lib.dhdGetOrientationFrame(frame, self._id), "dhdGetOrientationFrame")
-        return _FRAME.orientation([frame[3 * i : 3 * i + 3] for i in range(3)])

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from telenano.extend.operators import OperatorInputs
-from telenano.hand import ZERO, Vector, arm_step, operator_at_rest, operator_step
+from telenano.hand import operator_at_rest, operator_step
+from telenano_haptic_devices.coupled import arm_step
+from telenano_haptic_devices.coupling import ZERO, Vector
 from telenano_haptic_devices.wires import Mechanics
 
 # Half of the workspace.

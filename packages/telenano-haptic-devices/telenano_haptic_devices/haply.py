@@ -17,13 +17,14 @@ from typing import Any
 
 import msgspec
 
-from telenano.extend.hands import UPRIGHT, Capabilities, DeviceError, Quaternion
-from telenano.hand import ZERO, Vector
+from telenano.extend.hands import Capabilities, DeviceError
 from telenano.runtime import StructuredLog
+from telenano_haptic_devices.coupling import UPRIGHT, ZERO, Quaternion, Vector
+from telenano_haptic_devices.haply_messages import BUTTONS, Answer, Arm, ArmConfig
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
-from telenano_haptic_devices.vendor_service import Conversation, VendorService
+from telenano_haptic_devices.vendor_service import Conversation, Exchange, VendorService
 from telenano_haptic_devices.wires import Cadence, Declared, Mechanics, declared
 
 SERVICE = "ws://127.0.0.1:10001"
@@ -41,109 +42,17 @@ EMULATED = "telenano emulator"
 # The names of the profile of the service while a session runs, and while none does.
 SESSION_RUNS = "org.telenano:session-runs"
 SESSION_RESTS = "org.telenano:servo"
-BUTTONS = ("a", "b", "c")
 # The service has this time to answer when it is opened.
 _OPEN_S = 3.0
 # The service may take as long for a place as the coupling tolerates silence.
 _SILENT_S = 0.05
 _CHECK_S = 0.1
-# This number of readings more with unasked messages than without are no accident.
-_MOST_UNASKED = 50
 # A rendered force that differs from the sent one by more than this share of it, and _FORCE_N, deserves a remark.
 _FORCE_SHARE = 0.1
 _FORCE_N = 0.1
 
 
-class Xyz(msgspec.Struct, frozen=True):
-    """A vector of the wire; JSON has no word for what is no number but null."""
-
-    x: float | None
-    y: float | None
-    z: float | None
-
-    def vector(self) -> Vector:
-        return tuple(math.nan if value is None else value for value in (self.x, self.y, self.z))  # type: ignore[return-value]
-
-
-class Wxyz(msgspec.Struct, frozen=True):
-    """A rotation of the wire."""
-
-    w: float
-    x: float
-    y: float
-    z: float
-
-
-class ArmState(msgspec.Struct, frozen=True):
-    """What an Inverse3 says with each answer."""
-
-    cursor_position: Xyz
-    current_cursor_force: Xyz | None = None
-
-
-class ArmStatus(msgspec.Struct, frozen=True):
-    """Whether it may be used."""
-
-    calibrated: bool = True
-    ready: bool = True
-
-
-class ArmInfo(msgspec.Struct, frozen=True):
-    """Who it is."""
-
-    model: str = ""
-    major_version: int = 0
-    minor_version: int = 0
-
-
-class ArmConfig(msgspec.Struct, frozen=True):
-    """What a full message has besides."""
-
-    type: str = "inverse3"
-    device_info: ArmInfo = ArmInfo()
-
-
-class Arm(msgspec.Struct, frozen=True):
-    """An Inverse3 in a message."""
-
-    device_id: str
-    state: ArmState | None = None
-    status: ArmStatus = ArmStatus()
-    config: ArmConfig | None = None
-
-
-class GripState(msgspec.Struct, frozen=True):
-    """What a grip says; a wired one has one button."""
-
-    orientation: Wxyz | None = None
-    buttons: dict[str, bool] = {}
-    button: bool = False
-    battery_level: float = 1.0
-
-
-class GripStatus(msgspec.Struct, frozen=True):
-    """Whether it may be heard."""
-
-    awake: bool = True
-
-
-class Grip(msgspec.Struct, frozen=True):
-    """A grip in a message."""
-
-    device_id: str
-    state: GripState | None = None
-    status: GripStatus = GripStatus()
-
-
-class Answer(msgspec.Struct, frozen=True):
-    """A message of the service; devices are found by their ids, because the order of a list is not promised."""
-
-    inverse3: list[Arm] = []
-    wireless_verse_grip: list[Grip] = []
-    verse_grip: list[Grip] = []
-
-
-_DECODER = msgspec.json.Decoder(Answer)
+DECODE = msgspec.json.Decoder(Answer).decode
 _ENCODER = msgspec.json.Encoder()
 
 
@@ -159,7 +68,7 @@ class HaplyWire:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._settings, self._service, self._deadman = settings, settings.service, settings.deadman
-        self._connect = connect or (lambda address: Conversation(INVERSE_SERVICE, address, _DECODER.decode))
+        self._connect = connect or (lambda address: Conversation(INVERSE_SERVICE, address, DECODE))
         self._now_ns, self._sleep = now_ns, sleep
         # The presets that end in `centered` put zero into the centre of the workspace.
         self._filters: dict[str, Any] = {"preset": {"preset": settings.preset}}
@@ -174,14 +83,13 @@ class HaplyWire:
         self._session: bool | None = None
         self._runs = False
         self._differs = 0
-        # messages that came without a request, and for how many readings more they did than did not
-        self.unasked = self._unasked_lately = 0
+        self._exchange: Exchange[Answer] | None = None
         self._orientation, self._grip_ns = UPRIGHT, 0
 
     def open(self) -> Capabilities:
         self._conversation = self._connect(self._service)
         try:
-            arm, grips = self._find()
+            arm, has_grip = self._find(self._conversation)
         except DeviceError:
             self.close()
             raise
@@ -191,7 +99,7 @@ class HaplyWire:
         self._tail = after.encode()
         config = arm.config or ArmConfig()
         self._emulated = config.device_info.model == EMULATED
-        self._session, self._differs, self._unasked_lately = None, 0, 0
+        self._session, self._differs = None, 0
         self._orientation, self._grip_ns = UPRIGHT, 0
         # A service that was lost and is back continues with the session of before.
         first = {
@@ -201,17 +109,22 @@ class HaplyWire:
         self._conversation.send(_ENCODER.encode(first))
         self._conversation.receive()
         version = f"{config.device_info.major_version}.{config.device_info.minor_version}"
-        if self._deadman and not grips:
+        if self._deadman and not has_grip:
             raise DeviceError(f"{self._service}: haptic_node.haply.deadman is {self._deadman}, and there is no grip")
         return declared(
             f"Haply {config.type} {self._id}, firmware {version}",
             _MAKE._replace(radius_m=_RADII_M.get(config.type, 0.10)),
             self._settings.rate_hz,
             arm=ARM if self._emulated else None,
-            buttons=BUTTONS * bool(grips),
+            buttons=BUTTONS * has_grip,
             deadman=self._deadman,
-            has_orientation=bool(grips),
+            has_orientation=has_grip,
         )
+
+    @property
+    def unasked(self) -> int:
+        """Return how many messages came without a request since the device was opened."""
+        return 0 if self._exchange is None else self._exchange.unasked
 
     def run(self, turn: Turn) -> None:
         """Ask at an absolute cadence; one that an answer comes too late for moves on, and is not made up for."""
@@ -219,18 +132,10 @@ class HaplyWire:
             raise DeviceError(f"{self._service}: the service is not open")
         force: Vector = ZERO
         cadence = Cadence(self._settings.rate_hz, self._now_ns, self._sleep)
-        sent_ns = self._now_ns()
+        self._exchange = Exchange(self._conversation, f"{self._service}: the service", self._now_ns)
         while True:
-            unasked = self._conversation.drop()
-            # The state is taken between sending and receipt: its age is bounded by the earlier of the two.
-            before_ns, sent_ns = sent_ns, self._now_ns()
-            self._send(force)
-            self._conversation.wait(_SILENT_S)
-            unasked += self._conversation.drop(keep=1)
-            self._count(unasked)
-            # Where more came than was asked for, this may be the answer to the request before.
-            taken_ns = before_ns if self._unasked_lately else sent_ns
-            wanted = turn(self._sample(self._conversation.receive(), force, taken_ns))
+            answer, taken_ns = self._exchange.ask(self._message(force), _SILENT_S)
+            wanted = turn(self._sample(answer, force, taken_ns))
             if wanted is None:
                 return
             force = wanted
@@ -246,55 +151,41 @@ class HaplyWire:
             return
         with contextlib.suppress(DeviceError):
             if self._id:
-                self._send(ZERO)
+                self._conversation.send(self._message(ZERO))
         self._conversation.close()
         self._conversation = None
 
-    def _find(self) -> tuple[Arm, list[Grip]]:
-        """Return the Inverse3 that is configured, or the only one; ask for the list until there is one."""
-        assert self._conversation is not None
-        answer = self._conversation.receive(_OPEN_S)
+    def _find(self, conversation: Conversation[Answer]) -> tuple[Arm, bool]:
+        """Return the Inverse3 that is configured, or the only one, and whether there is a grip; wait for the device."""
+        wanted, answer = self._settings.device_id, conversation.receive(_OPEN_S)
         end_s = self._now_ns() * 1e-9 + _OPEN_S
-        while not any(self._settings.device_id in (None, arm.device_id) for arm in answer.inverse3):
+        while not answer.arms(wanted):
             if self._now_ns() * 1e-9 > end_s:
-                what = f"Inverse3 {self._settings.device_id}" if self._settings.device_id else "Inverse3"
+                what = f"Inverse3 {wanted}" if wanted else "Inverse3"
                 there = ", ".join(arm.device_id for arm in answer.inverse3) or "none"
                 raise DeviceError(f"{self._service}: the service has no {what} (there is {there}): plug it in")
             self._sleep(0.1)
-            self._conversation.send(b'{"session":{"force_render_full_state":{}}}')
-            answer = self._conversation.receive()
-        arms = [arm for arm in answer.inverse3 if self._settings.device_id in (None, arm.device_id)]
+            conversation.send(b'{"session":{"force_render_full_state":{}}}')
+            answer = conversation.receive()
+        arms = answer.arms(wanted)
         if len(arms) > 1:
             there = ", ".join(arm.device_id for arm in arms)
             raise DeviceError(f"{self._service}: several devices, {there}: give one as haptic_node.haply.device_id")
-        return arms[0], [*answer.wireless_verse_grip, *answer.verse_grip]
+        return arms[0], bool(answer.grips)
 
-    def _send(self, force: Vector) -> None:
-        assert self._conversation is not None
-        x, y, z = force
-        message = b'%b{"x":%.6f,"y":%.6f,"z":%.6f}%b' % (self._head, x, y, z, self._tail)
+    def _message(self, force: Vector) -> bytes:
+        """Return the request with a force, and with the state of the session where that has changed."""
+        message = b'%b{"x":%.6f,"y":%.6f,"z":%.6f}%b' % (self._head, *force, self._tail)
         if self._session is not None:
             name = SESSION_RUNS if self._session else SESSION_RESTS
             message = b'{"session":{"configure":{"profile":{"name":"%b"}}},%b' % (name.encode(), message[1:])
             self._session = None
-        self._conversation.send(message)
-
-    def _count(self, unasked: int) -> None:
-        """Count the messages of a reading that were not asked for; DeviceError where they do not end."""
-        if unasked and not self.unasked:
-            StructuredLog("servo").warning("the service sends messages that were not requested", device=self._id)
-        self.unasked += unasked
-        self._unasked_lately = max(0, self._unasked_lately + (1 if unasked else -1))
-        if self._unasked_lately > _MOST_UNASKED:
-            raise DeviceError(
-                f"{self._service}: the service has sent {self.unasked} messages that were not requested, and "
-                "continues: end other programs that use the device, or update the service"
-            )
+        return message
 
     def _sample(self, answer: Answer, sent: Vector, taken_ns: int) -> DeviceSample:
-        arm = next((arm for arm in answer.inverse3 if arm.device_id == self._id), None)
-        if arm is None:
+        if not (arms := answer.arms(self._id)):
             raise DeviceError(f"{self._service}: the Inverse3 {self._id} is gone: plug it in")
+        arm = arms[0]
         if arm.state is None:
             raise DeviceError(f"{self._service}: the Inverse3 {self._id} sends no state")
         error = ""
@@ -327,14 +218,10 @@ class HaplyWire:
 
     def _gripped(self, answer: Answer, now_ns: int) -> tuple[Quaternion, int]:
         """Return orientation and buttons of the grip; one that sleeps or is gone is as old as its last word."""
-        grips = [*answer.wireless_verse_grip, *answer.verse_grip]
-        grip = grips[0] if grips else None
+        grip = next(iter(answer.grips), None)
         if grip is None or grip.state is None or not grip.status.awake:
             # A button that is not heard is not held.
             return self._orientation, 0
-        state, o = grip.state, grip.state.orientation
-        self._grip_ns = now_ns
+        o, self._grip_ns = grip.state.orientation, now_ns
         self._orientation = UPRIGHT if o is None else (o.w, o.x, o.y, o.z)
-        return self._orientation, sum(
-            state.buttons.get(name, False) << i for i, name in enumerate(BUTTONS)
-        ) | state.button
+        return self._orientation, grip.state.pressed

@@ -11,10 +11,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from telenano.hand import ZERO, Vector
+from telenano_haptic_devices.coupling import ZERO, Vector
 from telenano_haptic_devices.emulated_arm import EmulatedArm, HandMotion
 from telenano_haptic_devices.emulated_service import EmulatedService, serve_service
-from telenano_haptic_devices.haply import BUTTONS, EMULATED, SESSION_RUNS
+from telenano_haptic_devices.haply import EMULATED, SESSION_RUNS
+from telenano_haptic_devices.haply_messages import BUTTONS
 
 FORCE_HOLD_S = 0.05
 PROJECT_VERSION = "3.5.0"

@@ -1,15 +1,16 @@
-"""The driver of a device that takes a force, whose coupling runs in a process of its own."""
+"""The drivers of devices that take a force: simulated, or real with the coupling in a process of its own."""
 
 import importlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel
 
-from telenano.extend.hands import HapticDevice
-from telenano.hand import CouplingConfig
-from telenano.settings import DeviceDriver
+from telenano.extend.hands import SimulatedHand
+from telenano.settings import DeviceDriver, Settings, section_of
+from telenano_haptic_devices.impedance_config import CouplingConfig, SimulatedImpedanceConfig
 
 if TYPE_CHECKING:
+    from telenano_haptic_devices.impedance_device import ImpedanceDevice
     from telenano_haptic_devices.impedance_wire import ImpedanceWire
 
 
@@ -39,11 +40,14 @@ def impedance_driver(
         experimental: Whether it has driven an emulator and never a real device, which the node then reports.
     """
 
-    def build(settings: BaseModel, limits: Any, *, coupling: CouplingConfig, period_s: float) -> HapticDevice:
+    def build(
+        settings: BaseModel, limits: Any, *, coupling: CouplingConfig | None, period_s: float
+    ) -> "ImpedanceDevice":
         from telenano_haptic_devices.impedance_device import ImpedanceDevice
         from telenano_haptic_devices.servo_process import ProcessLink
 
-        return ImpedanceDevice(ProcessLink(name, settings.model_dump(mode="json")), coupling, period_s)
+        link = ProcessLink(name, settings.model_dump(mode="json"))
+        return ImpedanceDevice(link, coupling or CouplingConfig(), period_s)
 
     keywords = ("coupling", "period_s")
     return DeviceDriver(
@@ -52,5 +56,49 @@ def impedance_driver(
 
 
 def takes_force(driver: DeviceDriver | None) -> bool:
-    """Return whether a driver is one of `impedance_driver`."""
-    return driver is not None and isinstance(driver.own, Impedance)
+    """Return whether a driver is one of `impedance_driver`, or of the simulated device."""
+    return driver is not None and (driver is SIMULATED or isinstance(driver.own, Impedance))
+
+
+def force_drivers() -> list[str]:
+    """Return the drivers of installed packages whose devices take a force, the simulated one first."""
+    found = DeviceDriver.all().found
+    return sorted((name for name in found if takes_force(found[name])), key=lambda name: name != SIMULATED_IMPEDANCE)
+
+
+def coupling_of(config: BaseModel) -> CouplingConfig:
+    """Return the coupling of a section `haptic_node`, or the default one."""
+    return section_of(config, "coupling") or CouplingConfig()
+
+
+SIMULATED_IMPEDANCE = "simulated_impedance"
+
+
+class _NoKeys(Settings):
+    """The section of the simulated device's own name; its settings are in `haptic_node.impedance`."""
+
+
+def _simulated(
+    settings: BaseModel,
+    limits: Any,
+    *,
+    impedance: SimulatedImpedanceConfig | None,
+    coupling: CouplingConfig | None,
+    operator: Any,
+) -> SimulatedHand:
+    device, spring = impedance or SimulatedImpedanceConfig(), coupling or CouplingConfig()
+    able = device.capabilities()
+    about = f"{able.identity}; {spring.bounds(able).sentence()}"
+    return SimulatedHand(device.to_params(spring, operator.to_params()), able, about)
+
+
+SIMULATED = DeviceDriver(
+    "haptic_node",
+    SIMULATED_IMPEDANCE,
+    _NoKeys,
+    _simulated,
+    simulated=True,
+    in_lockstep=True,
+    keywords=("impedance", "coupling", "operator"),
+    what="a simulated device of three axes",
+)

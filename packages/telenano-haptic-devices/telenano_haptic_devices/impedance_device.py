@@ -12,9 +12,9 @@ from telenano.extend.hands import (
     DeviceReading,
     DriveCommand,
     HapticReport,
-    SpatialReading,
 )
-from telenano.hand import ZERO, CouplingConfig
+from telenano_haptic_devices.coupling import ZERO, reading_of
+from telenano_haptic_devices.impedance_config import CouplingConfig
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
 # A sample that is older than this is stale, and one that is older than the silence of the coupling is lost.
@@ -127,27 +127,7 @@ class ImpedanceDevice:
 
 
 def reading_of_sample(sample: ServoSample) -> DeviceReading:
-    """Return what a servo reported along the paper's axis: the force that it sent is the estimate of the hand's."""
-    p, v, f = sample.position_m, sample.velocity_m_per_s, sample.force_n
-    return DeviceReading(
-        position_m=0.0 - p[2],
-        velocity_m_per_s=0.0 - v[2],
-        operator_force_n=f[2],
-        operator_force_limited=sample.limited,
-        motor_force_n=0.0 - f[2],
-        motor_voltage_v=0.0,
-        end_stop=False,
-        voltage_limited=False,
-        torque_limited=False,
-        spatial=SpatialReading(
-            lateral_m=(p[0], p[1]),
-            lateral_velocity_m_per_s=(v[0], v[1]),
-            lateral_operator_force_n=(0.0 - f[0], 0.0 - f[1]),
-            lateral_force_n=(f[0], f[1]),
-            orientation=sample.orientation,
-            buttons=sample.buttons,
-            gate=sample.gate,
-            hand_energy_j=sample.hand_energy_j,
-            coupling_energy_j=sample.coupling_energy_j,
-        ),
-    )
+    """Return what a servo reported along the paper's axis."""
+    marks, energies_j = (sample.limited, False, sample.gate), (sample.hand_energy_j, sample.coupling_energy_j)
+    handle = sample.orientation, sample.buttons
+    return reading_of(sample.position_m, sample.velocity_m_per_s, sample.force_n, marks, handle, energies_j)

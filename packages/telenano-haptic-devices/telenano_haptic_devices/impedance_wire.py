@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-from telenano.extend.hands import Capabilities, Quaternion
-from telenano.hand import Vector
+from telenano.extend.hands import Capabilities
+from telenano_haptic_devices.coupling import Quaternion, Vector
 from telenano_haptic_devices.servo import DeviceSample
 
 # Takes a sample and returns the force on the hand [N], or None when the servo ends.

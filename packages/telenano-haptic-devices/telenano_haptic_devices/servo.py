@@ -14,13 +14,14 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from telenano.extend.hands import UPRIGHT, Capabilities, Quaternion
-from telenano.hand import (
+from telenano.extend.hands import Capabilities, Gate
+from telenano_haptic_devices.coupling import (
+    UPRIGHT,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
-    Gate,
+    Quaternion,
     Vector,
     coupling_at_start,
     coupling_step,

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from telenano.extend.hands import Capabilities, DeviceError
-from telenano.hand import Vector
 from telenano.runtime import schedule_as_node, start_process
 from telenano.settings import DeviceDriver
 from telenano.wire import cause
-from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.coupling import Vector
+from telenano_haptic_devices.impedance import Impedance
 from telenano_haptic_devices.impedance_wire import ImpedanceWire
 from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
 
@@ -313,10 +313,9 @@ def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
         DeviceError: There is no such driver, or its device takes no force.
     """
     driver = DeviceDriver.haptic(kind)
-    if driver is None or not takes_force(driver):
+    if driver is None or not isinstance(driver.own, Impedance):
         raise DeviceError(f"there is no wire called {kind!r}")
-    wire: ImpedanceWire = driver.own.wire(driver.settings(settings))
-    return wire
+    return driver.own.wire(driver.settings(settings))
 
 
 def main() -> int:

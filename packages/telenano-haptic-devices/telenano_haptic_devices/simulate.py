@@ -42,7 +42,8 @@ def simulate_haply(
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
         from telenano_haptic_devices.emulated_arm import RADIUS_M, EmulatedArm, hand_of
         from telenano_haptic_devices.emulated_service import typed_lines
-        from telenano_haptic_devices.haply import ARM, BUTTONS
+        from telenano_haptic_devices.haply import ARM
+        from telenano_haptic_devices.haply_messages import BUTTONS
         from telenano_haptic_devices.haply_service import HaplyService, serve_haply
 
         hand = None

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 from telenano.extend.hands import DeviceError
+from telenano.runtime import StructuredLog
 
 NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
 # What an answer may take [s].
@@ -15,6 +16,8 @@ ANSWER_S = 0.5
 _LOOKS = 5
 # A service that has more to read at once than this never ends.
 _MOST_READS = 64
+# This number of answers more with messages that were not requested than without are no accident.
+_MOST_UNASKED = 50
 T = TypeVar("T")
 
 
@@ -158,3 +161,49 @@ class Conversation(Generic[T]):
         # Pongs and the answer to a close
         self._flush()
         return True
+
+
+class Exchange(Generic[T]):
+    """Requests to a service that sends one message for each one that it receives, without time or number.
+
+    What has come before a request, or before another message, was not asked for: it is dropped and counted, and a
+    service that continues with it is lost.
+
+    Args:
+        conversation: That with the service.
+        name: The service in an error.
+        now_ns: The monotonic clock [ns].
+    """
+
+    def __init__(self, conversation: Conversation[T], name: str, now_ns: Callable[[], int]) -> None:
+        self._conversation, self._name, self._now_ns = conversation, name, now_ns
+        self._sent_ns = now_ns()
+        # messages that came without a request, and for how many answers more they did than did not
+        self.unasked = self._unasked_lately = 0
+
+    def ask(self, request: bytes, patience_s: float) -> tuple[T, int]:
+        """Return the answer to a request, and the time since which its content was taken [ns].
+
+        Raises:
+            DeviceError: The service is gone, silent for `patience_s`, or sends without being asked.
+        """
+        unasked = self._conversation.drop()
+        # The content is taken between sending and receipt: its age is bounded by the earlier of the two.
+        before_ns, self._sent_ns = self._sent_ns, self._now_ns()
+        self._conversation.send(request)
+        self._conversation.wait(patience_s)
+        self._count(unasked + self._conversation.drop(keep=1))
+        # Where more came than was asked for, this may be the answer to the request before.
+        taken_ns = before_ns if self._unasked_lately else self._sent_ns
+        return self._conversation.receive(), taken_ns
+
+    def _count(self, unasked: int) -> None:
+        if unasked and not self.unasked:
+            StructuredLog("servo").warning(f"{self._name} sends messages that were not requested")
+        self.unasked += unasked
+        self._unasked_lately = max(0, self._unasked_lately + (1 if unasked else -1))
+        if self._unasked_lately > _MOST_UNASKED:
+            raise DeviceError(
+                f"{self._name} has sent {self.unasked} messages that were not requested, and "
+                "continues: end other programs that use the device, or update the service"
+            )

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, UPRIGHT, Capabilities, Quaternion
-from telenano.hand import Vector
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities
+from telenano_haptic_devices.coupling import UPRIGHT, Quaternion, Vector
 from telenano_haptic_devices.impedance_wire import quaternion_of
 from telenano_haptic_devices.servo import DeviceSample
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import library_doubles
 from telenano_haptic_devices import haply
+from telenano_haptic_devices.coupling import CouplingSettings
 from telenano_haptic_devices.dhd import DhdWire
 from telenano_haptic_devices.emulated_arm import EmulatedArm, hand_of
 from telenano_haptic_devices.haply import HaplyWire
@@ -19,8 +20,7 @@ from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
-from telenano.extend.hands import DeviceError
-from telenano.hand import CouplingSettings, Gate
+from telenano.extend.hands import DeviceError, Gate
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000
@@ -77,7 +77,7 @@ class MemoryConversation:
         return dropped
 
     def receive(self, patience_s: float = 0.0) -> haply.Answer:
-        return haply._DECODER.decode(self._answers.pop(0))
+        return haply.DECODE(self._answers.pop(0))
 
     def close(self) -> None:
         """Do nothing: there is no socket."""

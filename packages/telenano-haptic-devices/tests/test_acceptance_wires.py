@@ -22,13 +22,14 @@ from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of
 from telenano_acceptance.take import Clock, Take, Verdict, overall
+from telenano_haptic_devices.coupling import Vector
 from telenano_haptic_devices.emulated_arm import HandMotion
+from telenano_haptic_devices.impedance_config import CouplingConfig
 from telenano_haptic_devices.impedance_wire import Turn
 from telenano_haptic_devices.servo import DeviceSample, ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 
 from telenano.extend.hands import Capabilities, Quaternion
-from telenano.hand import CouplingConfig, Vector
 
 PACE, MASS_KG = 0.15, 0.05
 STEPS = steps_of(MASS_KG, PACE)

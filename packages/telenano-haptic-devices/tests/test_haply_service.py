@@ -23,8 +23,7 @@ from telenano_haptic_devices.haply_service import HaplyService, obey, serve_hapl
 from telenano_haptic_devices.servo import DeviceSample
 from telenano_haptic_devices.settings import HaplyConfig
 
-from telenano.extend.hands import DeviceError
-from telenano.hand import Gate
+from telenano.extend.hands import DeviceError, Gate
 
 # The coupling takes so much for silence.
 SILENCE_S = 0.05

@@ -22,7 +22,7 @@ class HostileConversation(Conversation[haply.Answer]):
 
     def __init__(self, kind: str, time: VirtualTime) -> None:
         self._service, self._messages, self._time = "ws://hostile", list[bytes](), time
-        self._about, self._decode = haply.INVERSE_SERVICE, haply._DECODER.decode
+        self._about, self._decode = haply.INVERSE_SERVICE, haply.DECODE
         self._hostile = HostileService(kind, 10**9 + BEGINS_MS * MS)
         self._answer()
 

@@ -6,7 +6,9 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
+from telenano_haptic_devices.coupling import ZERO, CouplingSettings
 from telenano_haptic_devices.emulated_arm import HandMotion
+from telenano_haptic_devices.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from telenano_haptic_devices.impedance_device import ImpedanceDevice
 from telenano_haptic_devices.servo import ServoCommand, ServoSample, Slot
 
@@ -14,8 +16,6 @@ from services.haptic_node.__main__ import build
 from services.haptic_node.node import HapticNode
 from telenano.extend.hands import MODE_FORCE, MODE_POSITION, Capabilities, DeviceError, DriveCommand
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import ZERO, CouplingSettings
-from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from telenano.wire.node_state import pack, restore
 
 MS = 1e-3

@@ -15,8 +15,7 @@ if shutil.which("cc") is None:
 
 from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
 
-from telenano.extend.hands import DeviceError
-from telenano.hand import Gate
+from telenano.extend.hands import DeviceError, Gate
 
 HAND_N = 1.0
 # The hand pushes, something breaks, the hand holds the arm, it is mended, and the hand pushes again.
@@ -307,7 +306,7 @@ def test_call_of_the_scheduler_that_took_long_and_has_just_ended_is_no_silence(t
     in_call, ends, ended = threading.Event(), threading.Event(), threading.Event()
     frames: list[Any] = []
 
-    def long_frame(lib: Any, turn: Any) -> bool:
+    def long_frame(turn: Any) -> bool:
         in_call.set()
         assert ends.wait(10.0)
         return len(frames) < 2

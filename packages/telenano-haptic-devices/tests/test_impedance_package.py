@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import stranger_package
 
-from telenano.hand.config import DRIVERS, HapticConfig
+from telenano.hand.config import DRIVERS, SECTIONS, HapticConfig
 from telenano.settings import entries
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
@@ -129,8 +129,10 @@ def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypa
     monkeypatch.setattr(entries, "load", lambda *given: nothing)
     # what was found before
     monkeypatch.setattr(DRIVERS, "_asked", {})
-    for name in ("haply", "dhd", "hd"):
-        how = re.escape(how_to_add_package("telenano-haptic-devices"))
-        words = f"driver: the driver {name} is in the package telenano-haptic-devices: {how}"
-        with pytest.raises(ConfigError, match=words):
-            validate(HapticConfig, {"driver": name}, "file", "haptic_node")
+    monkeypatch.setattr(SECTIONS, "_asked", {})
+    how = re.escape(how_to_add_package("telenano-haptic-devices"))
+    named = {name: ("driver", f"driver {name}", name) for name in ("haply", "dhd", "hd", "simulated_impedance")}
+    named |= {name: (name, f"section {name}", {}) for name in ("coupling", "impedance")}
+    for key, words, value in named.values():
+        with pytest.raises(ConfigError, match=f"{key}: the {words} is in the package telenano-haptic-devices: {how}"):
+            validate(HapticConfig, {key: value}, "file", "haptic_node")

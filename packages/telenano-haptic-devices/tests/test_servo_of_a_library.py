@@ -12,6 +12,7 @@ import library_doubles
 import pytest
 from telenano_haptic_devices import dhd, hd
 from telenano_haptic_devices.checks import check_devices
+from telenano_haptic_devices.coupling import ZERO, CouplingSettings
 from telenano_haptic_devices.dhd import DhdWire
 from telenano_haptic_devices.hd import HdWire
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
@@ -20,7 +21,6 @@ from telenano_haptic_devices.settings import DhdConfig, HdConfig
 from telenano_haptic_devices.vendor_library import find
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import ZERO, CouplingSettings
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 

@@ -4,12 +4,12 @@ import time
 
 import pytest
 from telenano_haptic_devices import servo_process
+from telenano_haptic_devices.coupling import ZERO, CouplingSettings
 from telenano_haptic_devices.servo import ServoCommand
 from telenano_haptic_devices.servo_process import SharedServo
 
 from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import ZERO, CouplingSettings
 from telenano.settings import find_scenario
 from telenano.settings.scenario import LoadedScenario
 

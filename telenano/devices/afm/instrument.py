@@ -102,13 +102,12 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
     except ImportError as error:
         raise ConfigError(f"afm_node.driver: modbus needs pymodbus: {how_to_install('afm')}") from error
     from telenano.devices.afm.converter_calibration import InstrumentCalibration
-    from telenano.devices.afm.register_map import read_map
 
     calibration = InstrumentCalibration.from_file(Path(section.calibration))
     own = {"host": section.host, "port": section.port}
     network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
     calibration = calibration.model_copy(update={"network": network})
-    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits, period_s=period_s)
+    return ModbusAfm.of(calibration, limits, period_s=period_s)
 
 
 def calibration_of_file(calibration: Path) -> Any:

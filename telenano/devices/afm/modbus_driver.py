@@ -4,14 +4,14 @@ A tick takes the answer if it is there, and then sends the next request if none 
 retract, read back) is a generator of requests that opening runs to its end, and a reconnection one step a tick.
 """
 
-from typing import Any
+from typing import Any, Self
 
 from telenano.devices.afm import modbus_line
 from telenano.devices.afm.converter_calibration import InstrumentCalibration
 from telenano.devices.afm.modbus_frames import Answer, Conversation, Operation
 from telenano.devices.afm.modbus_handshake import EXCEPTIONS, Handshake, heartbeat_of, is_retracted
 from telenano.devices.afm.modbus_line import Line
-from telenano.devices.afm.register_map import RegisterMap
+from telenano.devices.afm.register_map import RegisterMap, read_map
 from telenano.devices.afm.tcp_driver import TcpDriver
 from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 
@@ -65,6 +65,21 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self._beat = 0
         self._output_v = stage.retract_v
         self.retractions = None if self._heart is None else 0
+
+    @classmethod
+    def of(cls, calibration: InstrumentCalibration, limits: SafetyParams, **options: Any) -> Self:
+        """Return the driver with the map of registers that the calibration names: `ModbusAfm.of(calibration, limits)`.
+
+        Raises:
+            ConfigError: There is no such map.
+            DeviceError: Calibration, limits and map do not fit together.
+        """
+        return cls(calibration, read_map(calibration.instrument.map), limits, **options)
+
+    @property
+    def registers(self) -> RegisterMap:
+        """Return the map of the registers."""
+        return self._map
 
     @property
     def safe_position_m(self) -> float:

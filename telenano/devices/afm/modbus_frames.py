@@ -65,6 +65,10 @@ class FeedbackRequest(ModbusPDU):
             frames.append(Operation(address, count, words))
         self.operations = tuple(frames)
 
+    def answered(self, registers: list[int]) -> "FeedbackAnswer":
+        """Return the answer of the device: the registers of all reads in a row."""
+        return FeedbackAnswer(registers=registers)
+
 
 class FeedbackAnswer(ModbusPDU):
     """Function 76 as the device answers it: the registers of all reads in a row."""

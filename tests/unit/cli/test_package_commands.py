@@ -197,7 +197,7 @@ def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, An
     assert (instrument["code"], instrument["status"], instrument["force_n"]) == (0, "ok", 0.0)
     assert instrument["base_m"] == instrument["safe_position_m"] < 0.0
     assert (misspelt["code"], elsewhere["code"], soft["code"]) == (2, 2, 2)
-    assert misspelt["error"].startswith("--device stub_amf: did you mean stub_afm? Known are simulated_impedance, ")
+    assert misspelt["error"].startswith("--device stub_amf: did you mean stub_afm? Known are dhd, ")
     assert elsewhere["error"] == "--set haptic_node: the driver stub_afm has keys afm_node.stub_afm.* only"
     assert soft["error"].startswith("--set: afm_node.stub_afm.stiffness_n_per_m: ")
     for watched in found["monitor"]:

@@ -10,7 +10,7 @@ from scipy import signal
 from services.haptic_node.node import HapticNode
 from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand
 from telenano.hand import step
-from telenano.hand.config import SIMULATED_IMPEDANCE, HapticConfig
+from telenano.hand.config import HapticConfig
 from telenano.hand.disturbances import (
     DisturbedHaptic,
     HandDisturbanceConfig,
@@ -103,8 +103,8 @@ def test_each_scripted_hand_trembles_alike_on_a_rig_and_in_a_study(name: str, dr
     section = {"operator": OPERATORS[name], "driver": driver}
     steady = validate(HapticConfig, section, "steady", "haptic_node")
     shaking = validate(HapticConfig, {**section, "disturbances": trembling}, "shaking", "haptic_node")
-    declared = shaking.impedance.capabilities() if driver == SIMULATED_IMPEDANCE else None
-    device = DisturbedHaptic(shaking.to_simulated_params(), 0.0, shaking.disturbances, declared)
+    hand = shaking.to_simulated_hand()
+    device = DisturbedHaptic(hand.params, 0.0, shaking.disturbances, hand.capabilities)
     device.open()
     params = shaking.to_params(300, DT).plant
     state, still = step.initial_plant(params, 0.0), step.initial_plant(steady.to_simulated_params(), 0.0)

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from telenano_haptic_devices.coupling import CouplingSettings
 
-from telenano.extend.hands import Capabilities
-from telenano.hand import CouplingSettings, Gate
+from telenano.extend.hands import Capabilities, Gate
 from telenano_acceptance.haptic_device.take import (
     AXES,
     LEVELS,

@@ -4,10 +4,11 @@ import gc
 from collections.abc import Mapping
 from typing import Any
 
-from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.impedance import SIMULATED_IMPEDANCE, coupling_of, force_drivers, takes_force
 from telenano_haptic_devices.servo_process import ProcessLink
 
-from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
+from telenano.hand import HapticConfig
+from telenano.settings import DeviceDriver
 from telenano.wire import ConfigError
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
@@ -39,20 +40,19 @@ def make_take(
         DeviceError: The device is not ready.
     """
     steps = steps_of(mass_kg, pace)
-    if config.driver == SIMULATED_IMPEDANCE:
+    driver, coupling = DeviceDriver.haptic(config.driver), coupling_of(config)
+    if driver is not None and driver.name == SIMULATED_IMPEDANCE:
         # in virtual time: the simulated device has three buttons, the first a dead-man, and a wrist
-        able = config.impedance.capabilities()
+        able = driver.model(config).capabilities
         able = able._replace(buttons=("a", "b", "c"), deadman="a", has_orientation=True)
         hand = person(reach_of(able), len(able.buttons), 1, steps, mass_kg)
         simulated = SimulatedLink(able, hand, _faults_of(faults or {}))
-        facts = Facts(able, config.coupling.to_settings(able), mass_kg, independent_stop)
+        facts = Facts(able, coupling.to_settings(able), mass_kg, independent_stop)
         return record_take(simulated, facts, steps, Clock(simulated.now_ns), guide)
     if faults:
         raise ConfigError(f"faults can be put into {SIMULATED_IMPEDANCE} only, not into {config.driver}")
-    driver = DRIVERS.find(config.driver)
     if driver is None or not takes_force(driver):
-        others = (name for name, one in DRIVERS.all().found.items() if takes_force(one))
-        names = ", ".join((SIMULATED_IMPEDANCE, *others))
+        names = ", ".join(force_drivers())
         raise ConfigError(
             f"haptic_node.driver = {config.driver} is not a device that takes a force; take one of {names}"
         )
@@ -62,7 +62,7 @@ def make_take(
     gc.freeze()
     link.open()
     try:
-        facts = Facts(link.capabilities, config.coupling.to_settings(link.capabilities), mass_kg, independent_stop)
+        facts = Facts(link.capabilities, coupling.to_settings(link.capabilities), mass_kg, independent_stop)
         return record_take(link, facts, steps, MACHINE, guide)
     finally:
         link.close()

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable
 
+from telenano_haptic_devices.coupling import ZERO, Vector
 from telenano_haptic_devices.emulated_arm import HandMotion
 
 from telenano.extend.hands import Capabilities
-from telenano.hand import ZERO, Vector
 from telenano_acceptance.haptic_device.take import STANDARD_GRAVITY_M_PER_S2
 from telenano_acceptance.take import Step
 

@@ -7,14 +7,15 @@ three axes, on a spring and a damper, and lets go within a pair of times.
 import math
 from collections import deque
 from collections.abc import Callable
+from random import Random
 from typing import NamedTuple
 
+from telenano_haptic_devices.coupled import arm_step
+from telenano_haptic_devices.coupling import UPRIGHT, ZERO, Quaternion, Vector
 from telenano_haptic_devices.emulated_arm import HandMotion
 from telenano_haptic_devices.servo import DeviceSample, Servo, ServoCommand, ServoSample
 
-from telenano.extend.hands import UPRIGHT, Capabilities, Quaternion
-from telenano.hand import ZERO, Vector, arm_step
-from telenano.numerics import normal_number
+from telenano.extend.hands import Capabilities
 
 
 class DeviceFaults(NamedTuple):
@@ -77,7 +78,7 @@ class SimulatedLink:
         self.force_n: Vector = ZERO
         self.time_s = 0.0
         self._due_s = self._period_s
-        self._drawn = self._steps = 0
+        self._noise, self._steps = Random(_SEED), 0
         self._command: ServoCommand | None = None
         self._newest: ServoSample | None = None
         self._read = DeviceSample(ZERO, 0)
@@ -188,8 +189,7 @@ class SimulatedLink:
     def _read_axis(self, axis: int) -> float:
         faults = self._faults
         x = faults.scale * faults.signs[axis] * self.place_m[faults.axes[axis]] + faults.drift_m_per_s * self.time_s
-        self._drawn += 1
-        x += faults.noise_m * normal_number(_SEED, self._drawn)
+        x += faults.noise_m * self._noise.gauss(0.0, 1.0)
         if self.time_s >= faults.jump_at_s:
             x += 0.01
         return round(x / faults.step_m) * faults.step_m if faults.step_m else x

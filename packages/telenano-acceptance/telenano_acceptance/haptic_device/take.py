@@ -5,10 +5,11 @@ A row is what the servo of the device reported, and what was asked of it.
 
 from typing import NamedTuple
 
+from telenano_haptic_devices.coupling import ZERO, CouplingSettings, Vector
+from telenano_haptic_devices.impedance_config import bounds_of
 from telenano_haptic_devices.servo import ServoCommand, ServoLink, ServoSample
 
-from telenano.extend.hands import Capabilities
-from telenano.hand import ZERO, CouplingSettings, Gate, Vector, bounds_of
+from telenano.extend.hands import Capabilities, Gate
 from telenano.wire import TelenanoError
 from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano_haptic_devices.impedance import takes_force
+from telenano_haptic_devices.impedance import force_drivers
 
 from telenano.cli import run_ahead
-from telenano.hand import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
-from telenano.settings import validate, where_it_is
+from telenano.hand import HapticConfig, LimitsConfig
+from telenano.settings import DeviceDriver, validate
 from telenano.wire import ConfigError, known_names
 from telenano_acceptance.accept_command import section_named
 from telenano_acceptance.take import MACHINE, Guide, Take
@@ -57,10 +57,10 @@ def tried(
         return _instrument(name, section_named(options, "afm_node"), calibration, named)
     if name == "serial":
         return _handle(port, calibration, named)
-    names = (SIMULATED_IMPEDANCE, *(each for each, driver in DRIVERS.all().found.items() if takes_force(driver)))
+    names = force_drivers()
     if name not in names:
-        why = DRIVERS.all().problems.get(name) or where_it_is(f"driver {name}")
-        raise ConfigError(f"{name}: {why or known_names(name, (*names, *_INSTRUMENTS, 'serial'))}")
+        why = DeviceDriver.why_missing(name) or known_names(name, (*names, *_INSTRUMENTS, "serial"))
+        raise ConfigError(f"{name}: {why}")
     if calibration is not None or port is not None:
         raise ConfigError(f"--calibration and --port are not for {name}: its settings are haptic_node.{name}.* (--set)")
     config = validate(HapticConfig, {"driver": name} | section_named(options, "haptic_node"), "--set", "haptic_node")

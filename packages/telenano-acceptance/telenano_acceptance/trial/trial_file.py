@@ -7,14 +7,13 @@ import io
 import json
 import platform
 import zipfile
-from importlib.metadata import version
+from importlib.metadata import distributions, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
 from telenano.files import atomic_file, open_regular
-from telenano.settings import all_installed
 from telenano.wire import ConfigError
 from telenano_acceptance.handle.checks import HANDLE
 from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
@@ -77,7 +76,7 @@ class Trial(NamedTuple):
 
 def versions() -> dict[str, str]:
     """Return the versions of telenano, of its packages, of Python and of the system."""
-    packages = {row.package: row.version for row in all_installed() if row.package.startswith("telenano")}
+    packages = {one.name: one.version for one in distributions() if one.name.startswith("telenano")}
     return {
         "telenano": version("telenano"),
         **dict(sorted(packages.items())),

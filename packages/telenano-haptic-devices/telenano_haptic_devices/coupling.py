@@ -23,47 +23,22 @@ Vectors are in the master frame of the messages: z away from the sample, so push
 """
 
 import math
-from enum import IntEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
-from telenano.numerics.compiler import compiled
+from telenano.extend.hands import DeviceReading, Gate, SpatialReading
+from telenano.numerics import compiled
 
+Pair = tuple[float, float]
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
+# the orientation of a device that has no wrist
+UPRIGHT: Quaternion = SpatialReading().orientation
 
 # The default is called stable and not passive: vendors' devices lie between the two bounds.
 STABLE_MARGIN = 4.0
 # A hand is no faster than this [m/s]; what the place changes by beyond it is compared with `jump_m`.
 _FASTEST_M_PER_S = 2.0
-
-
-class Gate(IntEnum):
-    """Why an impedance device gives no force; a fault is refused until armed, and the node takes the device as lost."""
-
-    text: str
-
-    def __new__(cls, number: int, text: str = "") -> Self:
-        gate = int.__new__(cls, number)
-        gate._value_, gate.text = number, text
-        return gate
-
-    @property
-    def is_fault(self) -> bool:
-        """Whether a person has to arm the device again."""
-        return self >= Gate.NOT_A_NUMBER
-
-    ACTIVE = 0, "the device follows the law"
-    READY = 1, "the device gives no force until the law engages it"
-    RELEASED = 2, "the device gives no force until the law has let go of it once"
-    REST = 3, "the device gives no force until the hand has been at rest"
-    SILENT = 4, "the device gives no force: its servo has heard nothing from the node within its deadline"
-    DEADMAN = 5, "the device gives no force: its dead-man button is not held, or its grip is asleep"
-    REFERENCE = 6, "the device gives no force: the reference is not a finite number"
-    DEVICE_SILENT = 7, "the device gives no force: it has sent no sample within the deadline"
-    NOT_A_NUMBER = 8, "the device is refused until armed: its position was not a finite number"
-    JUMP = 9, "the device is refused until armed: its position jumped, as that of a lost encoder does"
-    FROZEN = 10, "the device is refused until armed: its position stood still while the force on it changed"
-    RUNAWAY = 11, "the device is refused until armed: it ran against its force, as one whose sign is wrong does"
 
 
 # The compiled steps have them as integers.
@@ -420,4 +395,49 @@ def _step_of_a_good_reading(
         arm_count=reference.arm_count,
         hand_energy_j=hand_j,
         coupling_energy_j=coupling_j,
+    )
+
+
+@compiled
+def reading_of(
+    place: Vector,
+    velocity: Vector,
+    force: Vector,
+    marks: tuple[bool, bool, int],
+    handle: tuple[Quaternion, int],
+    energies_j: tuple[float, float],
+) -> DeviceReading:
+    """Return the sample of a device along the paper's axis: the force that its coupling sent is that of the hand.
+
+    Args:
+        place: The place [m].
+        velocity: The velocity [m/s].
+        force: The force that was sent [N].
+        marks: Whether clamp or slew acts, whether the arm is at an end stop, and the gate.
+        handle: Orientation and buttons.
+        energies_j: The accounts of the hand and of the coupling [J].
+    """
+    limited, at_end, gate = marks
+    spatial = SpatialReading(
+        lateral_m=(place[0], place[1]),
+        lateral_velocity_m_per_s=(velocity[0], velocity[1]),
+        lateral_operator_force_n=(0.0 - force[0], 0.0 - force[1]),
+        lateral_force_n=(force[0], force[1]),
+        orientation=handle[0],
+        buttons=handle[1],
+        gate=gate,
+        hand_energy_j=energies_j[0],
+        coupling_energy_j=energies_j[1],
+    )
+    return DeviceReading(
+        position_m=0.0 - place[2],
+        velocity_m_per_s=0.0 - velocity[2],
+        operator_force_n=force[2],
+        operator_force_limited=limited,
+        motor_force_n=0.0 - force[2],
+        motor_voltage_v=0.0,
+        end_stop=at_end,
+        voltage_limited=False,
+        torque_limited=False,
+        spatial=spatial,
     )

@@ -6,9 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
-
-from telenano.hand.coupled import arm_step
-from telenano.hand.coupling import (
+from telenano_haptic_devices.coupled import arm_step
+from telenano_haptic_devices.coupling import (
     ZERO,
     CouplingReading,
     CouplingReference,

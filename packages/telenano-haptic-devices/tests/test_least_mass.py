@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from coupling_theory import radius
+from telenano_haptic_devices.coupling import least_mass_kg, stable_stiffness_n_per_m
+from telenano_haptic_devices.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.extend.hands import DeviceError
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupling import least_mass_kg, stable_stiffness_n_per_m
-from telenano.hand.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 
 DRAWN = 3000
 # sound of the eigenvalues of a matrix of some thirty rows
@@ -91,3 +91,9 @@ def test_up_refuses_a_simulated_device_whose_damper_acts_too_late(tmp_path: Path
     chosen = [word for option in options for word in ("--set", f"haptic_node.{option}")]
     done = CliRunner().invoke(app, ["up", "--scenario", "fig12", "--headless", "--out", str(tmp_path / "up"), *chosen])
     assert done.exit_code == 2 and "above 0.464 kg" in " ".join(done.output.split()), done.output
+
+
+@pytest.mark.parametrize(("model", "found_n"), [("touch", 0.33), ("omega", 1.0)])
+def test_weak_device_has_to_answer_a_smaller_change_of_its_force(model: str, found_n: float) -> None:
+    settings = CouplingConfig().to_settings(SimulatedImpedanceConfig.model_validate({"model": model}).capabilities())
+    assert settings.frozen_force_n == pytest.approx(found_n, rel=1e-3, abs=0.0)

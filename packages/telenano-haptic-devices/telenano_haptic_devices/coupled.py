@@ -13,23 +13,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from telenano.extend.hands import MODE_POSITION, UPRIGHT, DeviceReading, DriveCommand, Pair, SpatialReading
+from telenano.extend.hands import MODE_POSITION, DeviceReading, DriveCommand
 from telenano.extend.operators import OperatorInputs
-from telenano.hand.coupling import (
+from telenano.hand import HandPart, interpolate, operator_step
+from telenano.numerics import compiled
+from telenano_haptic_devices.coupling import (
     GATE_ACTIVE,
     GATE_READY,
+    UPRIGHT,
     ZERO,
     CouplingReading,
     CouplingReference,
     CouplingSettings,
     CouplingState,
+    Pair,
     Vector,
     coupling_at_start,
     coupling_step,
+    reading_of,
 )
-from telenano.hand.operator import interpolate
-from telenano.hand.operator_models import operator_at_rest, operator_step
-from telenano.numerics.compiler import compiled
 
 
 class LateralHand(NamedTuple):
@@ -75,15 +77,15 @@ class CoupledState(NamedTuple):
     arm_count: int
 
 
-def initial_coupled(params: CoupledParams, position_m: float) -> CoupledState:
-    """Return device and hand at rest at position_m [m] along the paper's axis."""
+def initial_coupled(params: CoupledParams, position_m: float, operator: Any) -> CoupledState:
+    """Return a device at rest at position_m [m] along the paper's axis, with the state of the hand on it."""
     periods = math.floor(params.delay_s / params.servo_period_s + 1e-9)
     return CoupledState(
         coupling=coupling_at_start(),
         position_m=(0.0, 0.0, 0.0 - position_m),
         velocity_m_per_s=ZERO,
         late=(ZERO,) * (periods + 1),
-        operator=operator_at_rest(params.operator, position_m),
+        operator=operator,
         reference_m=position_m,
         engaged=False,
         arm_count=0,
@@ -242,33 +244,19 @@ def coupled_plant_step(
         engaged=engaged,
         arm_count=arm_count,
     )
-    return state, reading_of(params, state)
+    p, coupling = state.position_m, state.coupling
+    at_end = max(abs(p[0]), abs(p[1]), abs(p[2])) >= params.reach_m
+    marks, energies_j = (coupling.limited, at_end, coupling.gate), (coupling.hand_energy_j, coupling.coupling_energy_j)
+    return state, reading_of(p, state.velocity_m_per_s, coupling.force_n, marks, (UPRIGHT, 0), energies_j)
 
 
 @compiled
-def reading_of(params: CoupledParams, state: CoupledState) -> DeviceReading:
-    """Return the sample of the device: the force that its coupling sent is the estimate of the hand's."""
-    p, v, f, coupling = state.position_m, state.velocity_m_per_s, state.coupling.force_n, state.coupling
-    spatial = SpatialReading(
-        lateral_m=(p[0], p[1]),
-        lateral_velocity_m_per_s=(v[0], v[1]),
-        lateral_operator_force_n=(0.0 - f[0], 0.0 - f[1]),
-        lateral_force_n=(f[0], f[1]),
-        orientation=UPRIGHT,
-        buttons=0,
-        gate=coupling.gate,
-        hand_energy_j=coupling.hand_energy_j,
-        coupling_energy_j=coupling.coupling_energy_j,
-    )
-    return DeviceReading(
-        position_m=0.0 - p[2],
-        velocity_m_per_s=0.0 - v[2],
-        operator_force_n=f[2],
-        operator_force_limited=coupling.limited,
-        motor_force_n=0.0 - f[2],
-        motor_voltage_v=0.0,
-        end_stop=max(abs(p[0]), abs(p[1]), abs(p[2])) >= params.reach_m,
-        voltage_limited=False,
-        torque_limited=False,
-        spatial=spatial,
-    )
+def _place(params: CoupledParams, state: CoupledState) -> tuple[float, bool]:
+    return 0.0 - state.position_m[2], waits(state)
+
+
+def _pushed(params: CoupledParams, force_n: Pair) -> CoupledParams:
+    return params._replace(lateral=params.lateral._replace(force_n=force_n))
+
+
+HandPart(initial_coupled, coupled_plant_step, _place, _pushed).register(CoupledParams)

@@ -1,13 +1,14 @@
 """A device that takes a force behind the real nodes, in virtual time: ratio, places, energy, and what takes the force.
 
 An arm presses with 2 N, as in the second hold of Fig. 12, and is held there; the session of Fig. 12 as a whole is in
-`tests/unit/lockstep/test_impedance_lockstep.py`.
+`test_impedance_lockstep.py`.
 """
 
 import itertools
 from typing import Any
 
 import pytest
+from telenano_haptic_devices.impedance import coupling_of
 from virtual_rig import ARMED_S, STARTED_S, VirtualRig, constant_timing
 
 from telenano.hand.config import HapticConfig
@@ -36,8 +37,9 @@ SCENARIO = {
 CONFIG = HapticConfig.model_validate_json(
     '{"driver": "simulated_impedance", "coupling": {"rest_s": 0.05}, "operator": {"kind": "force_profile"}}'
 )
-DECLARED = CONFIG.impedance.capabilities()
-K_N_PER_M = CONFIG.coupling.to_settings(DECLARED).stiffness_n_per_m[2]
+DECLARED = CONFIG.to_simulated_hand().capabilities
+COUPLING = coupling_of(CONFIG).to_settings(DECLARED)
+K_N_PER_M = COUPLING.stiffness_n_per_m[2]
 
 
 class Session:
@@ -102,7 +104,7 @@ def _change_of_law(session: Session) -> None:
     ) == 1
     assert session.at(1.3).mode == "position"
     forces = [state.motor_force_n[2] for state in session.states()[before:]]
-    slew = CONFIG.coupling.to_settings(DECLARED).max_slew_n_per_s
+    slew = COUPLING.max_slew_n_per_s
     assert max(abs(b - a) for a, b in itertools.pairwise(forces)) <= slew * 1e-3 * (1.0 + 1e-9)
     # The arm has come to where it meant to be, and the tip stayed: what presses now is what it moves from there.
     assert forces[-1] > 0.1

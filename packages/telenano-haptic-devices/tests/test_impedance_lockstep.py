@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from telenano_haptic_devices.coupled import coupled_plant_step
 
 from telenano.extend.hands import DriveCommand, SpatialCommand
 from telenano.hand.config import HapticConfig
-from telenano.hand.coupled import coupled_plant_step, initial_coupled
+from telenano.hand.part import initial_plant
 from telenano.lockstep.simulation import simulate_scenario
 from telenano.numerics.compiler import compiled_form
 
@@ -42,7 +43,7 @@ def test_compiled_device_gives_the_same_bits_as_the_plain_one() -> None:
         '{"driver": "simulated_impedance", "operator": {"kind": "force_profile"}, "impedance": {"model": "omega"}}'
     )
     params = HapticConfig.model_validate_json(document).to_simulated_params()
-    compiled, state, other = compiled_form(coupled_plant_step), *(initial_coupled(params, 0.0) for _ in range(2))
+    compiled, state, other = compiled_form(coupled_plant_step), *(initial_plant(params, 0.0) for _ in range(2))
     for tick in range(2000):
         command = DriveCommand(int(tick > 300), 1e-6 * tick, 0.0, SpatialCommand((0.0, 1e-3), (0.1, 0.0), tick == 900))
         state, reading = compiled(params, state, command, 1e-3 * tick, 1e-3)

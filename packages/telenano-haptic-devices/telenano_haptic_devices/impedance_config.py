@@ -1,23 +1,21 @@
 """Configuration of devices of impedance type: their coupling, and the simulated one."""
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
-from telenano.hand.coupled import CoupledParams, LateralHand
-from telenano.hand.coupling import (
+from telenano.hand import LateralPath
+from telenano.settings import Settings
+from telenano_haptic_devices.coupled import CoupledParams, LateralHand
+from telenano_haptic_devices.coupling import (
     STABLE_MARGIN,
     CouplingSettings,
     least_mass_kg,
     passive_stiffness_n_per_m,
     stable_stiffness_n_per_m,
 )
-from telenano.hand.lateral_hand import Course, LateralPoint
-from telenano.hand.operator import OperatorParams
-from telenano.hand.reacting import ReactingParams
-from telenano.settings.config import Settings, filled
 
 # From no force to the greatest one takes this long at least [s].
 _FULL_FORCE_S = 0.01
@@ -147,15 +145,21 @@ class CouplingConfig(Settings):
                 f" {_mass(device.mass_kg)}: give a B below {b * device.mass_kg / least_kg:.3g} N s/m"
             )
         most = device.max_force_n if self.max_force_n is None else min(self.max_force_n, device.max_force_n)
-        return filled(
-            CouplingSettings,
-            self,
+        return CouplingSettings(
             stiffness_n_per_m=(self.lateral_stiffness_n_per_m, self.lateral_stiffness_n_per_m, stiffness),
             damping_n_s_per_m=(side, side, damping),
             max_force_n=most,
             max_slew_n_per_s=most / _FULL_FORCE_S if self.max_slew_n_per_s is None else self.max_slew_n_per_s,
+            velocity_filter_hz=self.velocity_filter_hz,
             needs_deadman=bool(device.deadman) if self.needs_deadman is None else self.needs_deadman,
+            silence_s=self.silence_s,
+            deadman_age_s=self.deadman_age_s,
+            rest_s=self.rest_s,
+            rest_m=self.rest_m,
+            jump_m=self.jump_m,
+            frozen_s=self.frozen_s,
             frozen_force_n=min(_FROZEN_N, 0.1 * most) if self.frozen_force_n is None else self.frozen_force_n,
+            runaway_m_per_s=self.runaway_m_per_s,
         )
 
     def bounds(self, device: Capabilities) -> Bounds:
@@ -209,7 +213,7 @@ class SimulatedImpedanceConfig(Settings):
     delay_s: float | None = Field(
         default=None, ge=0.0, le=0.05, description="From a sample to its force, D [s]; none: one sample time"
     )
-    lateral_path: Course[LateralPoint] = Field(
+    lateral_path: LateralPath = Field(
         default=(),
         max_length=10_000,
         description="Way of the hand over the sample: linear between the corners; none: the hand is free there",
@@ -247,15 +251,16 @@ class SimulatedImpedanceConfig(Settings):
             drive_delay_s=1.0 / rate_hz if self.delay_s is None else self.delay_s,
         )
 
-    def to_params(self, coupling: CouplingConfig, operator: OperatorParams | ReactingParams) -> CoupledParams:
+    def to_params(self, coupling: CouplingConfig, operator: Any) -> CoupledParams:
         """Return the constants of device, coupling and hand."""
         capabilities = self.capabilities()
         held = 1.0 if self.lateral_path else 0.0
-        path = self.lateral_path or (LateralPoint(time_s=0.0),)
+        path = [(point.time_s, point.x_m, point.y_m) for point in self.lateral_path] or [(0.0, 0.0, 0.0)]
+        times_s, x_m, y_m = (np.array(column) for column in zip(*path, strict=True))
         side = LateralHand(
-            times_s=np.array([point.time_s for point in path]),
-            x_m=np.array([point.x_m for point in path]),
-            y_m=np.array([point.y_m for point in path]),
+            times_s=times_s,
+            x_m=x_m,
+            y_m=y_m,
             stiffness_n_per_m=held * self.lateral_stiffness_n_per_m,
             damping_n_s_per_m=held * self.lateral_damping_n_s_per_m,
             force_n=(0.0, 0.0),
