@@ -17,7 +17,8 @@ from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.bus import transports
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.wiring.participant import LinkEnds, Participant
+from telenano.runtime.wiring.link_transports import LinkEnds
+from telenano.runtime.wiring.participant import Participant
 from telenano.settings import TWO_SITES_FILE, plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.testing import NodeBench

@@ -1,6 +1,5 @@
 """`telenano relay`: a relay between two sites that can only dial out, and the end of a site alone."""
 
-import asyncio
 from typing import Annotated
 
 import typer
@@ -9,10 +8,9 @@ from telenano.cli import SiteFileOption, report_errors
 from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog, beside_the_loop
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import ConfigError
-from telenano_wide_area.relay.__main__ import until_stopped
 from telenano_wide_area.relay.protocol import RELAY, split_host_port
 from telenano_wide_area.relay.server import DEFAULT_PORT, Relay
-from telenano_wide_area.relay.site_end import site_end
+from telenano_wide_area.relay.site_end import site_end, until_stopped
 
 
 def relay(
@@ -45,7 +43,7 @@ def relay(
             work = site_end(AddressBook.load(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
         else:
             work = _serve(listen, mbit_per_s)
-        asyncio.run(until_stopped(work))
+        until_stopped(work)
 
 
 async def _serve(listen: str, mbit_per_s: float) -> None:

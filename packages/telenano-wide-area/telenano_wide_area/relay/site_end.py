@@ -7,8 +7,9 @@ what the relay sees: connections of CURVE.
 
 import asyncio
 import contextlib
+import signal
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import Future
 from threading import Thread
 from typing import Any
@@ -270,6 +271,19 @@ class SiteEnd:
 
 def _host_port(endpoint: str) -> tuple[str, int]:
     return split_host_port(endpoint.removeprefix("tcp://"))
+
+
+def until_stopped(work: Coroutine[Any, Any, None]) -> None:
+    """Run until SIGINT or SIGTERM, or until the work ends by an error, which is raised."""
+
+    async def run() -> None:
+        task = asyncio.ensure_future(work)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+    asyncio.run(run())
 
 
 def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
