@@ -29,7 +29,7 @@ TRAIN = "line.train"
 # seconds of exchanges of time stamps in view, one a report
 _CLOCK_WINDOW = 64
 # This number of rows of ground truth make a message worth sending.
-_FATES_AT_ONCE = 32
+FATES_AT_ONCE = 32
 # This number of rows fit into a message, with a margin.
 _MOST_FATES = 1000
 
@@ -168,7 +168,7 @@ class DelayNode(Node):
                 self._send(way, due)
         self.steps += 1
         self._unreported += 1
-        if self._unreported >= _FATES_AT_ONCE and direction == "backward":
+        if self._unreported >= FATES_AT_ONCE and direction == "backward":
             for task in self._fates:
                 self.defer(task)
 

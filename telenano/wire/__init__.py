@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Count as Count
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
-    from telenano.wire.messages import InputHealth as InputHealth
     from telenano.wire.messages import Lengths as Lengths
     from telenano.wire.messages import LinkDelay as LinkDelay
     from telenano.wire.messages import LinkFates as LinkFates
@@ -45,15 +44,12 @@ if TYPE_CHECKING:
     from telenano.wire.messages import NodeHealth as NodeHealth
     from telenano.wire.messages import Record as Record
     from telenano.wire.messages import Scalar as Scalar
-    from telenano.wire.messages import SessionControl as SessionControl
-    from telenano.wire.messages import SessionEvent as SessionEvent
     from telenano.wire.messages import TeleopBackward as TeleopBackward
     from telenano.wire.messages import about as about
     from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
     from telenano.wire.network_messages import LinkKey as LinkKey
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
     from telenano.wire.network_messages import RecordingPiece as RecordingPiece
-    from telenano.wire.nodes import FAR_END as FAR_END
     from telenano.wire.nodes import LINK as LINK
     from telenano.wire.nodes import VIEW as VIEW
     from telenano.wire.nodes import name_of as name_of
@@ -61,7 +57,6 @@ if TYPE_CHECKING:
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
     from telenano.wire.schema import json_schema as json_schema
-    from telenano.wire.sequence import SequenceTracker as SequenceTracker
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic

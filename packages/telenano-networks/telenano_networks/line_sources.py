@@ -1,7 +1,7 @@
 """What is no table of messages becomes times of sending and delays: recordings, delivery traces and histograms."""
 
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,11 +10,10 @@ from telenano.files import TextTable
 from telenano.link import LinkSettings, fates_of
 from telenano.recording import Recording
 from telenano.wire import ConfigError
-from telenano_networks.network_trace import traces_of
+from telenano_networks.network_trace import Direction, traces_of
 from telenano_networks.report_command import fates_in
 
 Column = npt.NDArray[np.float64]
-Direction = Literal["forward", "backward"]
 # Messages of this size are sent through a delivery trace.
 _SIZE_BYTES = 200
 # They are sent at this interval.

@@ -125,7 +125,7 @@ class LinkSide:
     def endpoint(self) -> str:
         """The TCP endpoint of the link: at the master where it is bound, at the slave where it is reached."""
         near = self.book.bind_endpoint(_NEAR_END) if self.is_master else None
-        return near or self.book.connect_endpoint(_NEAR_END, self.machine)
+        return near or self.book.connect_endpoint(_NEAR_END, self.network.machine)
 
     def publish(self, topic: str, **fields: Any) -> Message:
         """Send a message that the other end subscribes to."""
@@ -265,11 +265,11 @@ def link_transport(name: str) -> LinkTransport:
 
 def fetching_transport() -> LinkTransport | None:
     """Return the installed transport that fetches the other site's recording; None without any."""
-    found = fetching()
-    return None if found is None else _complete(found)
+    transport = fetching()
+    return None if transport is None else _complete(transport)
 
 
-def _complete(found: SiteFileTransport) -> LinkTransport:
-    if not isinstance(found, LinkTransport):
-        raise ConfigError(f"the transport {type(found).__name__} is no LinkTransport of telenano.runtime")
-    return found
+def _complete(transport: SiteFileTransport) -> LinkTransport:
+    if not isinstance(transport, LinkTransport):
+        raise ConfigError(f"the transport {type(transport).__name__} is no LinkTransport of telenano.runtime")
+    return transport
