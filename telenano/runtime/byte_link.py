@@ -20,6 +20,7 @@ from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import RealtimeStatus, apply_realtime
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.timing.clock import NEVER_NS, Clock
+from telenano.wire.codec import read_header
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import Scalar, SessionControl
 from telenano.wire.nodes import LINK
@@ -185,7 +186,7 @@ class ByteLinkProcess:
         reader: Reader,
         *,
         duration_s: float | None = None,
-        keep: Callable[[str, bytes], None] | None = None,
+        keep: Callable[[str, int, int, str, bytes], None] | None = None,
     ) -> None:
         """Begin with the settings.
 
@@ -194,13 +195,15 @@ class ByteLinkProcess:
             carrier: What sends what is released.
             reader: What the loop of the link reads.
             duration_s: After this time the link ends [s]; None: at a signal.
-            keep: Called with topic and bytes of each message that the link publishes at the master; None for no call.
+            keep: Called with topic, number, time [ns], source and bytes of each message that the link publishes at the
+                master; None for no call.
 
         Raises:
             ConfigError: A file of the settings cannot be used.
         """
         participant, (to_slave, to_master) = self._participant, self._outlets
-        to_master.carry = keep
+        if keep is not None:
+            to_master.carry = lambda topic, payload: keep(topic, *read_header(topic, payload), payload)
         readers = participant.subscribers(participant.book.sources(participant.key, ByteLink.inputs))
         self._bus = participant.bus_of(to_master, [*readers, reader])
         context = participant.context(self._bus)

@@ -41,6 +41,14 @@ class Topic:
     bridged: Literal["forward", "backward", "both"] | None
     recorded: bool = True
 
+    def is_published_by(self, node: str) -> bool:
+        """Return whether a node (node@site) may publish it.
+
+        Example:
+            TOPICS["afm/state"].is_published_by("afm_node@slave")
+        """
+        return any(fnmatchcase(node, pattern) or name_of(node) == pattern for pattern in self.publishers)
+
 
 _COMMANDERS = ("launcher", "console", "console_*", "estop")
 _ROWS = (

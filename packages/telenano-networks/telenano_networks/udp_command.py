@@ -118,13 +118,12 @@ class Keeper:
         self._channels: dict[str, int] = {}
         self._flushed_ns = 0
 
-    def __call__(self, topic: str, payload: bytes) -> None:
+    def __call__(self, topic: str, seq: int, t_ns: int, src: str, payload: bytes) -> None:
         """Keep a message that the link has sent."""
-        from telenano.wire import RecordingError, read_header
+        from telenano.wire import RecordingError
 
         if self.fault:
             return
-        seq, t_ns, src = read_header(topic, payload)
         try:
             if topic not in self._channels:
                 self._channels[topic] = self._writer.channel(topic, src, "master")

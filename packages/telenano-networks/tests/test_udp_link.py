@@ -422,14 +422,14 @@ def test_a_full_disk_ends_the_recording_and_not_the_link() -> None:
     line.send(b"one")
     line.advance_ms(200)
     for topic, message in line.bench.sent:
-        keeper(topic, encode(message))
+        keeper(topic, message.seq, message.t_ns, message.src, encode(message))
     assert not keeper.fault
     disk.room = disk.tell()
     for at_s in range(3):
         late = line.bench.make("link/delay", "delay_node@master", direction="forward", hand_t_ns=0, delay_ns=0,
                                transit_ns=0, clock_ahead_ns=0)  # fmt: skip
         line.bench.advance_ms(1500)
-        keeper("link/delay", encode(late))
+        keeper("link/delay", late.seq, late.t_ns, late.src, encode(late))
         line.send(b"%d" % at_s)
     assert keeper.fault == "the recording ends before the link: x.mcap: cannot be written: No space left on device"
     assert len(line.ports.sent) == 4

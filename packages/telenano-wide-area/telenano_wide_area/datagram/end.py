@@ -16,7 +16,7 @@ from typing import Any, Literal, cast
 import zmq
 
 from telenano.runtime import LinkSide
-from telenano.timing import NEVER_NS, Exchange, OffsetFilter
+from telenano.timing import NEVER_NS, OffsetFilter
 from telenano.wire import LinkKey, Message, Received
 from telenano_wide_area.datagram.agreement import Agreement
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
@@ -340,9 +340,8 @@ class DatagramEnd:
                     self.outgoing.forget_reports(new_process=False)
                 self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
-            exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
-            self.outgoing.record_heard(exchange, report)
-            self.offset.record(exchange)
+            self.outgoing.record_heard(report, now_ns)
+            self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)

@@ -6,7 +6,6 @@ come over TCP, and on a network that loses packets a thousand samples a second, 
 keys, would hold them up for as long as they are sent.
 """
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -14,7 +13,7 @@ import zmq
 
 from telenano.runtime import LinkSide
 from telenano.timing import NEVER_NS
-from telenano.wire import LOOP_DEADLINE_S, WireError, read_header
+from telenano.wire import LOOP_DEADLINE_S
 from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 
 # After a silence of this length the other way is used, and datagrams have to come for this time before they are relied
@@ -128,11 +127,8 @@ class Reception:
             return frames
         if self.silence_ns(now_ns) <= WANTED_NS or frames[-1] == self._whole:
             return None
-        with contextlib.suppress(WireError):
-            seq, t_ns, src = read_header(topic.decode(), frames[-1])
-            tracker = self._subscriber.trackers.get((topic.decode(), src))
-            if tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns:
-                return None
+        if self._subscriber.has_newer(topic.decode(), frames[-1]):
+            return None
         return [topic, *frames[1:]]
 
     def begin_keys(self, now_ns: int) -> None:

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from threading import Thread
 from typing import Any
 
-from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog
+from telenano.runtime import AccessControl, AddressBook, StructuredLog
 from telenano.wire import ConfigError, EndpointError
 from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
 from telenano_wide_area.relay.protocol import RELAY, raw_key, relay_key, split_host_port
@@ -290,7 +290,7 @@ def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
     """Return the end of a site; ConfigError where the site file has no relay, or a key is missing."""
     if book.relay is None:
         raise ConfigError("the site file has no `relay: host:port`")
-    return SiteEnd(book, site, AccessControl(site, Keyring(), requires_keys=True), log)
+    return SiteEnd(book, site, AccessControl(site), log)
 
 
 @contextlib.contextmanager
