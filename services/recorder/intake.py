@@ -18,8 +18,8 @@ from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
 from telenano.runtime.bus.bus import split_frames
 from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
-from telenano.wire import TOPICS, WireError, decode, read_header
-from telenano.wire.codec import MAX_MESSAGE_BYTES, fields_of
+from telenano.wire import TOPICS, decode
+from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, fields_of, read_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import SOURCE_PATTERN

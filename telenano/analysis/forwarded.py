@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from telenano.recording.tolerance import Tolerances
-from telenano.wire import WireError
-from telenano.wire.codec import decode_header
+from telenano.wire.codec import WireError, decode_header
 
 # This number of in a row are alike where the two are in step: one message and its duplicate are not enough.
 _IN_STEP = 8

@@ -3,8 +3,8 @@
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher, publish_end
 from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
-from telenano.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 from telenano.runtime.wiring.observer import RIG_HINT, require_rig
 from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import ConfigError, EndpointError, RigError
@@ -77,25 +76,6 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
         hint = f"; {', '.join(beyond)} is commanded from the master's site" if beyond else ""
         raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(within))}{hint}")
     return meant
-
-
-def console_of(book: AddressBook, site: Site) -> str:
-    """Return the console of a site whose machine this is; ConfigError when there is none."""
-    consoles = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
-    machines = _machines_here(book)
-    here = [node for node in consoles if machines is None or book.machine_of(node) in machines]
-    if not here:
-        elsewhere = f", {', '.join(consoles)} is on another machine" if consoles else ""
-        raise ConfigError(f"nodes: a console@{site} of this machine is missing, commands need an endpoint{elsewhere}")
-    return here[0]
-
-
-def _machines_here(book: AddressBook) -> list[str] | None:
-    """Return the machines whose keys this process has; None for all, where there are no keys."""
-    if not book.requires_keys:
-        return None
-    keyring = Keyring()
-    return [this_machine(keyring)] if MACHINE_VARIABLE in os.environ else keyring.names()
 
 
 def arm_devices(
@@ -192,16 +172,12 @@ def _exchange(
 ) -> dict[str, SessionEvent]:
     """Bind the console, send commands until all are answered, and return the answers; the rest as `send_controls`."""
     book = AddressBook.load(site_file)
-    try:
-        console = console_of(book, site)
-    except ConfigError as error:
-        raise ConfigError(f"{site_file}: {error}") from error
-    require_rig(book, site_file)
     answers: dict[str, SessionEvent] = {}
-    with Participant.open(console, book) as participant:
+    with _at_console(book, site_file, site) as participant:
+        require_rig(book, site_file)
         publisher = _bind(participant)
-        subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
-        client = CommandClient(participant.clock, publisher.publish, commands, retry_ns=retry_ns, issued_ns=issued_ns)
+        subscribers = participant.subscribers(book.sources(participant.key, ["session/event", "node/health"]))
+        client = participant.commands(commands, publisher.publish, retry_ns=retry_ns, issued_ns=issued_ns)
         attention = Attention(time.monotonic())
         while not (given_up := not is_wanted()) and not client.advance():
             if _new_subscriptions(publisher):
@@ -216,7 +192,7 @@ def _exchange(
                     answers[message.src] = message
                     on_answer(message)
         # the next command comes from a process that counts again
-        publish_end(publisher, console)
+        publish_end(publisher, participant.key)
     names = ", ".join(dict.fromkeys(command.name for command in commands))
     if client.void:
         raise RigError(f"{client.failure}{_half_done(answers, client)}")
@@ -231,6 +207,16 @@ def _exchange(
     if client.failure and (len(commands) > 1 or not client.refusals or not client.has_all_answers):
         raise RigError(f"{client.failure}{_half_done(answers, client)}")
     return answers
+
+
+@contextmanager
+def _at_console(book: AddressBook, site_file: Path, site: Site) -> Iterator[Participant]:
+    with ExitStack() as opened:
+        try:
+            participant = opened.enter_context(Participant.at_console(book, site))
+        except ConfigError as error:
+            raise ConfigError(f"{site_file}: {error}") from error
+        yield participant
 
 
 def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> str:

@@ -9,7 +9,5 @@ if TYPE_CHECKING:
     from telenano.launcher.plan import anchored as anchored
     from telenano.launcher.plan import check_sections as check_sections
     from telenano.launcher.rigs import running_rigs as running_rigs
-    from telenano.launcher.run import FAR_LIST as FAR_LIST
-    from telenano.launcher.run import own_recordings as own_recordings
 else:
     __getattr__, __dir__ = face(__name__)

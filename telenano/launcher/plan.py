@@ -17,6 +17,7 @@ from telenano.launcher.scenario_keys import with_meant
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.link.config import EVEN, LinkSettings, changes_text
 from telenano.link.pipeline import read_files
+from telenano.recording.session_folder import RECORDING_NAME
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
@@ -51,7 +52,6 @@ from telenano.wire.nodes import (
 if TYPE_CHECKING:
     from telenano.recording.recorder_config import RecorderConfig
 
-RECORDING_NAME = "session.mcap"
 ATTENDED = ("afm_node.attended=true",)
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
@@ -294,7 +294,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         page=request.page and request.site != "slave",
         given=scenario_path,
     )
-    if plan.fetches and not fetching().fetch:
+    if plan.fetches and fetching() is None:
         package = KNOWN_PACKAGES["command bag fetch"]
         text = f"to fetch is in the package {package}: {how_to_add_package(package)}; `stream` needs none"
         raise ConfigError(f"{loaded.origin}: recorder.far: {text}")
@@ -375,7 +375,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
         if request.site is not None:
             # Each of two launchers has a recorder of its own site, where the site file has a place for it.
-            far = "fetch" if fetching().fetch else "stream"
+            far = "stream" if fetching() is None else "fetch"
             flags["recorder"]["far"] = (document.get("recorder") or {}).get("far", far)
     if refused := refused_laws(str((document.get("afm_node") or {}).get("driver", "simulated"))):
         # Both halves refuse a law that is asked for later by the same words as a plan does.

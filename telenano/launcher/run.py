@@ -1,9 +1,7 @@
 """`telenano up`: from a sound plan to a recording, a figure and a summary."""
 
 import contextlib
-import json
 import logging
-import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +11,7 @@ from typing import IO, Any
 
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
 from telenano.launcher.external_recording import ExternalRecording, readable_here
-from telenano.launcher.plan import RECORDING_NAME, Plan
+from telenano.launcher.plan import Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.session import SessionNode
@@ -23,21 +21,20 @@ from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import ProcFiles, Watchdog
 from telenano.laws.config import ControllerConfig
 from telenano.recording.disk_watch import free_bytes
-from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.runtime.bus import transports
+from telenano.recording.session_folder import SessionFolder
 from telenano.runtime.bus.bus import ZmqBus
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import shallow_idle
+from telenano.runtime.wiring import beside as beside_process
+from telenano.runtime.wiring.link_transports import fetching_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 
 Observer = Callable[[RigNode], None]
-# In the folder of a session: which files the other site recorded.
-FAR_LIST = "far.json"
 # A recording of a minute has so much: its report takes seconds.
 _LONG_BYTES = 20_000_000
 # A whole rig records so much in a second, by compression; the figures are measured, with a margin of a fifth.
@@ -155,8 +152,7 @@ def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
     """Return what runs beside the nodes of a site that reaches the other one through a relay."""
     if not (plan.book.relay and plan.nodes and plan.site):
         return {}
-    module = transports.named(plan.book.link.transport).beside
-    return {f"{module.rpartition('.')[2]}@{plan.site}": Inherited(module=module)}
+    return {f"{beside_process.NAME}@{plan.site}": Inherited(module=beside_process.__name__)}
 
 
 def forget_stops(plan: Plan) -> None:
@@ -169,8 +165,8 @@ def forget_stops(plan: Plan) -> None:
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
     """Make the node that supervises the processes of a plan, and conducts the session unless another site does."""
     if plan.site == "slave":
-        sender = transports.fetching().sender
-        return SiteNode(context, supervisor, plan.out, transports.imported(sender) if sender else None)
+        transport = fetching_transport()
+        return SiteNode(context, supervisor, plan.out, None if transport is None else transport.sender)
     return SessionNode(
         context,
         supervisor,
@@ -181,7 +177,7 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
         wait_s=plan.wait_s,
         recording=ExternalRecording(context.clock, RECORDER) if plan.attach else None,
         far=ExternalRecording(context.clock, FAR_RECORDER) if plan.fetches else None,
-        on_far=lambda files: note_files(plan.out, files),
+        on_far=SessionFolder(plan.out).note_far,
     )
 
 
@@ -196,15 +192,6 @@ def _shown_watch(plan: Plan, participant: Participant) -> ShownWatch | None:
     sources = plan.book.sources(participant.key, ShownWatch.inputs)
     readers = participant.subscribers(sources, newest_only=True)
     return ShownWatch(participant.clock, participant.log, laws, readers)
-
-
-def note_files(folder: Path, files: Sequence[str]) -> None:
-    """Keep in the folder of a session which files the other site records it to, if any."""
-    text = json.dumps({"files": [Path(name).name for name in files]})
-    # A full disk is not the end of a session.
-    with contextlib.suppress(OSError):
-        if files:
-            (folder / FAR_LIST).write_text(text + "\n", encoding="utf-8")
 
 
 def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
@@ -226,29 +213,11 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     if isinstance(rig, SessionNode) and rig.recording is not None:
         recordings, note = _found(rig, rig.recording, plan) if ran else ((), "")
     else:
-        recordings, unreadable = own_recordings(plan.out)
+        recordings, unreadable = SessionFolder(plan.out).own()
         missing += unreadable
         missing += rig.not_recorded if isinstance(rig, SessionNode) else ()
     restarts, bad_start = rig.supervisor.restarts(), rig.supervisor.bad_start
     return Outcome(rig.failure, rig.interrupted, ran, recordings, note, restarts, tuple(missing), bad_start)
-
-
-def own_recordings(folder: Path) -> tuple[tuple[Path, ...], list[str]]:
-    """Return the parts of the recording in a folder, and a sentence for each that cannot be read."""
-    stem, suffix = Path(RECORDING_NAME).stem, Path(RECORDING_NAME).suffix
-    numbered = {
-        int(match[1] or 0): path
-        for path in folder.glob(f"{stem}*{suffix}")
-        if (match := re.fullmatch(rf"{stem}(?:_([0-9]+))?{re.escape(suffix)}", path.name))
-    }
-    readable, faults = [], []
-    for _, path in sorted(numbered.items()):
-        try:
-            Recording(path)
-            readable.append(path)
-        except RecordingError as error:
-            faults.append(str(error))
-    return tuple(readable), faults
 
 
 def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tuple[tuple[Path, ...], str]:
@@ -286,15 +255,15 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
 
     A session whose fetch fails keeps the own recording, and a later fetch continues.
     """
-    if not (plan.fetches and outcome.ran and outcome.recordings):
+    transport, session = fetching_transport(), SessionFolder(plan.out)
+    if transport is None or not (plan.fetches and outcome.ran and outcome.recordings):
         return outcome
-    if not (plan.out / FAR_LIST).exists():
+    if not session.has_far:
         text = "the slave's site did not record the session: what it sends fast is missing"
         return replace(outcome, missing=(*outcome.missing, text))
     again = f"`telenano bag fetch {plan.out} --site-file {plan.site_file}` continues"
     try:
-        fetch = transports.imported(transports.fetching().fetch)
-        whole = fetch(plan.book, plan.out, outcome.recordings, plan.fetch_kbit_per_s, show)
+        whole = transport.fetch(plan.book, session, plan.fetch_kbit_per_s, show)
     except TelenanoError as error:
         return replace(outcome, missing=(*outcome.missing, f"the slave's recording was not fetched: {error}; {again}"))
     except KeyboardInterrupt:

@@ -9,6 +9,7 @@ from telenano.launcher.readiness import READY_DEADLINE_S, unmet
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.wiring.link_transports import PieceSender
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import RefusedError
 from telenano.wire.extras import how_to_add_package
@@ -32,7 +33,7 @@ class SiteNode(RigNode):
         context: NodeContext,
         supervisor: Supervisor,
         folder: Path,
-        sender: Callable[[Path, Callable[..., Any]], Any] | None = None,
+        sender: Callable[[Path, Callable[..., Any]], PieceSender] | None = None,
     ) -> None:
         """Prepare the site.
 
@@ -40,8 +41,7 @@ class SiteNode(RigNode):
             context: The context of the node.
             supervisor: Has the nodes of this launcher.
             folder: The folder that the recorder of this site records to.
-            sender: Makes what sends the recording (`telenano.runtime.SendsPieces`); None where no package
-                has one.
+            sender: Returns what sends the recording; None where no package has it.
         """
         liveness = LivenessMonitor(context.clock, (f"{LINK}@slave",), "master")
         super().__init__(context, supervisor, liveness, (), "slave")
@@ -82,8 +82,7 @@ class SiteNode(RigNode):
         if self._pieces is None:
             package = KNOWN_PACKAGES["command bag fetch"]
             raise RefusedError(f"to send the recording is in the package {package}: {how_to_add_package(package)}")
-        answer: str = self._pieces.request(control.parameters, self.clock.monotonic_ns())
-        return answer
+        return self._pieces.request(control.parameters, self.clock.monotonic_ns())
 
     def make_safe(self) -> None:
         if self._pieces is not None:

@@ -5,13 +5,8 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.link.config import Jitter as Jitter
     from telenano.link.config import LinkSettings as LinkSettings
     from telenano.link.direction import DirectionEngine as DirectionEngine
-    from telenano.link.engine import fates_of as fates_of
-    from telenano.link.fate import Direction as Direction
-    from telenano.link.fate import Fate as Fate
-    from telenano.link.fate import Release as Release
     from telenano.link.models.outages import Outages as Outages
     from telenano.link.profiles import profile_named as profile_named
     from telenano.link.random_streams import stream as stream

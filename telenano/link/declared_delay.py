@@ -7,8 +7,7 @@ import msgspec
 from telenano.link.fate import Release
 from telenano.timing.clock_offset import Offset
 from telenano.timing.freshness import DELAY_STEP_NS
-from telenano.wire import WireError
-from telenano.wire.codec import decode_header
+from telenano.wire.codec import WireError, decode_header
 
 # the messages that descend from a sample of the hand, and whose age is therefore judged at the other side
 DECLARED = {"forward": "teleop/forward", "backward": "teleop/backward"}

@@ -5,7 +5,7 @@ is decided by the settings, the seed and the sequence of (arrival time, topic, s
 for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import NamedTuple
@@ -109,6 +109,47 @@ class DirectionEngine:
             return (release,)
         heap = self._heap
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
+
+    @classmethod
+    def fates(
+        cls,
+        settings: LinkSettings,
+        direction: Direction,
+        topic: str,
+        arrivals_ns: Iterable[int],
+        size_bytes: int,
+        *,
+        folder: Path = Path(),
+    ) -> list[Fate]:
+        """Return the fate of each message of a stream (and of each copy), sorted by seq, without running anything.
+
+        For simulations that need the delays of the link beforehand: seq counts from 0; the origin of traces and
+        schedules, and the start of the session, is the first arrival.
+
+        Example:
+            delays_ns = [fate.delay_ns for fate in DirectionEngine.fates(settings, "forward", topic, sent_ns, 300)]
+
+        Args:
+            settings: The settings of the link.
+            direction: The direction of the stream.
+            topic: The topic of its messages.
+            arrivals_ns: When each of them arrives at the link, which must not decrease [ns].
+            size_bytes: The size of each of them.
+            folder: The folder in which the files of the settings are sought.
+
+        Raises:
+            ConfigError: A file cannot be used.
+        """
+        arrivals = list(arrivals_ns)
+        if not arrivals:
+            return []
+        engine = cls(direction, settings, arrivals[0], folder=folder)
+        engine.begin_session(arrivals[0])
+        for seq, arrived_ns in enumerate(arrivals):
+            engine.submit(arrived_ns, topic, bytes(size_bytes), seq)
+        while (next_ns := engine.next_release_ns()) is not None:
+            engine.due(next_ns)
+        return sorted(engine.take_fates(), key=lambda fate: (fate.seq, fate.copy))
 
     def draw_losses(self, topic: str, count: int) -> list[bool]:
         """Return whether each of the next messages of a topic is lost, where nothing else but a delay impairs it."""

@@ -1,12 +1,11 @@
 """The impairment engine of the link: both directions under one set of settings."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine, DirectionState
-from telenano.link.fate import Direction, Fate
+from telenano.link.fate import Fate
 from telenano.wire.node_state import FindInput
 
 
@@ -77,32 +76,3 @@ class LinkEngine:
     def take_fates(self) -> list[Fate]:
         """Return and forget the fates decided since the last call, forward first."""
         return self.forward.take_fates() + self.backward.take_fates()
-
-
-def fates_of(
-    settings: LinkSettings,
-    direction: Direction,
-    topic: str,
-    arrivals_ns: Iterable[int],
-    size_bytes: int,
-    *,
-    folder: Path = Path(),
-) -> list[Fate]:
-    """Return the fate of each message of a stream (and of each copy), sorted by seq, without running anything.
-
-    For simulations that need the delays of the link beforehand: seq counts from 0, the origin of traces and
-    schedules, and the start of the session, is the first arrival, arrivals_ns must not decrease.
-
-    Raises:
-        ConfigError: A file cannot be used.
-    """
-    arrivals = list(arrivals_ns)
-    if not arrivals:
-        return []
-    engine = DirectionEngine(direction, settings, arrivals[0], folder=folder)
-    engine.begin_session(arrivals[0])
-    for seq, arrived_ns in enumerate(arrivals):
-        engine.submit(arrived_ns, topic, bytes(size_bytes), seq)
-    while (next_ns := engine.next_release_ns()) is not None:
-        engine.due(next_ns)
-    return sorted(engine.take_fates(), key=lambda fate: (fate.seq, fate.copy))

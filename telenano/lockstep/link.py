@@ -2,9 +2,9 @@
 
 What happens to a message depends on its number and the time it is sent, not on its content. The hand sends at every
 tick and the slave answers at once what it takes, so both directions can be computed beforehand by the link's own
-engine (`fates_of`), and the loop merely merges arrivals. Readers take the newest message only: what was overtaken or
-came twice is dropped here as the bus drops it. Of messages that arrive together, at the end of a slot or of an outage
-that holds them, the loop takes the newest one that was sent, and there is one answer to them.
+engine (`DirectionEngine.fates`), and the loop merely merges arrivals. Readers take the newest message only: what was
+overtaken or came twice is dropped here as the bus drops it. Of messages that arrive together, at the end of a slot or
+of an outage that holds them, the loop takes the newest one that was sent, and there is one answer to them.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from telenano.link.config import DirectionSettings, LinkSettings
 from telenano.link.direction import DirectionEngine
-from telenano.link.engine import fates_of
 from telenano.link.fate import Direction
 from telenano.timing.play_out import PlayOut
 
@@ -133,7 +132,7 @@ def _arrivals(
         if direction.model_dump() != plain.model_dump():
             kept = kept[~np.array(DirectionEngine(way, settings, 0).draw_losses(topic, len(sent_ns)), np.bool_)]
         return sent_ns[kept] + round(direction.delay_s * 1e9), kept
-    fates = fates_of(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES, folder=folder)
+    fates = DirectionEngine.fates(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES, folder=folder)
     # a message with flipped bits is refused by its reader, as a rule: it counts as lost
     released = [(fate.release_ns, fate.seq) for fate in fates if fate.release_ns is not None and not fate.corrupted]
     released.sort()

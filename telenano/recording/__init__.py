@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from telenano.recording.reader import Recording as Recording
     from telenano.recording.rewrite import CopyResult as CopyResult
     from telenano.recording.rewrite import CopyWriter as CopyWriter
+    from telenano.recording.session_folder import SessionFolder as SessionFolder
     from telenano.recording.site_clock import Timeline as Timeline
-    from telenano.recording.site_merge import merge_sites as merge_sites
     from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tolerance import Tolerances as Tolerances
     from telenano.recording.writer import FileSettings as FileSettings

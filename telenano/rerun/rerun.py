@@ -25,8 +25,8 @@ from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
 from telenano.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node
+from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring, node_kind
-from telenano.runtime.wiring.participant import LinkEnds
 from telenano.settings.config import flag_overrides, merge, parse_yaml
 from telenano.settings.named_instruments import on_instrument
 from telenano.settings.scenario import LoadedScenario

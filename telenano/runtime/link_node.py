@@ -14,7 +14,7 @@ from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
-from telenano.timing.clock_offset import Exchange, OffsetFilter, OffsetState
+from telenano.timing.clock_offset import OffsetFilter, OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import ClockPong, LinkDirection, LinkFate, Message, SessionControl
@@ -29,7 +29,7 @@ TRAIN = "line.train"
 # seconds of exchanges of time stamps in view, one a report
 _CLOCK_WINDOW = 64
 # This number of rows of ground truth make a message worth sending.
-_FATES_AT_ONCE = 32
+FATES_AT_ONCE = 32
 # This number of rows fit into a message, with a margin.
 _MOST_FATES = 1000
 
@@ -149,7 +149,7 @@ class DelayNode(Node):
         if type(received.message) is ClockPong:
             pong = received.message
             self._answer = (pong.t_ns, received.received_ns)
-            self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, *self._answer))
+            self._offset.record(pong.ping_t_ns, pong.received_ns, *self._answer)
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
@@ -168,7 +168,7 @@ class DelayNode(Node):
                 self._send(way, due)
         self.steps += 1
         self._unreported += 1
-        if self._unreported >= _FATES_AT_ONCE and direction == "backward":
+        if self._unreported >= FATES_AT_ONCE and direction == "backward":
             for task in self._fates:
                 self.defer(task)
 

@@ -27,20 +27,6 @@ _LEAST_PART = 4
 _TURN_NS = 100_000_000
 
 
-class Exchange(NamedTuple):
-    """Four time stamps [ns]: sent here, received there, sent there, received here."""
-
-    sent_ns: int
-    received_there_ns: int
-    sent_there_ns: int
-    received_ns: int
-
-    @property
-    def round_trip_ns(self) -> int:
-        """Time on the way, both ways [ns], without the time spent at the other site."""
-        return (self.received_ns - self.sent_ns) - (self.sent_there_ns - self.received_there_ns)
-
-
 class Offset(NamedTuple):
     """Estimate of the offset [s], the bound of its error [s], the round trip [s] it rests on, exchanges in view."""
 
@@ -90,15 +76,20 @@ class OffsetFilter:
         self._drift = 0.0
         self._line: ClockLine | None = None
 
-    def record(self, exchange: Exchange) -> None:
+    def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> None:
         """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
 
         An offset that no delay explains is that of another clock: the other site was started again after its wall clock
         was set. What is known of the clock before is then forgotten.
+
+        Args:
+            sent_ns: When the question was sent here [ns].
+            there_ns: When it was received there, by the clock there [ns].
+            back_ns: When the answer was sent there, by the clock there [ns].
+            received_ns: When it was received here [ns].
         """
-        if exchange.round_trip_ns < 0:
+        if received_ns - sent_ns < back_ns - there_ns:
             return
-        sent_ns, there_ns, back_ns, received_ns = exchange
         block = Block(sent_ns, there_ns - sent_ns, received_ns, back_ns - received_ns, 1)
         if self.blocks and self._is_of_another_clock(block):
             self.blocks.clear()

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.wire.codec import WireError as WireError
     from telenano.wire.codec import compose as compose
     from telenano.wire.codec import decode as decode
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import keys_twice as keys_twice
-    from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
     from telenano.wire.errors import EndpointError as EndpointError
     from telenano.wire.errors import RecordingError as RecordingError
@@ -33,32 +31,24 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Count as Count
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
-    from telenano.wire.messages import InputHealth as InputHealth
     from telenano.wire.messages import Lengths as Lengths
     from telenano.wire.messages import LinkDelay as LinkDelay
-    from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import LinkStatus as LinkStatus
     from telenano.wire.messages import Message as Message
     from telenano.wire.messages import Name as Name
     from telenano.wire.messages import NodeHealth as NodeHealth
     from telenano.wire.messages import Record as Record
     from telenano.wire.messages import Scalar as Scalar
-    from telenano.wire.messages import SessionControl as SessionControl
-    from telenano.wire.messages import SessionEvent as SessionEvent
     from telenano.wire.messages import TeleopBackward as TeleopBackward
     from telenano.wire.messages import about as about
-    from telenano.wire.network_messages import SETTLE_NS as SETTLE_NS
     from telenano.wire.network_messages import LinkKey as LinkKey
     from telenano.wire.network_messages import LinkNetwork as LinkNetwork
     from telenano.wire.network_messages import RecordingPiece as RecordingPiece
-    from telenano.wire.nodes import FAR_END as FAR_END
     from telenano.wire.nodes import LINK as LINK
     from telenano.wire.nodes import VIEW as VIEW
-    from telenano.wire.nodes import name_of as name_of
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
-    from telenano.wire.sequence import SequenceTracker as SequenceTracker
     from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic

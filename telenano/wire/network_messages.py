@@ -1,12 +1,9 @@
 """The messages of the link between two machines: its keys, and what the network did."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from telenano.wire.messages import Array, Count, Counts, LinkClock, Message, about
 from telenano.wire.ranges import DurationS
-
-# After this a datagram that a newer one overtook is settled as lost; one that still arrives is late after all.
-SETTLE_NS = 1_000_000_000
 
 
 class LinkKey(Message):
@@ -49,6 +46,9 @@ class LinkNetwork(Message):
     The arrays have one element a datagram, in the order in which its fate was known: the ground truth of a real
     network, as link/fates is that of an injected one. One-way delays rest on `clock`, and are as uncertain.
     """
+
+    # After this a datagram that a newer one overtook is settled as lost; one that still arrives is late after all.
+    SETTLE_NS: ClassVar[int] = 1_000_000_000
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
     receiving: Annotated[Literal["datagram", "stream"], about("How this direction is received now")]

@@ -50,6 +50,14 @@ class Topic:
         """
         return faults_of(self.model, fields)
 
+    def is_published_by(self, node: str) -> bool:
+        """Return whether a node (node@site) may publish it.
+
+        Example:
+            TOPICS["afm/state"].is_published_by("afm_node@slave")
+        """
+        return any(fnmatchcase(node, pattern) or name_of(node) == pattern for pattern in self.publishers)
+
 
 _COMMANDERS = ("launcher", "console", "console_*", "estop")
 _ROWS = (

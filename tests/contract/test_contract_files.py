@@ -24,8 +24,8 @@ from wire_contract import (
     rewrite,
 )
 
-from telenano.wire import WireError, decode, encode
-from telenano.wire.codec import accept
+from telenano.wire import decode, encode
+from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import Record
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

@@ -126,7 +126,7 @@ def datagrams_of_clients(patch: Patch, folder: Path) -> None:
     client = udp_ports.Client(("127.0.0.1", 1), Endless(b""))  # type: ignore[arg-type]
     ports = made(
         udp_ports.UdpPorts, _listener=listener, clients={"127.0.0.1:1": client}, take=lambda *given: None,
-        _clock=SimpleNamespace(monotonic_ns=lambda: 0), refused=0,
+        _monotonic_ns=lambda: 0, refused=0,
     )  # fmt: skip
     ports._take_from_clients()
     assert not ports.drained

@@ -22,8 +22,8 @@ from telenano.recording.summary_section import quick_info
 from telenano.recording.verify import verify
 from telenano.runtime.bus.bus import Subscriber
 from telenano.timing.clock import SystemClock
-from telenano.wire import WireError, compose, decode, encode, read_header
-from telenano.wire.codec import MAX_PLAIN_BYTES, accept, decode_header, fields_of
+from telenano.wire import compose, decode, encode
+from telenano.wire.codec import MAX_PLAIN_BYTES, WireError, accept, decode_header, fields_of, read_header
 from telenano.wire.errors import RecordingError
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

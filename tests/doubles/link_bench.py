@@ -5,7 +5,6 @@ from typing import Any
 
 from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
-from telenano.link.engine import fates_of
 from telenano.link.fate import Fate, Release
 
 MS = 1_000_000
@@ -34,4 +33,4 @@ def stream(
     """Return the fates of messages of a size that come one a period."""
     settings = LinkSettings.of({"seed": seed, "forward": forward})
     arrivals = range(START, START + count * period_ns, period_ns)
-    return fates_of(settings, "forward", topic, arrivals, size, folder=folder or Path())
+    return DirectionEngine.fates(settings, "forward", topic, arrivals, size, folder=folder or Path())

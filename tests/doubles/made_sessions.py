@@ -14,7 +14,7 @@ import numpy as np
 from wire_contract import examples
 
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.timing.clock_offset import Exchange, OffsetFilter
+from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire import encode
 from telenano.wire.ends import end_data
 from telenano.wire.topics import TOPICS
@@ -203,7 +203,7 @@ class Made:
             stamps = (self.slave_ns(asked_s + there), self.slave_ns(asked_s + there + 1e-4))
             back_ns = BEGAN_NS + round((asked_s + there + 1e-4 + back) * NS)
             asked_ns = BEGAN_NS + round(asked_s * NS)
-            found.record(Exchange(asked_ns, *stamps, back_ns))
+            found.record(asked_ns, *stamps, back_ns)
             answered_s = asked_s + there + 1e-4
             add("clock/pong", TIP, answered_s, ping_t_ns=asked_ns, received_ns=stamps[0])
             estimate = found.estimate()

@@ -3,12 +3,11 @@
 import contextlib
 import socket
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from pydantic import Field
 
-from telenano.runtime import LinkEnds, LinkTransport, Subscriber, Transport, ZmqPublisher
+from telenano.runtime import LinkSide, LinkTransport
 from telenano.settings import Settings
 
 
@@ -19,9 +18,6 @@ class RadioSettings(Settings):
     port: int = Field(ge=1, le=65535)
 
 
-MY_RADIO = LinkTransport(RadioSettings, ends="radio_transport:open_ends")
-
-
 class Radio:
     """One end, which sends every sample of the loop and takes those of the other one."""
 
@@ -30,10 +26,10 @@ class Radio:
     due_ns = 1 << 62
     last_error = ""
 
-    def __init__(self, reader: Subscriber, own: tuple[str, int], other: tuple[str, int]) -> None:
+    def __init__(self, side: LinkSide, own: tuple[str, int], other: tuple[str, int]) -> None:
         self.trackers: dict[tuple[str, str], Any] = {}
         self.rejected: dict[str, int] = {}
-        self._reader, self._other = reader, other
+        self._reader, self._other = side.reader, other
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -58,31 +54,20 @@ class Radio:
     def input_health(self) -> tuple[()]:
         return ()
 
-    # what the network asks of an end that takes part in it
-
-    sockets = ()
-
-    def process_events(self) -> bool:
-        return False
-
-    def take_events(self) -> list[Any]:
-        return []
-
-    def apply_permissions(self) -> None: ...
-
     def close(self) -> None:
         self._socket.close()
 
 
-def open_ends(
-    key: str, network: Transport, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]
-) -> LinkEnds:
-    settings = network.book.link.read(RadioSettings)
-    is_master = key.endswith("@master")
-    reader = network.reader_of("slave" if is_master else "master", readers)
-    if reader is None:
-        return LinkEnds()
-    own, other = ("127.0.0.1", settings.port), ("127.0.0.1", settings.port + 1)
-    radio = Radio(reader, *((own, other) if is_master else (other, own)))
-    network.look_after(radio)
-    return LinkEnds([radio], carry=radio.carry)
+class MyRadio(LinkTransport):
+    """The transport, of which every process reads the settings."""
+
+    settings = RadioSettings
+
+    def open_end(self, side: LinkSide) -> None:
+        port = side.book.link.read(RadioSettings).port
+        own, other = ("127.0.0.1", port), ("127.0.0.1", port + 1)
+        radio = Radio(side, *((own, other) if side.is_master else (other, own)))
+        side.opened(radio, carry=radio.carry, close=radio.close)
+
+
+MY_RADIO = MyRadio()

@@ -1,8 +1,8 @@
 """The delays that the link gives to the messages of a fitted line, without running its engine message by message.
 
 The models are those of the link (`services/delay_node`), drawn in the same order from the same streams, so that the
-delays are those of `fates_of`. What its engine has beside them (a heap of releases, the record of each message) is most
-of its time, and a fit asks for none of it.
+delays are those of `DirectionEngine.fates`. What its engine has beside them (a heap of releases, the record of each
+message) is most of its time, and a fit asks for none of it.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link import DirectionEngine, Jitter, LinkSettings, Outages, fates_of, stream
+from telenano.link import DirectionEngine, LinkSettings, Outages, stream
 from telenano_networks.line_sources import Column
 
 Times = npt.NDArray[np.int64]
@@ -34,7 +34,7 @@ def delays_ns(settings: LinkSettings, topic: str, times_ns: Sequence[int], size_
         return np.empty(0)
     held_ns = _held_ns(settings, arrived_ns, size_bytes) if _is_fitted(settings) else None
     if held_ns is None:
-        fates = fates_of(settings, "forward", topic, times_ns, size_bytes)
+        fates = DirectionEngine.fates(settings, "forward", topic, times_ns, size_bytes)
         return np.array([np.nan if fate.dropped else fate.delay_ns for fate in fates if fate.copy == 0])
     engine = DirectionEngine("forward", settings, int(arrived_ns[0]))
     lost = np.array(engine.draw_losses(topic, len(arrived_ns)), dtype=bool)
@@ -88,15 +88,16 @@ def _jitter_ns(settings: LinkSettings, topic: str, arrived_ns: Times) -> Column:
         return np.zeros(len(arrived_ns))
     shares, values = zip(*jitter.quantiles, strict=True)
     if jitter.correlation_time_s:
-        uniform = _lasting(settings, jitter, arrived_ns)
+        uniform = _lasting(settings, arrived_ns)
     else:
         draw = stream(settings.seed, "forward", topic, "original", "jitter")
         uniform = np.array([draw.positive() for _ in range(len(arrived_ns))])
     return np.asarray(jitter.scale_s * 1e9 * np.interp(uniform, shares, values))
 
 
-def _lasting(settings: LinkSettings, jitter: Jitter, arrived_ns: Times) -> Column:
+def _lasting(settings: LinkSettings, arrived_ns: Times) -> Column:
     """Return the uniform number of each message where the correlation is over time: as `JitterSource` draws them."""
+    jitter = settings.forward.jitter
     share = jitter.second_correlation_share
     scores = _scores(settings, "jitter", jitter.correlation_time_s, arrived_ns)
     if share > 0.0:
@@ -106,14 +107,15 @@ def _lasting(settings: LinkSettings, jitter: Jitter, arrived_ns: Times) -> Colum
 
 
 def _scores(settings: LinkSettings, name: str, time_s: float, arrived_ns: Times) -> Column:
-    steps = arrived_ns // round(time_s * 1e9 / Jitter.DRAWS_IN_CORRELATION_TIME)
+    jitter = settings.forward.jitter
+    steps = arrived_ns // round(time_s * 1e9 / jitter.DRAWS_IN_CORRELATION_TIME)
     behind = np.diff(steps, prepend=steps[0] - 1)
-    jumped = behind > Jitter.LONGEST_WALK
+    jumped = behind > jitter.LONGEST_WALK
     behind[jumped] = 1
     place = np.cumsum(behind) - 1
     draw = stream(settings.seed, "forward", "shared", name, "")
     fresh = special.ndtri(np.array([draw.positive() for _ in range(int(place[-1]) + 1)])).tolist()
-    rho = math.exp(-1.0 / Jitter.DRAWS_IN_CORRELATION_TIME)
+    rho = math.exp(-1.0 / jitter.DRAWS_IN_CORRELATION_TIME)
     gain = math.sqrt(1.0 - rho * rho)
     scores: list[float] = []
     # Nothing is left of a score after a long pause.

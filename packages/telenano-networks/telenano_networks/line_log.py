@@ -18,7 +18,8 @@ from telenano.files import Column as TableColumn
 from telenano.files import TextTable, decoded, read_regular
 from telenano.wire import ConfigError
 from telenano_networks import ping_log
-from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
+from telenano_networks.line_sources import Column, is_delivery_trace, of_recording, through_delivery_trace
+from telenano_networks.network_trace import Direction
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Fewer messages than this say nothing about rare events.

@@ -1,20 +1,19 @@
 """What is no table of messages becomes times of sending and delays: recordings, delivery traces and histograms."""
 
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from telenano.files import TextTable
-from telenano.link import LinkSettings, fates_of
+from telenano.link import DirectionEngine, LinkSettings
 from telenano.recording import Recording
 from telenano.wire import ConfigError
-from telenano_networks.network_trace import traces_of
+from telenano_networks.network_trace import Direction, traces_of
 from telenano_networks.report_command import fates_in
 
 Column = npt.NDArray[np.float64]
-Direction = Literal["forward", "backward"]
 # Messages of this size are sent through a delivery trace.
 _SIZE_BYTES = 200
 # They are sent at this interval.
@@ -97,7 +96,7 @@ def through_delivery_trace(text: str, name: str, notes: list[str]) -> tuple[Colu
         way = {"delivery_trace": {"file": file}, "queue": {"limit_messages": None}}
         sent_ns = [round(1e9 * _PERIOD_S * number) for number in range(count)]
         settings = LinkSettings.of({"forward": way})
-        fates = fates_of(settings, "forward", "teleop/forward", sent_ns, _SIZE_BYTES, folder=folder)
+        fates = DirectionEngine.fates(settings, "forward", "teleop/forward", sent_ns, _SIZE_BYTES, folder=folder)
     finally:
         (folder / file).unlink()
         folder.rmdir()

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.timing import ClockLine
-from telenano.wire import SETTLE_NS, LinkNetwork, TelenanoError
+from telenano.wire import LinkNetwork, TelenanoError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -157,7 +157,7 @@ def _trace(
     if len(number) and not lost.all():
         # Losses in the last second are not reported yet: these are the numbers without a row.
         arrived = number[~lost]
-        lately = arrived[sent_ns[~lost] >= sent_ns[~lost].max() - SETTLE_NS]
+        lately = arrived[sent_ns[~lost] >= sent_ns[~lost].max() - LinkNetwork.SETTLE_NS]
         absent = np.setdiff1d(np.arange(lately.min(), lately.max()), number)
         for before, after in _left_out(reports):
             absent = absent[(absent <= before) | (absent >= after)]

@@ -7,7 +7,7 @@ import msgspec
 
 from telenano.runtime import AddressBook, Participant
 from telenano.settings import flag_overrides
-from telenano.wire import TOPICS, ConfigError, Message, name_of
+from telenano.wire import TOPICS, ConfigError, Message
 
 # Readers of the endpoint take about this long to notice that it is there.
 _CONNECT_S = 0.5
@@ -30,7 +30,7 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
         EndpointError: The node itself runs.
     """
     row = TOPICS[topic]
-    if not any(src == name or name_of(src) == name for name in row.publishers):
+    if not row.is_published_by(src):
         publishers = ", ".join(row.publishers)
         raise ConfigError(f"{topic}: {src} does not publish it, {publishers} does: give --as")
     fields: Any = flag_overrides([f"fields={text}"])["fields"]

@@ -62,16 +62,17 @@ def fates_in(recording: Path) -> dict[str, list[FateRow]]:
         RecordingError: The file is no recording.
     """
     from telenano.recording import Recording
-    from telenano.wire import LinkFates
 
     fates_of: dict[str, list[FateRow]] = {way: [] for way in _WAYS}
     for message in Recording(recording).messages(("link/fates",)):
-        report = message.decode()
-        assert isinstance(report, LinkFates)
-        fates_of[report.direction] += [
-            (row.topic, row.seq, row.arrived_ns, row.delay_ns, row.held_ns, row.dropped, row.reordered)
-            for row in report.fates
-            if not row.is_duplicate
+        report = message.checked_fields()
+        fates_of[report["direction"]] += [
+            (
+                *(row["topic"], row["seq"], row["arrived_ns"], row["delay_ns"]),
+                *(row["held_ns"], row["dropped"], row["reordered"]),
+            )
+            for row in report["fates"]
+            if not row["is_duplicate"]
         ]
     for rows in fates_of.values():
         rows.sort(key=lambda row: row[2])

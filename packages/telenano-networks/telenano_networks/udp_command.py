@@ -17,11 +17,10 @@ from telenano.cli import (
     report_errors,
 )
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import TelenanoError
 
 if TYPE_CHECKING:
-    from telenano.link import Direction
     from telenano.recording import RecordingWriter
+    from telenano_networks.network_trace import Direction
     from telenano_networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
@@ -66,7 +65,7 @@ def udp(
     with report_errors(as_json):
         from telenano.console import parse_parameters
         from telenano.link import LinkSettings
-        from telenano.runtime import AddressBook, Participant, StopSignals, StructuredLog, apply_realtime
+        from telenano.runtime import AddressBook, ByteLinkProcess
         from telenano.settings import nested
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
@@ -74,35 +73,26 @@ def udp(
         here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
         flat = {key: None if value == "none" else value for key, value in parse_parameters(keys or ()).items()}
         settings = LinkSettings.of({"profile": profile, **nested(flat, "--set")}, "the network")
-        book, signals = AddressBook.load(site_file), StopSignals()
-        # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
-        realtime = apply_realtime(None, StructuredLog(_KEY), _KEY)
         with contextlib.ExitStack() as stack:
-            participant = stack.enter_context(Participant.open(_KEY, book, signals.descriptor))
-            try:
-                outlets = participant.bind("delay_node@slave"), participant.bind(_KEY)
-            except TelenanoError as error:
-                raise TelenanoError(f"{error}; another link runs beside it with --rig NAME") from error
-            ports = UdpPorts(here, there, clients, participant.clock)
+            link = stack.enter_context(ByteLinkProcess.open(AddressBook.load(site_file)))
+            ports = UdpPorts(here, there, clients)
             stack.callback(ports.close)
             keeper = None
             if record is not None:
                 keeper = Keeper(_writer(record))
-                outlets[1].carry = keeper
                 stack.callback(lambda kept: kept.close(ports.overflowed()), keeper)
             make_room_for(clients)
-            readers = participant.subscribers(book.sources(_KEY, ["session/control"]))
-            bus = participant.bus_of(outlets[1], [*readers, ports])
-            link = UdpLink(participant.context(bus), settings, outlets, ports, Path(), duration_s=duration)
+            carrier = UdpLink(link, ports)
+            link.begin(settings, carrier, ports, duration_s=duration, keep=keeper)
             typer.echo(
                 f"ready: datagrams to {_shown(ports)} are forwarded to {there} over the network "
                 f"{settings.network_name}; "
                 "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
                 err=as_json,
             )
-            signals.run(link, bus, realtime, guarded=True)
+            link.run()
             document = {
-                **link.summary(),
+                **carrier.summary(),
                 "clients_refused": ports.refused,
                 "unsent": ports.unsent,
                 "overflowed": ports.overflowed(),
@@ -128,13 +118,12 @@ class Keeper:
         self._channels: dict[str, int] = {}
         self._flushed_ns = 0
 
-    def __call__(self, topic: str, payload: bytes) -> None:
+    def __call__(self, topic: str, seq: int, t_ns: int, src: str, payload: bytes) -> None:
         """Keep a message that the link has sent."""
-        from telenano.wire import RecordingError, read_header
+        from telenano.wire import RecordingError
 
         if self.fault:
             return
-        seq, t_ns, src = read_header(topic, payload)
         try:
             if topic not in self._channels:
                 self._channels[topic] = self._writer.channel(topic, src, "master")

@@ -6,13 +6,14 @@ import resource
 import select
 import socket
 import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from telenano.link import Direction
-from telenano.timing import NEVER_NS, Clock
-from telenano.wire import ConfigError, InputHealth, Received, SequenceTracker
+from telenano.timing import NEVER_NS
+from telenano.wire import ConfigError, Received
+from telenano_networks.network_trace import Direction
 
 # The largest datagram of UDP is smaller.
 _MOST_BYTES = 65_536
@@ -73,13 +74,15 @@ class UdpPorts:
     counted in `unsent` by the reason, one from a client for which there is no place, or no descriptor, in `refused`.
     """
 
-    def __init__(self, listen: Place, target: Place, most_clients: int, clock: Clock) -> None:
+    def __init__(
+        self, listen: Place, target: Place, most_clients: int, monotonic_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         """Bind the listening socket.
 
         Raises:
             ConfigError: The address is in use or not of this machine, or the target has none.
         """
-        self._clock = clock
+        self._monotonic_ns = monotonic_ns
         self._most_clients = most_clients
         self.take: Callable[[Direction, bytes, str], None] = lambda direction, payload, name: None
         self.clients: dict[str, Client] = {}
@@ -101,7 +104,7 @@ class UdpPorts:
         # what a bus asks of a reader
         self.descriptor = self._poll.fileno()
         self.drained, self.shared, self.due_ns = True, False, NEVER_NS
-        self.trackers: dict[tuple[str, str], SequenceTracker] = {}
+        self.trackers: dict[tuple[str, str], Any] = {}
         self.rejected: dict[str, int] = {}
         self.last_error = ""
 
@@ -116,7 +119,7 @@ class UdpPorts:
                 self._take_answers(name, client)
         return []
 
-    def input_health(self) -> tuple[InputHealth, ...]:
+    def input_health(self) -> tuple[()]:
         """Return nothing: datagrams have no numbers by which one could tell which are missing."""
         return ()
 
@@ -162,7 +165,7 @@ class UdpPorts:
             if client is None:
                 self.refused += 1
                 continue
-            client.heard_ns = self._clock.monotonic_ns()
+            client.heard_ns = self._monotonic_ns()
             self.take("forward", payload, name)
         self.drained = False
 
@@ -198,7 +201,7 @@ class UdpPorts:
     def _forget_idle(self) -> bool:
         """Let go of the client that has been silent for longest; return whether there was one for long enough."""
         name, client = min(self.clients.items(), key=lambda item: item[1].heard_ns)
-        if self._clock.monotonic_ns() - client.heard_ns < IDLE_NS:
+        if self._monotonic_ns() - client.heard_ns < IDLE_NS:
             return False
         del self.clients[name], self._by_descriptor[client.upstream.fileno()]
         self._overflowed_backward += overflowed(client.upstream)

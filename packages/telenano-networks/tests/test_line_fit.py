@@ -29,7 +29,7 @@ from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.link.config import LinkSettings
-from telenano.link.engine import fates_of
+from telenano.link.direction import DirectionEngine
 from telenano.link.fate import Direction
 from telenano.link.profiles import Profile
 from telenano.recording.writer import FileSettings, RecordingWriter
@@ -161,9 +161,9 @@ def test_a_round_trip_becomes_two_ways_whose_delays_add_up_to_it() -> None:
     settings = LinkSettings.of({"seed": 3, **ways})
     # the engine itself, there and then back at the times of arrival
     times_ns = [round(1e9 * t) for t in part.sent_s.tolist()]
-    there = [one for one in fates_of(settings, "forward", "udp", times_ns, 200) if not one.dropped]
+    there = [one for one in DirectionEngine.fates(settings, "forward", "udp", times_ns, 200) if not one.dropped]
     arrived_ns = sorted(one.arrived_ns + one.delay_ns for one in there)
-    back = fates_of(settings, "backward", "udp", arrived_ns, 200)
+    back = DirectionEngine.fates(settings, "backward", "udp", arrived_ns, 200)
     sums = 1e-9 * (np.sort([one.delay_ns for one in there]) + np.array([one.delay_ns for one in back]))
     measured = part.delay_s[~np.isnan(part.delay_s)]
     for share, within in ((0.05, 0.02), (0.5, 0.02), (0.9, 0.03), (0.99, 0.25)):
@@ -341,7 +341,7 @@ def recorded():  # type: ignore[no-untyped-def]
                     topic="udp", seq=fate.seq, is_duplicate=False, arrived_ns=fate.arrived_ns, delay_ns=fate.delay_ns,
                     queue_ns=0, held_ns=0, dropped=fate.dropped, duplicated=False, reordered=False, corrupted=False,
                 )
-                for fate in fates_of(settings, way, "udp", range(10**9, 41 * 10**9, 10**7), 100)
+                for fate in DirectionEngine.fates(settings, way, "udp", range(10**9, 41 * 10**9, 10**7), 100)
             ]  # fmt: skip
             for first in range(0, len(rows), 1000):
                 number = WAYS.index(way) * 10 + first // 1000
@@ -502,7 +502,7 @@ def test_the_delays_of_a_line_are_those_that_the_engine_gives(name: str) -> None
     settings = LinkSettings.of({"profile": name, "seed": 3})
     # a minute, a pause after which nothing is left of a score, and what is sent while a stall lasts
     times_ns = [*range(5 * 10**9, 65 * 10**9, 2 * 10**7), *range(10**15, 10**15 + 120 * 10**9, 10**8)]
-    fates = fates_of(settings, "forward", "udp", times_ns, 200)
+    fates = DirectionEngine.fates(settings, "forward", "udp", times_ns, 200)
     wanted = np.array([np.nan if fate.dropped else fate.delay_ns for fate in fates])
     np.testing.assert_allclose(delays_ns(settings, "udp", times_ns, 200), wanted, rtol=0, atol=1.0)
 

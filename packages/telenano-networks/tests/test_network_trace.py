@@ -9,8 +9,8 @@ import pytest
 from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
 from telenano.link.config import LinkSettings
-from telenano.link.engine import fates_of
-from telenano.timing.clock_offset import Exchange, OffsetFilter
+from telenano.link.direction import DirectionEngine
+from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import Array, LinkClock
 from telenano.wire.network_messages import LinkNetwork
@@ -63,7 +63,7 @@ def test_the_link_replays_the_delays_and_losses_that_were_measured(tmp_path: Pat
         assert trace.summary()["longest_loss"] == longest_run(trace.lost) >= 3
         # whatever is sent when, in the place of what was measured
         sent_ns = (np.arange(len(trace.sent_s) - 1) * 1_300_000).tolist()
-        fates = fates_of(settings, direction, "teleop/forward", sent_ns, 300, folder=tmp_path)
+        fates = DirectionEngine.fates(settings, direction, "teleop/forward", sent_ns, 300, folder=tmp_path)
         fates = [fate for fate in fates if fate.copy == 0]
         assert [fate.dropped == "loss_trace" for fate in fates] == trace.lost[:-1].tolist()
         replayed_s = np.array([fate.delay_ns * 1e-9 for fate in fates if not fate.dropped])
@@ -71,7 +71,7 @@ def test_the_link_replays_the_delays_and_losses_that_were_measured(tmp_path: Pat
         for share in QUANTILES:
             assert abs(np.quantile(replayed_s, share) - np.quantile(trace.arrived_s, share)) < 1e-3
         # commands and events are carried as by a connection that retransmits, and half a period later nothing differs
-        kept = fates_of(settings, direction, "session/control", sent_ns, 300, folder=tmp_path)
+        kept = DirectionEngine.fates(settings, direction, "session/control", sent_ns, 300, folder=tmp_path)
         assert {fate.dropped for fate in kept} == {""}
 
 
@@ -162,10 +162,10 @@ def measured(jitter: str) -> tuple[list[LinkNetwork], dict[str, np.ndarray]]:
             other_ns = BEGAN_NS + other * NS_PER_MS
             arrived_ns = asked_ns + int(back[k]) + round(1e9 * (AHEAD_S + DRIFT * k * step_s))
             slave_ns = asked_ns + round(1e9 * (AHEAD_S + DRIFT * k * step_s))
-            filters["backward"].record(Exchange(other_ns, other_ns + int(there[other]), slave_ns, arrived_ns))
+            filters["backward"].record(other_ns, other_ns + int(there[other]), slave_ns, arrived_ns)
             other_slave_ns = other_ns + round(1e9 * (AHEAD_S + DRIFT * other * step_s))
             filters["forward"].record(
-                Exchange(other_slave_ns, other_slave_ns + int(back[other]), asked_ns, asked_ns + int(there[k]))
+                other_slave_ns, other_slave_ns + int(back[other]), asked_ns, asked_ns + int(there[k])
             )
         for way, transit in (("forward", there), ("backward", back)):
             estimate = filters[way].estimate()

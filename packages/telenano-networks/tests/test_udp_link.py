@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -23,10 +24,10 @@ from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for,
 from telenano.link.config import LinkSettings
 from telenano.link.fate import Direction
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.runtime.byte_link import ByteLink
 from telenano.runtime.loop.node import resident_bytes
 from telenano.signals import children
 from telenano.testing import NodeBench
-from telenano.timing.clock import SystemClock
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError
 
@@ -55,7 +56,10 @@ class Line:
         self.ports = RecordedPorts(self.bench)
         link = LinkSettings().changed(settings)
         outlet: Any = self.bench
-        self.node = UdpLink(self.bench.context, link, (outlet, outlet), self.ports, bounds=bounds or Bounds())
+        # The node stands for its process, which hands on what it is called with.
+        self.udp = UdpLink(self, self.ports, bounds or Bounds())  # type: ignore[arg-type]
+        self.node = ByteLink(self.bench.context, link, (outlet, outlet), self.udp)
+        self.clock, self.arrive, self.event = self.bench.clock, self.node.arrive, self.node.event
 
     def send(self, payload: bytes, direction: Direction = "forward", client: str = "a:1") -> None:
         self.ports.take(direction, payload, client)
@@ -98,7 +102,7 @@ def test_a_datagram_and_its_answer_take_the_delay_of_their_direction_and_keep_th
     ]  # fmt: skip
     status = line.bench.take("link/status")[-1]
     assert (status.forward.messages_in, status.forward.messages_out, status.backward.messages_out) == (2, 2, 1)
-    summary = line.node.summary()
+    summary = line.udp.summary()
     assert summary["forward"] == {
         "arrived": 2, "sent": 2, "dropped": {}, "over_the_bound": 0, "left": 0,
         "delay_ms": {"p50": 20.0, "p99": 20.0, "p999": 20.0, "max": 20.0},
@@ -120,13 +124,13 @@ def test_a_stall_keeps_no_more_than_the_bound_says_which_and_lets_all_go_at_its_
     line.advance_ms(500)
     assert [payload[0] for _, payload, _, _ in line.ports.sent] == list(range(50))
     assert {at_ms for *_, at_ms in line.ports.sent} == {510.0}
-    assert line.node.counts["forward"].overflow == 30
+    assert line.udp.counts["forward"].overflow == 30
     (event,) = (event for event in line.bench.take("session/event") if event.level == "warning")
-    assert "on their way forward: those that arrive now are dropped" in event.text
+    assert "in transit forward: those that arrive now are dropped" in event.text
     # there is room again
     line.send(b"later")
     assert line.ports.sent[-1][1] == b"later"
-    assert (line.node.counts["forward"].on_way, line.node.counts["forward"].on_way_bytes) == (0, 0)
+    assert (line.udp.counts["forward"].on_way, line.udp.counts["forward"].on_way_bytes) == (0, 0)
 
 
 def test_settings_that_end_a_stall_let_go_what_it_holds_before_what_arrives_from_then_on() -> None:
@@ -154,7 +158,7 @@ def test_what_is_lost_doubled_or_queued_gives_its_place_back(settings: dict[str,
         line.send(bytes(100))
         line.advance_ms(1)
     line.advance_ms(2000)
-    counts = line.node.counts["forward"]
+    counts = line.udp.counts["forward"]
     assert (counts.overflow, counts.on_way, counts.on_way_bytes) == (0, 0, 0)
     assert sent is None or len(line.ports.sent) == sent
     assert counts.arrived == 1000
@@ -166,7 +170,7 @@ def test_what_is_on_its_way_at_the_end_is_counted_and_reported() -> None:
     line = Line(**keys(forward__delay_s=1.0))
     line.send(b"late")
     line.node.make_safe()
-    assert line.node.counts["forward"].on_way == 1
+    assert line.udp.counts["forward"].on_way == 1
     (report,) = line.bench.take("link/fates")
     assert [row.delay_ns for row in report.fates] == [1000 * MS]
 
@@ -244,10 +248,15 @@ def echo(request: pytest.FixtureRequest) -> Iterator[Echo]:
         yield service
 
 
-def ports_of(target: tuple[Any, ...], host: str = "127.0.0.1", clients: int = 64, clock: Any = None) -> UdpPorts:
+def ports_of(
+    target: tuple[Any, ...],
+    host: str = "127.0.0.1",
+    clients: int = 64,
+    monotonic_ns: Callable[[], int] = time.monotonic_ns,
+) -> UdpPorts:
     with closing(opened(host)) as free:
         place = Place(host, free.getsockname()[1])
-    return UdpPorts(place, Place(target[0], target[1]), clients, clock or SystemClock())
+    return UdpPorts(place, Place(target[0], target[1]), clients, monotonic_ns)
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -271,7 +280,7 @@ def test_each_client_gets_its_own_answers_over_either_family(host: str, echo: Ec
 
 def test_a_client_beyond_the_most_is_refused_until_another_has_been_silent(echo: Echo) -> None:
     bench = NodeBench("delay_node@master")
-    with closing(ports_of(echo.address, clients=2, clock=bench.clock)) as ports:
+    with closing(ports_of(echo.address, clients=2, monotonic_ns=bench.clock.monotonic_ns)) as ports:
         ports.take = ports.send
         clients = [opened("127.0.0.1") for _ in range(3)]
         for client in clients:
@@ -388,9 +397,9 @@ def test_addresses_that_cannot_be_used_are_named(echo: Echo) -> None:
     with closing(opened("127.0.0.1")) as taken:
         place, target = Place(*taken.getsockname()), Place(*echo.address)
         with pytest.raises(ConfigError, match=f"cannot listen at {place}: Address already in use"):
-            UdpPorts(place, target, 1, SystemClock())
+            UdpPorts(place, target, 1)
     with pytest.raises(ConfigError, match=r"the target no\.such\.host\.invalid:5 has no address: "):
-        UdpPorts(Place("127.0.0.1", place.port), Place("no.such.host.invalid", 5), 1, SystemClock())
+        UdpPorts(Place("127.0.0.1", place.port), Place("no.such.host.invalid", 5), 1)
 
 
 # --- what is kept and reported of it ---
@@ -413,14 +422,14 @@ def test_a_full_disk_ends_the_recording_and_not_the_link() -> None:
     line.send(b"one")
     line.advance_ms(200)
     for topic, message in line.bench.sent:
-        keeper(topic, encode(message))
+        keeper(topic, message.seq, message.t_ns, message.src, encode(message))
     assert not keeper.fault
     disk.room = disk.tell()
     for at_s in range(3):
         late = line.bench.make("link/delay", "delay_node@master", direction="forward", hand_t_ns=0, delay_ns=0,
                                transit_ns=0, clock_ahead_ns=0)  # fmt: skip
         line.bench.advance_ms(1500)
-        keeper("link/delay", encode(late))
+        keeper("link/delay", late.seq, late.t_ns, late.src, encode(late))
         line.send(b"%d" % at_s)
     assert keeper.fault == "the recording ends before the link: x.mcap: cannot be written: No space left on device"
     assert len(line.ports.sent) == 4

@@ -10,7 +10,7 @@ from telenano_studies.loops.line_variants import between, half_of, stalls_of_bot
 
 from telenano.link import profile_named
 from telenano.link.config import LinkSettings
-from telenano.link.engine import fates_of
+from telenano.link.direction import DirectionEngine
 
 PERIOD_S, TIME_S = 0.2, 0.4
 
@@ -37,7 +37,7 @@ def test_the_variants_share_a_round_trip_as_they_say(tmp_path: Path) -> None:
     def delays_ms(one: tuple[str, str], direction: str) -> np.ndarray:  # type: ignore[type-arg]
         ways = {"forward": found[one].forward, "backward": found[one].backward}
         settings = LinkSettings.of({"seed": 1, **ways})
-        fates = fates_of(settings, direction, "udp", range(0, 30 * 10**9, 10**7), 200, folder=tmp_path)  # type: ignore[arg-type]
+        fates = DirectionEngine.fates(settings, direction, "udp", range(0, 30 * 10**9, 10**7), 200, folder=tmp_path)  # type: ignore[arg-type]
         return np.array([1e-6 * fate.delay_ns for fate in fates if not fate.dropped])
 
     least_ms = 11.7

@@ -9,7 +9,7 @@ from recorder_samples import NODE, sample
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
-from telenano.link.engine import fates_of
+from telenano.link.direction import DirectionEngine
 from telenano.link.fate import Fate
 from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, Schedule
 from telenano.recording.recorder_config import RecorderConfig
@@ -65,11 +65,11 @@ def recorded(folder: Path, *, told: bool = True) -> Path:
     tape.write("haptic/state", "haptic_node@master", hand)
     tape.write(FORWARD_TOPIC, "controller@master", [{"hand_t_ns": stamp} for stamp in stamps])
     grid = [EPOCH_NS + n * MS for n in range(ticks)]
-    forward = fates_of(SETTINGS, "forward", FORWARD_TOPIC, grid, MESSAGE_BYTES)
+    forward = DirectionEngine.fates(SETTINGS, "forward", FORWARD_TOPIC, grid, MESSAGE_BYTES)
     schedule = Schedule.of(SETTINGS, ticks, PERIOD_S)
     backward_at = (EPOCH_NS + schedule.forward_ns).tolist()
     tape.write(BACKWARD_TOPIC, "controller@slave", [{"hand_t_ns": stamps[n]} for n in schedule.forward_of.tolist()])
-    backward = fates_of(SETTINGS, "backward", BACKWARD_TOPIC, backward_at, MESSAGE_BYTES)
+    backward = DirectionEngine.fates(SETTINGS, "backward", BACKWARD_TOPIC, backward_at, MESSAGE_BYTES)
     for direction, fates in (("forward", forward), ("backward", backward)) if told else ():
         rows = told_of(fates)
         parts = [{"direction": direction, "fates": rows[n : n + 64]} for n in range(0, len(rows), 64)]

@@ -1,39 +1,25 @@
 """The recording of the other site: fetched piece by piece after a session, and merged with the own one (ADR 0075)."""
 
 import hashlib
-import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import zmq
 
-from telenano.console import console_of
-from telenano.launcher import FAR_LIST
-from telenano.recording import Recording, merge_sites
-from telenano.runtime import AddressBook, Command, CommandClient, FetchRecording, Participant, ZmqPublisher
-from telenano.wire import (
-    LINK,
-    TOPICS,
-    EndpointError,
-    RecordingError,
-    RecordingPiece,
-    RigError,
-    Scalar,
-    SessionEvent,
-    compose,
-)
-from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RATE, RECORDING_FILE, TOPIC
+from telenano.recording import Recording, SessionFolder
+from telenano.runtime import AddressBook, Command, Participant
+from telenano.wire import LINK, EndpointError, RecordingError, RecordingPiece, RigError, Scalar
+from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RATE, TOPIC
 from telenano_wide_area.relay.site_end import at_relay
 
 SENDER = "launcher@slave"
 # The files that the other site recorded are put in this folder of the folder of a session.
 FOLDER_NAME = "far"
-# The merged recording of both sites, in the folder of the session.
-MERGED_NAME = "both.mcap"
 # Beside a running rig no more than this is fetched, a fifth of what the loop takes [kbit/s].
 BESIDE_KBIT_PER_S = 1000.0
 _WINDOW_BYTES = 1 << 20
@@ -46,31 +32,6 @@ PATIENCE_NS = 15_000_000_000
 _SPARE_BYTES = 64 << 20
 
 Progress = Callable[[str, int, int], None]
-
-
-def noted_files(folder: Path) -> tuple[str, ...]:
-    """Return which files the other site recorded a session to.
-
-    Raises:
-        RecordingError: The folder has no list of them, or none that can be used.
-    """
-    path = folder / FAR_LIST
-    try:
-        files = json.loads(path.read_text(encoding="utf-8"))["files"]
-    except FileNotFoundError:
-        raise RecordingError(f"{path}: is missing: no session of two sites was recorded to {folder}") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RecordingError(f"{path}: is not a list of files: {error}") from error
-    return checked_names(files, str(path))
-
-
-def checked_names(names: Any, origin: str) -> tuple[str, ...]:
-    """Return names of parts of a recording; RecordingError where one of them is no such name."""
-    wrong = [name for name in names if not (isinstance(name, str) and RECORDING_FILE.fullmatch(name))]
-    if wrong or not names:
-        named = repr(wrong[0]) if wrong else "nothing"
-        raise RecordingError(f"{origin}: {named} is no part of a recording, such as session.mcap or session_1.mcap")
-    return tuple(names)
 
 
 class PartialFile:
@@ -198,35 +159,21 @@ def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
 
     Likewise its end at the relay, if there is one, has ended with it, and this process is that end until it has asked.
     """
-    endpoint = f"{LINK}@slave"
-    for key in (endpoint, None):
-        with Participant.open(key or console_of(book, "master"), book) as participant:
+    for beside in (False, True):
+        opened = Participant.at_console(book, "master") if beside else Participant.open(f"{LINK}@slave", book)
+        with opened as participant:
             try:
                 publisher = participant.bind(participant.key)
             except EndpointError:
-                if key is None:
+                if beside:
                     raise
                 continue
-            publish = publisher.publish if key is None else _LinkEnd(participant, publisher).publish
+            # At the endpoint of the link a command has the name of the console that would send it through the link.
+            publish = publisher.publish if beside else partial(publisher.publish, src="console@master")
             readers = participant.subscribers({SENDER: ["session/event", TOPIC]})
-            with nullcontext() if key is None else at_relay(book):
-                yield _Asking(participant, publish, readers), key is None
+            with nullcontext() if beside else at_relay(book):
+                yield _Asking(participant, publish, readers), beside
             return
-
-
-class _LinkEnd:
-    """Sends commands at the endpoint of the link as a console would through it."""
-
-    def __init__(self, participant: Participant, publisher: ZmqPublisher) -> None:
-        self._participant, self._publisher, self._seq = participant, publisher, 0
-
-    def publish(self, topic: str, **fields: Any) -> None:
-        """Send a message of the console."""
-        now_ns, version = self._participant.clock.now_ns(), TOPICS["session/control"].model.version
-        header = {"seq": self._seq, "t_ns": now_ns, "src": "console@master", "v": version}
-        _, payload = compose(topic, {**header, **fields})
-        self._seq += 1
-        self._publisher.send(topic, payload)
 
 
 def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progress) -> None:
@@ -236,7 +183,7 @@ def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progr
         begin, asked_ns = part.offset, clock.monotonic_ns()
         wanted: dict[str, Scalar] = {FILE: part.name, OFFSET: begin, BYTES: _WINDOW_BYTES, RATE: rate}
         command = Command("set", SENDER, (SENDER,), wanted, deadline_ns=_ASK_AGAIN_NS)
-        client = CommandClient(clock, asking.publish, [command])
+        client = asking.participant.commands([command], asking.publish)
         is_answered = False
         newest_ns = asked_ns
         while part.offset < begin + _WINDOW_BYTES and not part.is_whole:
@@ -247,9 +194,8 @@ def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progr
             if now - newest_ns >= _ASK_AGAIN_NS:
                 break
             for message in _received(asking):
-                if isinstance(message, SessionEvent):
-                    client.on_event(message)
-                elif isinstance(message, RecordingPiece) and message.src == SENDER:
+                client.on_event(message)
+                if isinstance(message, RecordingPiece) and message.src == SENDER:
                     if message.file != part.name and SENDER not in client.answers:
                         # What comes before the answer to this command belongs to the one before it.
                         continue
@@ -273,15 +219,6 @@ def _received(asking: _Asking) -> Iterator[Any]:
             yield received.message
 
 
-def merged(own: Sequence[Path], far: Sequence[Path], target: Path) -> Path:
-    """Merge the recordings of both sites into a new file; RecordingError as `merge_sites`."""
-    unfinished = target.with_suffix(".part")
-    unfinished.unlink(missing_ok=True)
-    merge_sites([*own, *far], unfinished)
-    unfinished.replace(target)
-    return target
-
-
 class Shown:
     """Shows the progress of a fetch in lines, one a second."""
 
@@ -297,8 +234,7 @@ class Shown:
 
 def fetch_and_merge(
     book: AddressBook,
-    folder: Path,
-    own: Sequence[Path],
+    session: SessionFolder,
     kbit_per_s: float | None,
     show: Callable[[str], None],
     names: Sequence[str] | None = None,
@@ -307,21 +243,16 @@ def fetch_and_merge(
 
     Args:
         book: The addresses of the rig.
-        folder: The folder of the session.
-        own: The parts of the own recording.
+        session: The folder of the session.
         kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
         show: Called with each line for the user.
         names: The names of the other site's parts; None for those that the folder has noted.
 
     Raises:
-        TelenanoError: As `noted_files`, `fetch` and `merge_sites`.
+        TelenanoError: As `fetch`, and as the methods of the folder.
     """
-    far = noted_files(folder) if names is None else names
+    far = session.far() if names is None else names
     show(f"fetching what the slave's site recorded: {', '.join(far)}")
-    fetched = fetch(book, far, folder / FOLDER_NAME, kbit_per_s, Shown(show))
+    fetched = fetch(book, far, session.path / FOLDER_NAME, kbit_per_s, Shown(show))
     show("merging the recordings of both sites")
-    return merged(own, fetched, folder / MERGED_NAME)
-
-
-# The type checker holds the entry of the package to its declared type.
-_: FetchRecording = fetch_and_merge
+    return session.merge(fetched)

@@ -6,12 +6,11 @@ from typing import Annotated
 import typer
 
 from telenano.cli import JsonOption, SiteFileOption, print_document, report_errors
-from telenano.launcher import own_recordings
-from telenano.recording import open_recordings
+from telenano.recording import SessionFolder, open_recordings
 from telenano.runtime import AddressBook
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import RecordingError
-from telenano_wide_area.far_recording import checked_names, fetch_and_merge
+from telenano_wide_area.far_recording import fetch_and_merge
 
 
 def fetch(
@@ -31,11 +30,12 @@ def fetch(
 ) -> None:
     """Fetch what the slave's site recorded of a session, and merge it with DIR; continues where it was ended."""
     with report_errors(as_json):
-        names = None if files is None else checked_names(files, "--file")
-        own, faults = own_recordings(folder)
+        session = SessionFolder(folder)
+        names = None if files is None else session.parts(files, "--file")
+        own, faults = session.own()
         if not own:
             raise RecordingError(f"{folder}: has no recording of the master's site: {'; '.join(faults) or 'no file'}")
         show = (lambda text: None) if as_json else (lambda text: typer.echo(text, err=True))
-        whole = fetch_and_merge(AddressBook.load(site_file), folder, own, kbit_per_s, show, names)
+        whole = fetch_and_merge(AddressBook.load(site_file), session, kbit_per_s, show, names)
         info = open_recordings([whole]).info()
         print_document(info.model_dump(mode="json"), info.path, as_json=as_json)

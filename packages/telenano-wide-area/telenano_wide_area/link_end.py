@@ -2,71 +2,51 @@
 
 import ipaddress
 import socket
-from collections.abc import Sequence
 
-from telenano.runtime import AccessControl, AddressBook, LinkEnds, OpenEnds, Subscriber, Transport, ZmqPublisher
-from telenano.wire import FAR_END, LINK, ConfigError
+from telenano.runtime import AccessControl, LinkSide
+from telenano.wire import ConfigError
 from telenano_wide_area.datagram.end import DatagramEnd
-from telenano_wide_area.datagram.place import Outlets, Place
-from telenano_wide_area.datagram.sparse import BesideConnection
+from telenano_wide_area.datagram.place import Place
 from telenano_wide_area.relay.path import RelayPath
 from telenano_wide_area.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, relay_key, split_host_port
 from telenano_wide_area.settings import DatagramSettings
 
-NEAR_END = f"{LINK}@slave"
 
-
-def open_ends(
-    key: str, network: Transport, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]
-) -> LinkEnds:
-    """Open the end of the node `key`, attached to what it sends and receives with, and a connection beside it.
-
-    There is nothing where there can be no end.
+def open_end(side: LinkSide) -> None:
+    """Open the end of a side, attached to what it sends and receives with, and a connection beside it.
 
     Raises:
         OSError: Another process has the port, or the name of the relay has no address.
         ValueError: The name of the master cannot be resolved here.
         ConfigError: A key that is needed is not listed here, or a key of the site file is wrong.
     """
-    book = network.book
-    if not {NEAR_END, FAR_END} <= set(book.nodes):
-        return LinkEnds()
-    is_master = key != FAR_END
-    machine = book.machine_of(FAR_END if is_master else NEAR_END)
-    reader = network.reader_of(machine, readers)
-    if reader is None or machine == network.machine:
-        return LinkEnds()
-    access, settings = network.access_control, book.link.read(DatagramSettings)
-    end = DatagramEnd(
-        network.clock,
-        place_of(book, network.machine, settings.port, is_master=is_master)
-        if book.relay is None
-        else relayed_place(book.relay, access, machine, direct=settings.direct),
-        settings,
-        reader,
-        Outlets(outgoing, reports),
-        machine=machine,
-        is_master=is_master,
-        is_allowed=lambda: not access.requires_keys or bool(access.roles(machine)),
-        is_connected=lambda: network.is_connected_to(machine),
+    settings = side.book.link.read(DatagramSettings)
+    if side.book.relay is None:
+        place = place_of(side.endpoint, settings.port, is_master=side.is_master)
+    else:
+        access = side.network.access_control
+        place = relayed_place(side.book.relay, access, side.machine, direct=settings.direct)
+    end = DatagramEnd(side, place, settings)
+    beside = side.connect_beside(end.take_sparse)
+    end.connect_beside(beside.socket)
+    side.opened(
+        end,
+        beside,
+        carry=end.carry,
+        measure=end.send_train,
+        permissions_changed=end.apply_permissions,
+        close=end.close,
     )
-    # closed with the other handlers of the network
-    network.look_after(end)
-    beside = BesideConnection(network.context, network.clock, end.take_sparse)
-    network.connect_beside(FAR_END if is_master else NEAR_END, beside)
-    end.connect_beside(beside)
-    return LinkEnds([end, beside], end.carry, end.send_train)
 
 
-def place_of(book: AddressBook, machine: str, port: int | None, *, is_master: bool) -> Place:
-    """Return where an end binds and sends to, by a UDP port or else that of the link.
+def place_of(endpoint: str, port: int | None, *, is_master: bool) -> Place:
+    """Return where an end binds and sends to, by the endpoint of the link, and a UDP port or else that of the endpoint.
 
     ValueError for a name of the master that cannot be resolved here.
 
     The master's end has a port; the slave's takes any, so that it may stand behind a router: it is the first to send.
     """
-    endpoint = book.bind_endpoint(NEAR_END) if is_master else book.connect_endpoint(NEAR_END, machine)
-    host, tcp_port = split_host_port((endpoint or "").removeprefix("tcp://"))
+    host, tcp_port = split_host_port(endpoint.removeprefix("tcp://"))
     port = port or tcp_port
     family = socket.AF_INET if ipaddress.ip_address(host).version == 4 else socket.AF_INET6
     if is_master:
@@ -96,7 +76,3 @@ def relayed_place(relay: str, access: AccessControl, machine: str, *, direct: bo
         direct=direct,
     )
     return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), None, port, path)
-
-
-# The type checker holds the entry of the package to its declared type.
-_: OpenEnds = open_ends

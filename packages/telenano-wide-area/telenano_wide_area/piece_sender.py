@@ -2,14 +2,13 @@
 
 import contextlib
 import hashlib
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from telenano.runtime import SendsPieces
+from telenano.recording import SessionFolder
 from telenano.wire import Array, RefusedError, Scalar
 
 TOPIC = "recording/piece"
@@ -18,8 +17,6 @@ FILE = "recording.file"
 OFFSET = "recording.offset"
 BYTES = "recording.bytes"
 RATE = "recording.kbit_per_s"
-# The parts of a recording that `telenano up` makes are called so, and nothing else is sent.
-RECORDING_FILE = re.compile(r"session(?:_([0-9]{1,9}))?\.mcap")
 # A message carries this number of bytes of a file at most.
 PIECE_BYTES = 1 << 16
 # A file is recognized by the digest of this number of its first bytes.
@@ -48,7 +45,7 @@ class PieceSender:
         name, offset, count = parameters.get(FILE), parameters.get(OFFSET), parameters.get(BYTES)
         rate = parameters.get(RATE)
         unknown = sorted(set(parameters) - {FILE, OFFSET, BYTES, RATE})
-        if unknown or type(name) is not str or not RECORDING_FILE.fullmatch(name):
+        if unknown or type(name) is not str or not SessionFolder.is_part(name):
             here = ", ".join(sorted(path.name for path in self._folder.glob("session*.mcap"))) or "nothing"
             raise RefusedError(f"{', '.join(unknown) or name!r} is no part of the recording here, which has {here}")
         if type(offset) is not int or offset < 0 or type(count) is not int or not 0 < count <= MOST_BYTES:
@@ -106,7 +103,3 @@ class PieceSender:
         self._allowance -= len(data)
         if not data or self._next >= min(self._end, size):
             self.close()
-
-
-# The type checker holds the entry of the package to its declared type.
-_: Callable[[Path, Callable[..., Any]], SendsPieces] = PieceSender

@@ -1,12 +1,49 @@
 """What this package declares of its transport; it loads nothing that an end needs."""
 
-from telenano.runtime import LinkTransport
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from telenano.recording import SessionFolder
+from telenano.runtime import AddressBook, LinkSide, LinkTransport, StructuredLog
 from telenano_wide_area.settings import DatagramSettings
 
-DATAGRAM = LinkTransport(
-    DatagramSettings,
-    ends="telenano_wide_area.link_end:open_ends",
-    beside="telenano_wide_area.relay",
-    sender="telenano_wide_area.piece_sender:PieceSender",
-    fetch="telenano_wide_area.far_recording:fetch_and_merge",
-)
+if TYPE_CHECKING:
+    from telenano_wide_area.piece_sender import PieceSender
+
+
+class DatagramTransport(LinkTransport):
+    """Sealed datagrams between two machines, a relay for both, and the fetch of the slave's recording."""
+
+    settings = DatagramSettings
+    reaches_relay = True
+    fetches = True
+
+    def open_end(self, side: LinkSide) -> None:
+        """Open the end of a side, and a connection beside it."""
+        from telenano_wide_area.link_end import open_end
+
+        open_end(side)
+
+    def run_beside(self, book: AddressBook, site: str, log: StructuredLog) -> None:
+        """Be the end of a site at the relay until SIGTERM or SIGINT."""
+        from telenano_wide_area.relay.site_end import site_end, until_stopped
+
+        until_stopped(site_end(book, site, log).run())
+
+    def sender(self, folder: Path, publish: Callable[..., Any]) -> "PieceSender":
+        """Return what sends the files of a folder in pieces."""
+        from telenano_wide_area.piece_sender import PieceSender
+
+        return PieceSender(folder, publish)
+
+    def fetch(
+        self, book: AddressBook, session: SessionFolder, kbit_per_s: float | None, show: Callable[[str], None]
+    ) -> Path:
+        """Fetch the files that the slave's site recorded, merge them with the own ones, and return the result."""
+        from telenano_wide_area.far_recording import fetch_and_merge
+
+        return fetch_and_merge(book, session, kbit_per_s, show)
+
+
+DATAGRAM = DatagramTransport()

@@ -9,7 +9,6 @@ import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Any
 
 import zmq
@@ -146,7 +145,7 @@ class Session:
             side.subscriber.socket = side.log  # type: ignore[assignment]
             # Whose end it is has the same name here, whatever it subscribes to.
             logs = self.logs[side.outgoing] = (side.log, Log(self.ways[out], side.clock, 1))
-            side.end.connect_beside(SimpleNamespace(socket=logs[1]))  # type: ignore[arg-type]
+            side.end.connect_beside(logs[1])  # type: ignore[arg-type]
         self.silences_s: dict[str, list[tuple[float, float]]] = {"master": [], "slave": []}
         self._newest_ns: dict[str, int] = {}
         self._keys = {"master": 0, "slave": 0}
@@ -178,7 +177,6 @@ class Session:
             way.arrived(now)
         for name, side, _, _ in sides:
             side.received += side.end.receive(signalled=True)
-            side.events += side.end.take_events()
             taken = [received for received in side.received if received.topic == side.incoming]
             if taken:
                 before_ns = self._newest_ns.get(name)

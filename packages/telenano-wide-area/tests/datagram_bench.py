@@ -9,11 +9,11 @@ from typing import Any
 import zmq
 from network_bench import payload
 from telenano_wide_area.datagram.end import DatagramEnd
-from telenano_wide_area.datagram.place import Outlets, Place
+from telenano_wide_area.datagram.place import Place
 from telenano_wide_area.datagram.sparse import SPARSE
 from telenano_wide_area.settings import DatagramSettings
 
-from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.testing import VirtualClock
 from telenano.wire import compose
 from telenano.wire.messages import Message
@@ -59,7 +59,7 @@ class SocketLog:
 
 
 class Side:
-    """One end, its node's clock, and what its node received."""
+    """The process of one end, with what it received and reported."""
 
     def __init__(
         self, context: Any, *, is_master: bool, master_port: int, host: str, ahead_ns: int, **link: Any
@@ -78,20 +78,23 @@ class Side:
             family, (host, master_port if is_master else 0), None if is_master else (host, master_port), master_port
         )
         self.allowed = self.connected = True
-        self.end = DatagramEnd(
-            self.clock,
-            place,
-            DatagramSettings(**link),
-            self.subscriber,
-            Outlets(self.outlet, self.outlet),
-            machine="slave" if is_master else "master",
-            is_master=is_master,
-            is_allowed=lambda: self.allowed,
-            is_connected=lambda: self.connected,
-        )
         self.received: list[Received] = []
         self.seq = 0
         self.events: list[Any] = []
+        self.is_master, self.machine, self.reader = is_master, "slave" if is_master else "master", self.subscriber
+        self.publish = self.report = self.outlet.publish
+        self.end = DatagramEnd(self, place, DatagramSettings(**link))  # type: ignore[arg-type]
+
+    @property
+    def is_allowed(self) -> bool:
+        return self.allowed
+
+    @property
+    def is_connected(self) -> bool:
+        return self.connected
+
+    def tell(self, level: str, text: str, data: Any) -> None:
+        self.events.append(ConnectionEvent(level, text, data))
 
     @property
     def port(self) -> int:
@@ -108,7 +111,6 @@ class Side:
         """Take what has arrived, as a turn of the loop does."""
         readable = bool(select.select([self.end.descriptor], [], [], 0)[0])
         self.received += self.end.receive(signalled=readable)
-        self.events += self.end.take_events()
 
     def hears_key_of(self, other: "Side") -> None:
         keys = [message for topic, message in other.outlet.sent if topic == "link/key"]

@@ -10,8 +10,6 @@ from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.pacing import SendBudget
 from telenano_wide_area.datagram.rate import Delivery, RateControl, Seen
 
-from telenano.timing.clock_offset import Exchange
-
 MS = 1_000_000
 OFFSET_NS = 37 * 10**9
 SEGMENT = 1500
@@ -179,7 +177,7 @@ def run(
     step_ns = 1_000_000_000 // hz
     arriving: deque[tuple[int, int]] = deque()
     heard: tuple[int, int] | None = None
-    reports: deque[tuple[int, Exchange, int, int]] = deque()
+    reports: deque[tuple[int, tuple[int, int, int, int], int, int]] = deque()
     on_way: list[tuple[int, int, object]] = []
     number = arrived = newest = tcp_bytes = 0
     numbers: dict[int, int] = {}
@@ -233,13 +231,13 @@ def run(
             # The other end sends as often, and says in each datagram which was the newest that it heard.
             home_ns = back_way.arrives(now + back_ns)
             there = round(now * (1.0 + drift)) + OFFSET_NS
-            reports.append((home_ns, Exchange(*heard, there, home_ns), newest + 1, arrived))
+            reports.append((home_ns, (*heard, there, home_ns), newest + 1, arrived))
         if not in_order:
             reports = deque(sorted(reports, key=lambda report: report[0]))
         while reports and reports[0][0] <= now:
             _, exchange, expected, count = reports.popleft()
-            seen_line.record(exchange)
-            delivery.record(exchange.received_there_ns, expected, count)
+            seen_line.record(*exchange)
+            delivery.record(exchange[1], expected, count)
         if now >= next_update:
             next_update = now + 50 * MS
             rate = delivery.rate(float(size), most)

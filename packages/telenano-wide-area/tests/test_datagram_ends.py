@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from network_bench import payload
 from telenano_wide_area.datagram.agreement import REKEY_NS, Agreement
-from telenano_wide_area.datagram.arrivals import SETTLE_NS, ArrivalRecord
+from telenano_wide_area.datagram.arrivals import ArrivalRecord
 from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPORT, packed, parse, short_report
 from telenano_wide_area.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
 from telenano_wide_area.datagram.reception import FIRST_NS
@@ -27,6 +27,8 @@ from telenano_wide_area.datagram.sealing import (
 )
 from telenano_wide_area.datagram.touch import Touch
 from telenano_wide_area.sealed import RejectedError
+
+from telenano.wire import LinkNetwork
 
 KEYS = DirectionKeys(bytes(range(32)), b"abcd")
 
@@ -241,7 +243,7 @@ def test_each_datagram_is_counted_arrived_late_or_lost() -> None:
             window.record(arrived)
             account.record(arrived, arrived * 1_000_000, now + 5_000_000)
         account.settle(now)
-    account.settle(999_000_000 + SETTLE_NS)
+    account.settle(999_000_000 + LinkNetwork.SETTLE_NS)
     lost = {number for number, fate in fates.items() if fate == "lost"}
     assert account.sent == 1000
     assert account.lost == len(lost)

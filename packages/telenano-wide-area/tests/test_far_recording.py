@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import hashlib
-import json
 import os
 import socket
 import tempfile
@@ -16,12 +15,11 @@ import msgspec
 import numpy as np
 import pytest
 from telenano_wide_area import far_recording
-from telenano_wide_area.far_recording import PartialFile, checked_names, fetch, noted_files
+from telenano_wide_area.far_recording import PartialFile, fetch
 from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, OFFSET, PIECE_BYTES, RATE, PieceSender
 from telenano_wide_area.relay.server import Relay
 from telenano_wide_area.relay.site_end import SiteEnd
 
-from telenano.launcher.run import note_files
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.recording.writer import FileSettings, RecordingWriter
@@ -246,26 +244,6 @@ def test_an_offset_at_the_end_tells_the_size(far: Path) -> None:
     sender.pass_s(0.2)
     ((_, piece),) = sender.sent
     assert (piece.size_bytes, piece.offset_bytes, len(piece.data.to_numpy())) == (size, size, 0)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "{}", "[]", '{"files": [7]}', '{"files": ["/etc/passwd"]}', '{"files": ["../a.mcap"]}', '{"files": []}'],
-)
-def test_a_list_of_files_that_cannot_be_used_is_named(tmp_path: Path, text: str) -> None:
-    (tmp_path / "far.json").write_text(text)
-    with pytest.raises(RecordingError, match=r"far\.json: "):
-        noted_files(tmp_path)
-
-
-def test_a_list_of_files_has_names_without_folders(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="is missing: no session of two sites"):
-        noted_files(tmp_path)
-    note_files(tmp_path, ["/home/slave/a b/session_3.mcap", "/home/slave/a b/session_4.mcap"])
-    assert noted_files(tmp_path) == ("session_3.mcap", "session_4.mcap")
-    assert json.loads((tmp_path / "far.json").read_text()) == {"files": ["session_3.mcap", "session_4.mcap"]}
-    note_files(tmp_path / "no such folder", ["session.mcap"])
-    assert checked_names(["session.mcap"], "x") == ("session.mcap",)
 
 
 class NoChildren:

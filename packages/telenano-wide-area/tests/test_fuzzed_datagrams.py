@@ -6,12 +6,13 @@ import random
 import pytest
 from datagram_bench import Pair, Side, pair
 from fuzz_datagrams import CAUSES, Datagrams
-from telenano_wide_area.datagram.arrivals import MOST_ROWS, SETTLE_NS, ArrivalRecord
+from telenano_wide_area.datagram.arrivals import MOST_ROWS, ArrivalRecord
 from telenano_wide_area.datagram.body import BOUND, DATAGRAMS_OF, REPORT
 from telenano_wide_area.datagram.end import DatagramEnd
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 
 from telenano.timing.clock_offset import OffsetFilter
+from telenano.wire import LinkNetwork
 
 # TELENANO_FUZZ_DATAGRAMS in the environment replaces it, for a longer search
 COUNT = int(os.environ.get("TELENANO_FUZZ_DATAGRAMS", 1500))
@@ -160,7 +161,7 @@ def test_a_jump_is_counted_without_a_step_for_each_number(jump: int) -> None:
         if turn % 50 == 0:
             account.settle(turn * 1_000_000)
     account.settle(len(numbers) * 1_000_000)
-    account.settle(len(numbers) * 1_000_000 + SETTLE_NS)
+    account.settle(len(numbers) * 1_000_000 + LinkNetwork.SETTLE_NS)
     assert account.sent == 4000 + jump
     assert account.arrived == 4000
     assert account.lost == jump

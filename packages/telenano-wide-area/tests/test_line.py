@@ -10,8 +10,6 @@ from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.outgoing import LEAST_HZ
 from telenano_wide_area.datagram.rate import FULL_NS, Delivery, RateControl, Seen
 
-from telenano.timing.clock_offset import Exchange
-
 MBIT = 125_000.0
 FIXED_NS = 20 * MS
 SECOND_NS = 1_000_000_000
@@ -19,12 +17,12 @@ SECOND_NS = 1_000_000_000
 
 def exchange(
     t_ns: int, there_ms: float, back_ms: float, drift: float = 0.0, ahead_ns: int = 37 * SECOND_NS
-) -> Exchange:
+) -> tuple[int, int, int, int]:
     """Return an exchange that ends at a time, over a line of 20 ms and queues each way, with a clock that drifts."""
     back_ns, there_ns = FIXED_NS + round(back_ms * MS), FIXED_NS + round(there_ms * MS)
     there_at = t_ns - back_ns
     stamp = there_at + ahead_ns + round(drift * there_at)
-    return Exchange(there_at - there_ns, stamp, stamp, t_ns)
+    return there_at - there_ns, stamp, stamp, t_ns
 
 
 def queues(line: Line) -> tuple[float, float]:
@@ -43,7 +41,7 @@ def test_a_queue_is_told_from_drift_and_jitter_over_an_hour(drift: float) -> Non
         at_s = tick / 10
         standing = 30.0 if 1000.0 <= at_s < 1100.0 else 0.0
         jitter = (abs(draw.gauss(0.0, 1.0)), abs(draw.gauss(0.0, 1.0)))
-        line.record(exchange((tick + 10) * 100 * MS, standing + jitter[0], jitter[1], drift))
+        line.record(*exchange((tick + 10) * 100 * MS, standing + jitter[0], jitter[1], drift))
         if at_s > 10.0 and tick % 10 == 9:
             there, back = queues(line)
             expected = 30.0 if 1001.0 < at_s < 1100.0 else 0.0 if not 999.0 < at_s < 1101.0 else there
@@ -57,7 +55,7 @@ def test_a_queue_that_grows_slowly_in_one_direction_is_no_drift() -> None:
     line = Line()
     for tick in range(60_00):
         at_s = tick / 100
-        line.record(exchange((tick + 100) * 10 * MS, max(0.0, at_s - 10.0), 0.0))
+        line.record(*exchange((tick + 100) * 10 * MS, max(0.0, at_s - 10.0), 0.0))
     there, back = queues(line)
     assert there == pytest.approx(50.0, abs=1.0)
     assert back < 1.0
@@ -67,7 +65,7 @@ def test_a_queue_that_grows_slowly_in_one_direction_is_no_drift() -> None:
 def test_a_peak_within_a_tenth_of_a_second_is_no_standing_queue() -> None:
     line = Line()
     for tick in range(3000):
-        line.record(exchange((tick + 100) * MS, 40.0 if tick % 100 < 40 else 0.0, 0.0))
+        line.record(*exchange((tick + 100) * MS, 40.0 if tick % 100 < 40 else 0.0, 0.0))
         if tick > 300:
             assert queues(line)[0] < 0.5
 
@@ -76,7 +74,7 @@ def test_the_queue_that_is_told_is_the_greatest_since_the_last_report_and_not_th
     line = Line()
     for tick in range(1500):
         # A burst of messages fills the line for a third of a second, and is gone when the report is made.
-        line.record(exchange((tick + 100) * MS, 0.0, max(0.0, 126.0 - 0.4 * (tick - 1000)) if tick >= 1000 else 0.0))
+        line.record(*exchange((tick + 100) * MS, 0.0, max(0.0, 126.0 - 0.4 * (tick - 1000)) if tick >= 1000 else 0.0))
         if tick == 999:
             assert line.take_back_ns() == pytest.approx(0.0, abs=0.1 * MS)
     assert queues(line)[1] < 1.0
@@ -90,9 +88,9 @@ def test_the_queue_that_is_told_is_the_greatest_since_the_last_report_and_not_th
 def test_a_clock_that_is_set_makes_no_queue_for_longer_than_the_line_needs_to_be_seen_anew(step_s: float) -> None:
     line = Line()
     for tick in range(2000):
-        line.record(exchange((tick + 100) * 10 * MS, 0.0, 0.0))
+        line.record(*exchange((tick + 100) * 10 * MS, 0.0, 0.0))
     for tick in range(2000, 4000):
-        line.record(exchange((tick + 100) * 10 * MS, 0.0, 0.0, ahead_ns=37 * SECOND_NS + round(step_s * 1e9)))
+        line.record(*exchange((tick + 100) * 10 * MS, 0.0, 0.0, ahead_ns=37 * SECOND_NS + round(step_s * 1e9)))
         # the round trip is as short as ever, and so is every queue
         assert max(queues(line)) < 0.5
 
@@ -102,7 +100,7 @@ def test_a_clock_that_is_set_makes_no_queue_for_longer_than_the_line_needs_to_be
 def test_no_exchange_that_can_be_read_makes_a_negative_queue_or_an_error(stamps: list[tuple[int, ...]]) -> None:
     line = Line()
     for stamp in stamps:
-        line.record(Exchange(*stamp))
+        line.record(*stamp)
         for queue_ns in (line.there_ns, line.back_ns):
             assert queue_ns is None or queue_ns >= -1
 

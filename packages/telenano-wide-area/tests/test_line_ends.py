@@ -32,8 +32,6 @@ from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings
 from test_datagram_ends import _Blocked
 
-from telenano.timing.clock_offset import Exchange
-
 MS = 1_000_000
 REPORTED = REPORT.pack(1, 0, 0, 0, 0)
 FORWARD = payload("teleop/forward", "controller@master", 7)
@@ -230,7 +228,7 @@ def test_only_its_sender_calls_a_line_full_and_names_what_it_carries_now(
     for tick in range(2000):
         at_ns = 40 * MS + tick * 5 * MS
         queue_ns = queue_ms * MS if 400 <= tick < 1600 else 0
-        outgoing.line.record(Exchange(at_ns - 40 * MS - queue_ns, at_ns - 20 * MS, at_ns - 20 * MS, at_ns))
+        outgoing.line.record(at_ns - 40 * MS - queue_ns, at_ns - 20 * MS, at_ns - 20 * MS, at_ns)
         outgoing.control.mode = mode if 400 <= tick < 1800 else "free"
         if found := outgoing.report_queue(at_ns, "slave"):
             told.append(found)

@@ -6,7 +6,6 @@ import os
 import re
 import socket
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -266,7 +265,9 @@ class AddressBook(Settings):
         link = f"{LINK}@{site}"
         reader = self.machine_of(link) if link in self.nodes else None
         plan = {
-            node: [name for name, topic in TOPICS.items() if _publishes(topic, node) and _crosses(topic, to_site=away)]
+            node: [
+                name for name, topic in TOPICS.items() if topic.is_published_by(node) and _crosses(topic, to_site=away)
+            ]
             for node in self.nodes
             if site_of(node) == site and name_of(node) != LINK and self.reaches(reader, node)
         }
@@ -274,7 +275,7 @@ class AddressBook(Settings):
 
     def published_by(self, node: str) -> list[str]:
         """Return the topics published at a node's endpoint, the bridged ones included."""
-        own = [name for name, topic in TOPICS.items() if _publishes(topic, node)]
+        own = [name for name, topic in TOPICS.items() if topic.is_published_by(node)]
         if name_of(node) == LINK:
             own += [name for name, topic in TOPICS.items() if _crosses(topic, to_site=site_of(node))]
         return list(dict.fromkeys(own))
@@ -290,9 +291,9 @@ class AddressBook(Settings):
         reachable = [
             node
             for node in self.nodes
-            if _publishes(topic, node) and site_of(node) == here and self.reaches(machine, node)
+            if topic.is_published_by(node) and site_of(node) == here and self.reaches(machine, node)
         ]
-        far = any(_publishes(topic, node) and site_of(node) != here for node in self.nodes)
+        far = any(topic.is_published_by(node) and site_of(node) != here for node in self.nodes)
         link = f"{LINK}@{here}"
         if far and link in self.nodes and _crosses(topic, to_site=here) and link not in reachable:
             reachable.append(link)
@@ -319,11 +320,6 @@ def may_carry(node: str, src: str) -> bool:
     if name != LINK:
         return src == node
     return name_of(src) == LINK or site_of(src) != site
-
-
-def _publishes(topic: Topic, node: str) -> bool:
-    name = name_of(node)
-    return any(fnmatchcase(node, pattern) or name == pattern for pattern in topic.publishers)
 
 
 def _crosses(topic: Topic, to_site: str) -> bool:

@@ -11,8 +11,8 @@ import zmq
 
 from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from telenano.timing.clock import NEVER_NS, Clock
-from telenano.wire import TOPICS, WireError, read_header
-from telenano.wire.codec import MAX_MESSAGE_BYTES, accept
+from telenano.wire import TOPICS
+from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, accept, read_header
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival, SequenceTracker
@@ -237,6 +237,15 @@ class Subscriber:
             self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
             self.last_error = str(error)
             return None
+
+    def has_newer(self, topic: str, payload: bytes) -> bool:
+        """Return whether what was received of the source of a message is as new as it, or newer."""
+        try:
+            seq, t_ns, src = read_header(topic, payload)
+        except WireError:
+            return False
+        tracker = self.trackers.get((topic, src))
+        return tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns
 
     def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
         """Subscribe to a topic whose messages are for `handle` and not for the reader."""

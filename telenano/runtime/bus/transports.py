@@ -4,9 +4,8 @@ A site file names one in `link.transport`. Two names are of telenano itself: `st
 the transport that KNOWN_TRANSPORT names, where it is installed, and TCP where it is not.
 """
 
-import importlib
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 from telenano.settings import plugins
 from telenano.settings.config import Settings, validate
@@ -19,29 +18,21 @@ STREAM = "stream"
 AUTO = "auto"
 
 
-class LinkTransport(NamedTuple):
-    """What an entry of the kind `transports` is; every process of two machines may read it, and so it loads nothing.
-
-    Such as `TRANSPORT = LinkTransport(MySettings, ends="my_package.ends:open_ends")`. What is named as `module:name` is
-    imported where it is used.
+class SiteFileTransport:
+    """What a site file may say of a transport; `telenano.runtime.LinkTransport` adds what it does.
 
     Attributes:
         settings: The model of the section `link` of a site file: `transport`, and the keys of this transport.
-        ends: Opens an end, in the two processes that the link ends in (`telenano.runtime.OpenEnds`).
-        beside: A module that is run with `--site SITE --site-file FILE` beside the nodes of each site where the site
-            file has a relay; empty where the transport knows none.
-        sender: Sends the recording of the slave's site (`telenano.runtime.SendsPieces`); empty for none.
-        fetch: Fetches it at the master's (`telenano.runtime.FetchRecording`); empty for none.
+        reaches_relay: Whether it runs beside the nodes of a site whose site file has a `relay`.
+        fetches: Whether it sends the recording of the slave's site, and fetches it at the master's.
     """
 
-    settings: type[Settings]
-    ends: str
-    beside: str = ""
-    sender: str = ""
-    fetch: str = ""
+    settings: ClassVar[type[Settings]]
+    reaches_relay: ClassVar[bool] = False
+    fetches: ClassVar[bool] = False
 
 
-def named(name: str) -> LinkTransport:
+def named(name: str) -> SiteFileTransport:
     """Return the transport of a name, `auto` and `stream` being the one that is known; ConfigError where there is none.
 
     The error names the package to install, or what is wrong with one that is installed.
@@ -73,30 +64,21 @@ def check_link(transport: str, keys: Mapping[str, Any], origin: str, *, relayed:
         transport_named = named(transport)
     except ConfigError as error:
         raise ConfigError(f"{origin}: {asks}: {error}") from error
-    if relayed and not transport_named.beside:
+    if relayed and not transport_named.reaches_relay:
         raise ConfigError(f"{origin}: relay: the transport {transport!r} reaches no relay")
     validate(transport_named.settings, {"transport": transport, **keys}, origin, "link")
 
 
-def fetching() -> LinkTransport:
-    """Return the installed transport that fetches the other site's recording, the known one first.
-
-    Without any it is one that has neither `sender` nor `fetch`.
-    """
+def fetching() -> SiteFileTransport | None:
+    """Return the installed transport that fetches the other site's recording, the known one first; None without any."""
     for name in sorted(plugins.installed("transports"), key=lambda name: (name != KNOWN_TRANSPORT, name)):
         row = plugins.load("transports", _checked, taken=(AUTO, STREAM), only=name).found.get(name)
-        if row is not None and row.fetch:
+        if row is not None and row.fetches:
             return row
-    return LinkTransport(Settings, ends="")
+    return None
 
 
-def imported(target: str) -> Any:
-    """Return what `module:name` names."""
-    module, _, name = target.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
-def _checked(_: str, value: Any) -> LinkTransport:
-    if not isinstance(value, LinkTransport):
+def _checked(_: str, value: Any) -> SiteFileTransport:
+    if not isinstance(value, SiteFileTransport):
         raise TypeError(f"is a {type(value).__name__}, must be a LinkTransport")
     return value

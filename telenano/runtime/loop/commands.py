@@ -25,7 +25,7 @@ from telenano.runtime.loop.estop_latch import EstopLatch, begins_motion
 from telenano.timing.clock import Clock
 from telenano.wire import encode
 from telenano.wire.errors import TelenanoError
-from telenano.wire.messages import Scalar, SessionControl, SessionEvent
+from telenano.wire.messages import Message, Scalar, SessionControl, SessionEvent
 from telenano.wire.nodes import is_estop, is_meant, is_pattern, site_of
 
 CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]
@@ -151,8 +151,10 @@ class CommandClient:
                 return False
         return True
 
-    def on_event(self, event: SessionEvent) -> bool:
-        """Record an event; return whether it is a node's first answer to the current command."""
+    def on_event(self, event: Message) -> bool:
+        """Record a message; return whether it is a session/event with a node's first answer to the current command."""
+        if not isinstance(event, SessionEvent):
+            return False
         if event.kind == "ack" and event.data.get("command") == "estop" and self._would_move(event.src):
             self._give_up(f"{event.src} was stopped by an emergency stop")
             return False

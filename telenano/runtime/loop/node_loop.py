@@ -19,8 +19,8 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings.plugins import fault_of_package
 from telenano.timing.clock import NEVER_NS
 from telenano.timing.freshness import LOOP_DEADLINE_NS
-from telenano.wire import TOPICS, WireError
-from telenano.wire.codec import accept
+from telenano.wire import TOPICS
+from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival

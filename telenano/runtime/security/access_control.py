@@ -7,10 +7,16 @@ from telenano.wire.errors import ConfigError
 class AccessControl:
     """The keys of one machine in use; in a rig that requires none, every machine may do everything."""
 
-    def __init__(self, machine: str, keyring: Keyring, *, requires_keys: bool) -> None:
-        """Read the keys of a machine if the rig requires keys; ConfigError when one is missing, invalid or expired."""
+    def __init__(self, machine: str, keyring: Keyring | None = None, *, requires_keys: bool = True) -> None:
+        """Read the keys of a machine if the rig requires keys; ConfigError when one is missing, invalid or expired.
+
+        Args:
+            machine: The machine.
+            keyring: Its folder of keys; None for that of this user.
+            requires_keys: Whether the rig requires keys.
+        """
         self.machine = machine
-        self.keyring = keyring
+        self.keyring = keyring = keyring or Keyring()
         self.requires_keys = requires_keys
         self.own = keyring.own_in_force(machine) if requires_keys else None
         self._allowed = keyring.allowed() if requires_keys else AllowList()

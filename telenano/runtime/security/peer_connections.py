@@ -20,7 +20,7 @@ from telenano.runtime.security.socket_monitor import (
     RejectionCounter,
 )
 from telenano.timing.clock import Clock
-from telenano.wire import WireError
+from telenano.wire.codec import WireError
 from telenano.wire.nodes import is_visitor
 
 # libzmq does not reconnect after a rejected key or another protocol, and does not report that it has given up: the key

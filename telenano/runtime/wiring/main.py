@@ -25,7 +25,7 @@ from telenano.runtime.loop.realtime import (
     use_huge_pages,
 )
 from telenano.runtime.security.private_files import check_rig_name
-from telenano.runtime.wiring.participant import SITES, Participant, StopSignals
+from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.settings.included import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from telenano.settings.plugins import fault_of_package
 from telenano.settings.scenario import LoadedScenario, RealtimeConfig
@@ -112,27 +112,6 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     parser.add_argument("--rig", metavar="NAME", help=about)
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
     return parser.parse_args(arguments, namespace=NodeArguments())
-
-
-def run_beside(name: str, serve: Callable[[Path, str, StructuredLog], None], arguments: Sequence[str] | None) -> int:
-    """Run a process beside the nodes of a site until it ends; return the exit code, 2 when it could not start.
-
-    Args:
-        name: Its name in logs.
-        serve: Called with the site file, the site and the log.
-        arguments: The command line; None for that of this process.
-    """
-    arguments_read = parse_arguments(name, SITES, arguments)
-    log = StructuredLog(f"{name}@{arguments_read.site}")
-    if arguments_read.with_parent:
-        die_with_parent(signal.SIGTERM)
-    beside_the_loop()
-    try:
-        serve(arguments_read.site_file, arguments_read.site, log)
-    except TelenanoError as error:
-        log.error(str(error))
-        return EXIT_BAD_START
-    return 0
 
 
 def beside_the_loop() -> None:

@@ -6,45 +6,32 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
-from telenano.runtime.bus.transports import STREAM, imported, named
+from telenano.runtime.bus.transports import STREAM
+from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.hang_guard import HangGuard
 from telenano.runtime.loop.log import RateLimitedLog, StructuredLog
 from telenano.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
 from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
-from telenano.runtime.security.keyring import Keyring, this_machine
+from telenano.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
+from telenano.runtime.wiring.link_transports import LinkEnds, LinkSide, link_transport
 from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.settings.package_topics import topics_by_name
 from telenano.timing.clock import Clock, SystemClock
 from telenano.wire.errors import ConfigError, EndpointError
-from telenano.wire.nodes import DEVICES, FAR_END, site_of
+from telenano.wire.nodes import DEVICES, FAR_END, Site, is_console, site_of
 
 SITES = ("master", "slave")
 # A participant that only listens has this name, which is in no site file.
 OBSERVER = "record@master"
 NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
-
-
-class LinkEnds(NamedTuple):
-    """What a transport opens in one of the two processes that the link ends in, all of it by default nothing.
-
-    Attributes:
-        readers: What the loop of the process reads as it reads its subscribers.
-        carry: Called with topic and bytes of every message that the process publishes. It sends those that cross
-            otherwise than by TCP, and returns what goes before the topic of one that is sent by TCP once more.
-        measure: Measures what the line carries, and returns whether it could.
-    """
-
-    readers: Sequence[Reader] = ()
-    carry: Callable[[str, bytes], bytes | None] | None = None
-    measure: Callable[[], bool] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,13 +118,17 @@ class Participant:
         if not self.book.spans_machines or name == STREAM:
             return LinkEnds()
         try:
+            transport = link_transport(name)
+            side = LinkSide.of(self.key, self.network, outgoing, reports, readers)
+            if side is None:
+                return LinkEnds()
             # What a transport needs is loaded in these two processes only.
-            ends: LinkEnds = imported(named(name).ends)(self.key, self.network, outgoing, reports, readers)
+            transport.open_end(side)
         except (OSError, ValueError, ConfigError) as error:
             self.log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
             return LinkEnds()
-        outgoing.carry = ends.carry
-        return ends
+        outgoing.carry = side.ends.carry
+        return side.ends
 
     def estop_inlet(self) -> list[Subscriber]:
         """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""
@@ -191,11 +182,63 @@ class Participant:
             )
 
     @classmethod
+    @contextlib.contextmanager
+    def at_console(cls, book: AddressBook, site: Site) -> "Iterator[Participant]":
+        """Open the console of a site whose machine this is, as `open` does.
+
+        Example:
+            with Participant.at_console(book, "master") as participant: ...
+
+        Raises:
+            ConfigError: The site has no console on this machine.
+        """
+        consoles = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
+        machines = _machines_here(book)
+        here = [node for node in consoles if machines is None or book.machine_of(node) in machines]
+        if not here:
+            elsewhere = f", {', '.join(consoles)} is on another machine" if consoles else ""
+            raise ConfigError(
+                f"nodes: a console@{site} of this machine is missing, commands need an endpoint{elsewhere}"
+            )
+        with cls.open(here[0], book) as participant:
+            yield participant
+
+    def commands(
+        self,
+        commands: Sequence[Command],
+        publish: Callable[..., Any],
+        *,
+        retry_ns: int = 0,
+        issued_ns: int | None = None,
+    ) -> CommandClient:
+        """Return what sends commands one after the other and collects their answers.
+
+        Example:
+            client = participant.commands([Command("stop", "afm_node")], publisher.publish)
+            while not client.advance(): ...
+
+        Args:
+            commands: The commands.
+            publish: Publishes a session/control.
+            retry_ns: How long a required command is tried again after a refusal [ns].
+            issued_ns: When the commands were issued, on the monotonic clock [ns], now if None.
+        """
+        return CommandClient(self.clock, publish, commands, retry_ns=retry_ns, issued_ns=issued_ns)
+
+    @classmethod
     def observing(
         cls, book: AddressBook, wake_descriptor: int = -1
     ) -> contextlib.AbstractContextManager["Participant"]:
         """Open a part that only listens, or publishes what it binds itself, on any machine of a rig."""
         return cls.open(OBSERVER, book, wake_descriptor, publisher=False)
+
+
+def _machines_here(book: AddressBook) -> list[str] | None:
+    """Return the machines whose keys this process has; None for all, where there are no keys."""
+    if not book.requires_keys:
+        return None
+    keyring = Keyring()
+    return [this_machine(keyring)] if MACHINE_VARIABLE in os.environ else keyring.names()
 
 
 def _machine_of(book: AddressBook, key: str) -> str:

@@ -25,7 +25,7 @@ from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.runtime.security.socket_monitor import RejectionCounter
 from telenano.runtime.security.zap_authenticator import ZapAuthenticator
 from telenano.timing.clock import Clock
-from telenano.wire import WireError
+from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import is_estop
@@ -151,7 +151,7 @@ class Transport:
         if book.uses_runtime_directory:
             check_runtime_directory()
         self.machine = machine
-        self.access_control = AccessControl(machine, keyring or Keyring(), requires_keys=book.requires_keys)
+        self.access_control = AccessControl(machine, keyring, requires_keys=book.requires_keys)
         self.has_pending = False
         self.context = context
         self.clock = clock

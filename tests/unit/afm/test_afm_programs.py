@@ -11,7 +11,7 @@ from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.sample.surface import height_at
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.settings.config import validate
-from telenano.wire import WireError
+from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.node_state import pack, restore
 

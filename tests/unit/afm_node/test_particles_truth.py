@@ -11,8 +11,8 @@ from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
-from telenano.wire import Topic, WireError
-from telenano.wire.codec import accept, fields_of
+from telenano.wire import Topic
+from telenano.wire.codec import WireError, accept, fields_of
 from telenano.wire.schema import json_schema
 from telenano.wire.topics import row_of
 

@@ -5,10 +5,11 @@ from typing import Any
 import pytest
 from recorder_samples import sample
 
-from telenano.console.command_client import Attention, addressed, console_of, parse_parameters, send_control
+from telenano.console.command_client import Attention, addressed, parse_parameters, send_control
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.commands import Command
 from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.wiring.participant import Participant
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
@@ -98,13 +99,18 @@ def test_commands_are_typed_at_the_console_of_ones_own_machine(monkeypatch: pyte
     machines = {"slave": "10.0.0.2", "desk": "10.0.0.3"}
     book = validate(AddressBook, {"nodes": nodes, "machines": machines}, "site.yaml")
     Keyring(tmp_path / "keys").create("desk")
-    assert console_of(book, "master") == "console_desk@master"
+
+    def console() -> str:
+        with Participant.at_console(book, "master") as participant:
+            return participant.key
+
+    assert console() == "console_desk@master"
     # with the keys of two machines here, as where one tries both, the site's own console comes first
     Keyring(tmp_path / "keys").create("master")
-    assert console_of(book, "master") == "console@master"
+    assert console() == "console@master"
     monkeypatch.setenv("TELENANO_MACHINE", "desk")
-    assert console_of(book, "master") == "console_desk@master"
+    assert console() == "console_desk@master"
     monkeypatch.setenv("TELENANO_MACHINE", "slave")
     with pytest.raises(ConfigError, match=r"console@master, console_desk@master is on another machine"):
-        console_of(book, "master")
+        console()
     assert addressed(book, "*") == ["controller@slave"]

@@ -8,7 +8,6 @@ import pytest
 
 from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
-from telenano.link.engine import fates_of
 from telenano.link.fate import Fate
 from telenano.wire.errors import ConfigError
 
@@ -147,5 +146,5 @@ def test_a_change_of_other_settings_in_a_session_keeps_its_time() -> None:
 
 def test_a_link_that_is_simulated_begins_with_the_session() -> None:
     settings = LinkSettings.of({"forward": {"outage": {"schedule": [[0.5, 0.1]], "origin": "session"}}})
-    fates = fates_of(settings, "forward", "teleop/forward", range(7 * NS, 8 * NS, NS // 100), 300)
+    fates = DirectionEngine.fates(settings, "forward", "teleop/forward", range(7 * NS, 8 * NS, NS // 100), 300)
     assert [fate.seq for fate in fates if fate.dropped] == list(range(50, 60))

@@ -9,7 +9,7 @@ from link_bench import MS, START, TOPIC, engine, finish, stream
 
 from telenano.link.config import Impairment, LinkSettings
 from telenano.link.direction import DirectionEngine
-from telenano.link.engine import LinkEngine, fates_of
+from telenano.link.engine import LinkEngine
 from telenano.wire.errors import ConfigError
 
 # --- delay ---------------------------------------------------------------------------------------------------------
@@ -137,7 +137,9 @@ def test_reordered_share_follows_from_probability_and_gap(probability, gap):
 @pytest.mark.parametrize("forward", [{}, {"order": "topic"}, {"loss": {"probability": 1e-9}}])
 def test_messages_released_together_have_not_overtaken_each_other(forward):
     fates = stream(5, period_ns=1, delay_s=0.01, **forward)
-    together = fates_of(LinkSettings.of({"forward": {"delay_s": 0.01, **forward}}), "forward", TOPIC, [START] * 5, 9)
+    together = DirectionEngine.fates(
+        LinkSettings.of({"forward": {"delay_s": 0.01, **forward}}), "forward", TOPIC, [START] * 5, 9
+    )
     assert not any(fate.reordered for fate in (*fates, *together))
 
 

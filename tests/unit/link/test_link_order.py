@@ -6,7 +6,8 @@ import pytest
 from link_bench import MS, START, TOPIC, engine, finish, stream
 
 from telenano.link.config import LinkSettings
-from telenano.link.engine import LinkEngine, fates_of
+from telenano.link.direction import DirectionEngine
+from telenano.link.engine import LinkEngine
 from telenano.link.fate import Release
 
 
@@ -173,7 +174,7 @@ def test_a_plain_bridge_counts_what_it_passes_on_at_once() -> None:
     link.submit(START, TOPIC, b"abc", 0)
     stats = link.stats()
     assert (stats.messages_out, stats.bytes_out, stats.delay_count, stats.delay_max_s) == (1, 3, 1, 0.0)
-    assert fates_of(LinkSettings.of({}), "forward", TOPIC, [], 9) == []
+    assert DirectionEngine.fates(LinkSettings.of({}), "forward", TOPIC, [], 9) == []
 
 
 def test_a_message_that_finds_the_line_free_is_on_it_at_once_and_one_that_has_left_makes_room() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from telenano.link.config import Jitter, LinkSettings
-from telenano.link.engine import fates_of
+from telenano.link.direction import DirectionEngine
 from telenano.link.models.jitter import JitterSource, hyperexponential_quantile
 from telenano.link.profiles import PROFILES, Profile, profile_named
 from telenano.link.random_streams import stream
@@ -31,7 +31,7 @@ SPARSE = tuple(
 def fates(name, way, count, seed):
     settings = LinkSettings.of({"profile": name, "seed": seed})
     period_ns = 50_000_000 if name in SPARSE else 1_000_000
-    return fates_of(settings, way, "teleop/forward", range(0, count * period_ns, period_ns), SIZE_BYTES)
+    return DirectionEngine.fates(settings, way, "teleop/forward", range(0, count * period_ns, period_ns), SIZE_BYTES)
 
 
 def deviation_by_stalls_ms(name, way, seconds):

@@ -13,7 +13,7 @@ from wire_contract import examples
 from telenano.recording.reader import Recording
 from telenano.recording.site_clock import read_site_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.timing.clock_offset import Exchange, OffsetFilter
+from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire import encode
 from telenano.wire.topics import TOPICS
 
@@ -70,7 +70,7 @@ def write(case: Case, folder: Path) -> Path:
         back_s = arrived_s + 1e-4 + 0.02 + 2e-4 * draw.random()
         asked_ns, there_ns = (BEGAN_NS + round(at_s * NS) for at_s in (asked_s, arrived_s + case.ahead_s(arrived_s)))
         back_ns = BEGAN_NS + round(back_s * NS)
-        found.record(Exchange(asked_ns, there_ns, there_ns + 100_000, back_ns))
+        found.record(asked_ns, there_ns, there_ns + 100_000, back_ns)
         rows = [("clock/pong", TIP, there_ns + 100_000, pong, {"ping_t_ns": asked_ns, "received_ns": there_ns})]
         if seq % 4 == 0 and (estimate := found.estimate()) is not None:
             # the link makes it ten times a second

@@ -17,7 +17,8 @@ from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.bus import transports
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.wiring.participant import LinkEnds, Participant
+from telenano.runtime.wiring.link_transports import LinkEnds, LinkSide
+from telenano.runtime.wiring.participant import Participant
 from telenano.settings import TWO_SITES_FILE, plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.testing import NodeBench
@@ -175,6 +176,24 @@ def test_a_transport_of_a_stranger_carries_the_samples_both_ways(tmp_path: Path)
         assert list(ends[0].readers[0].receive()) == []
         assert master.subscribers[-1].rejected or master.subscribers[0].rejected
         turns(3, master, slave)
+    finally:
+        master.close()
+        slave.close()
+
+
+def test_each_side_knows_the_other_machine_and_the_endpoint_of_the_link(tmp_path: Path) -> None:
+    book = two_machine_book(tmp_path)
+    master, slave = joined(book, tmp_path / "keys")
+    try:
+        sides = []
+        for machine, key in ((master, "delay_node@master"), (slave, CONTROLLER)):
+            publisher = next(iter(machine.publishers.values()))
+            side = LinkSide.of(key, machine.network, publisher, publisher, machine.subscribers)
+            assert side is not None and side.is_allowed and side.reader in machine.subscribers
+            sides.append((side.is_master, side.machine, side.endpoint))
+        bound, reached = book.bind_endpoint(LINK), book.connect_endpoint(LINK, "slave")
+        assert sides == [(True, "slave", bound), (False, "master", reached)]
+        assert str(reached).startswith("tcp://")
     finally:
         master.close()
         slave.close()

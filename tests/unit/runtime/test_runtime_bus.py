@@ -22,8 +22,8 @@ from telenano.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Subscribe
 from telenano.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
 from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
-from telenano.wire import WireError, decode, encode
-from telenano.wire.codec import MAX_MESSAGE_BYTES
+from telenano.wire import decode, encode
+from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import AfmState, HapticState, SessionControl
 from telenano.wire.nodes import NODES, name_of

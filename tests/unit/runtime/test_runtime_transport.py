@@ -40,7 +40,7 @@ from telenano.runtime.wiring import transport
 from telenano.runtime.wiring.transport import Transport
 from telenano.testing import VirtualClock
 from telenano.timing.clock import SystemClock
-from telenano.wire import WireError
+from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError
 
 OPERATOR = "controller@master"

@@ -5,18 +5,20 @@ from collections.abc import Callable
 
 import pytest
 
-from telenano.timing.clock_offset import Exchange, OffsetFilter
+from telenano.timing.clock_offset import OffsetFilter
 
 
-def exchange(offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000) -> Exchange:
+def exchange(
+    offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000
+) -> tuple[int, int, int, int]:
     received = sent_ns + there_ns + offset_ns
-    return Exchange(sent_ns, received, received + spent_ns, sent_ns + there_ns + spent_ns + back_ns)
+    return sent_ns, received, received + spent_ns, sent_ns + there_ns + spent_ns + back_ns
 
 
 @pytest.mark.parametrize("offset_ns", [0, 1, -3_000_000_000, 7 * 10**15])
 def test_symmetric_path_gives_the_injected_offset(offset_ns: int) -> None:
     offsets = OffsetFilter(8)
-    offsets.record(exchange(offset_ns, 80_000, 80_000))
+    offsets.record(*exchange(offset_ns, 80_000, 80_000))
     estimate = offsets.estimate()
     assert estimate is not None
     assert estimate.offset_s == pytest.approx(offset_ns * 1e-9, rel=1e-12, abs=1e-12)
@@ -26,7 +28,7 @@ def test_symmetric_path_gives_the_injected_offset(offset_ns: int) -> None:
 @pytest.mark.parametrize(("there_ns", "back_ns"), [(30_000_000, 10_000_000), (0, 50_000_000), (50_000_000, 0)])
 def test_asymmetric_path_shifts_the_estimate_by_half_of_the_asymmetry(there_ns: int, back_ns: int) -> None:
     offsets = OffsetFilter(8)
-    offsets.record(exchange(500_000_000, there_ns, back_ns))
+    offsets.record(*exchange(500_000_000, there_ns, back_ns))
     estimate = offsets.estimate()
     assert estimate is not None
     error_s = estimate.offset_s - 0.5
@@ -39,7 +41,7 @@ def test_uncertainty_is_reached_when_one_way_takes_no_time_and_never_passed() ->
     for _ in range(500):
         there, back = draw.randrange(10**8), draw.randrange(10**8)
         offsets = OffsetFilter(1)
-        offsets.record(exchange(123_456_789, there, back))
+        offsets.record(*exchange(123_456_789, there, back))
         estimate = offsets.estimate()
         assert estimate is not None
         assert abs(estimate.offset_s - 0.123456789) <= estimate.uncertainty_s + 1e-12
@@ -48,12 +50,12 @@ def test_uncertainty_is_reached_when_one_way_takes_no_time_and_never_passed() ->
 def test_the_fastest_question_and_the_fastest_answer_in_view_count() -> None:
     offsets = OffsetFilter(3)
     for second, (there_ns, back_ns) in enumerate([(50_000, 9_000_000), (9_000_000, 50_000), (5_000_000, 5_000_000)]):
-        offsets.record(exchange(1_000_000, there_ns, back_ns, second * 10**9))
+        offsets.record(*exchange(1_000_000, there_ns, back_ns, second * 10**9))
     best = offsets.estimate()
     assert best is not None
     assert best == (pytest.approx(1e-3, rel=1e-9), pytest.approx(5e-5), pytest.approx(1e-4), 3)
     for second in (3, 4):
-        offsets.record(exchange(1_000_000, 5_000_000, 5_000_000, second * 10**9))
+        offsets.record(*exchange(1_000_000, 5_000_000, 5_000_000, second * 10**9))
     # the good ones have left the window
     later = offsets.estimate()
     assert later is not None
@@ -62,7 +64,7 @@ def test_the_fastest_question_and_the_fastest_answer_in_view_count() -> None:
 
 def test_impossible_exchange_is_left_out() -> None:
     offsets = OffsetFilter(3)
-    offsets.record(Exchange(100, 0, 500, 150))
+    offsets.record(100, 0, 500, 150)
     assert offsets.estimate() is None
 
 
@@ -70,9 +72,9 @@ def test_impossible_exchange_is_left_out() -> None:
 def test_another_clock_is_known_at_its_first_exchange_and_not_after_a_window(step_ns: int) -> None:
     found = OffsetFilter(64)
     for turn in range(100):
-        found.record(exchange(0, 2_000_000, 2_000_000, turn * 10**8))
+        found.record(*exchange(0, 2_000_000, 2_000_000, turn * 10**8))
     # the other site was started anew after its wall clock was set; its network is slower than it was
-    found.record(exchange(step_ns, 9_000_000, 9_000_000, 10**10))
+    found.record(*exchange(step_ns, 9_000_000, 9_000_000, 10**10))
     estimate = found.estimate()
     assert estimate is not None
     assert estimate.offset_s == pytest.approx(step_ns * 1e-9, abs=1e-9)
@@ -84,7 +86,7 @@ def test_a_slow_network_is_no_other_clock() -> None:
     for turn, (there_ns, back_ns) in enumerate(
         [(2_000_000, 2_000_000), (900_000_000, 1_000), (1_000, 900_000_000)] * 5
     ):
-        found.record(exchange(0, there_ns, back_ns, turn * 10**8))
+        found.record(*exchange(0, there_ns, back_ns, turn * 10**8))
     estimate = found.estimate()
     assert estimate is not None
     assert estimate.exchanges == 15
@@ -103,7 +105,7 @@ def worst_error_s(course: Callable[[float], float], jitter_ms: tuple[float, floa
         there_ns, back_ns = (base_ns + round(draw.expovariate(1.0 / jitter) * 1e6) for jitter in jitter_ms)
         arrived_ns = asked_ns + there_ns
         stamps = (arrived_ns + round(course(arrived_ns * 1e-9) * 1e9) + late_ns for late_ns in (0, 100_000))
-        found.record(Exchange(asked_ns, *stamps, arrived_ns + 100_000 + back_ns))
+        found.record(asked_ns, *stamps, arrived_ns + 100_000 + back_ns)
         if asked_ns % 10**9 == 0 and asked_ns > 3 * 10**9:
             estimate = found.estimate()
             assert estimate is not None
@@ -124,7 +126,7 @@ def test_a_step_that_the_round_trip_hides_is_found_within_seconds(stepped: int) 
     found, errors_s = OffsetFilter(64), []
     for turn in range(400):
         ahead_ns = 0 if turn < stepped else 15_000_000
-        found.record(exchange(ahead_ns, 20_000_000, 20_000_000, turn * 10**8))
+        found.record(*exchange(ahead_ns, 20_000_000, 20_000_000, turn * 10**8))
         estimate = found.estimate()
         assert estimate is not None
         errors_s.append(abs(estimate.offset_s - ahead_ns * 1e-9))
@@ -137,9 +139,9 @@ def test_a_state_goes_on_with_the_same_bits() -> None:
     rest = None
     for turn in range(500):
         made = exchange(turn * 40_000, draw.randrange(10**7), draw.randrange(10**7), turn * 10**8)
-        whole.record(made)
+        whole.record(*made)
         if rest is not None:
-            rest.record(made)
+            rest.record(*made)
             assert rest.estimate() == whole.estimate()
         elif turn == 237:
             rest = OffsetFilter(16)

@@ -17,15 +17,17 @@ from hypothesis import strategies as st
 from processor_time import ratio_of_costs
 from wire_contract import examples, schema_of
 
-from telenano.wire import Message, WireError, decode, encode, read_header
+from telenano.wire import Message, decode, encode
 from telenano.wire.codec import (
     MAX_MESSAGE_BYTES,
     MAX_PLAIN_BYTES,
     MOST_BYTES,
+    WireError,
     accept,
     decode_header,
     fields_of,
     keys_twice,
+    read_header,
     sound_header,
 )
 from telenano.wire.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import CASES, WITH_OPTIONAL, examples, has_optional_keys, present_fields
 
-from telenano.wire import WireError, compose
-from telenano.wire.codec import accept
+from telenano.wire import compose
+from telenano.wire.codec import WireError, accept
 from telenano.wire.faults import Fault
 from telenano.wire.messages import Array
 from telenano.wire.topics import OWN_TOPICS as TOPICS

@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from wire_contract import examples
 
-from telenano.wire import WireError, compose, encode
-from telenano.wire.codec import accept
+from telenano.wire import compose, encode
+from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import InputHealth, LawStatus
 from telenano.wire.sequence import MOST_COUNTED
 from telenano.wire.topics import TOPICS

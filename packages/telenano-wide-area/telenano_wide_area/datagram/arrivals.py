@@ -4,7 +4,7 @@ from array import array
 from collections import deque
 from typing import NamedTuple
 
-from telenano.wire import SETTLE_NS
+from telenano.wire import LinkNetwork
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 
 # rows kept for one report: some seconds of the busiest direction
@@ -94,7 +94,7 @@ class ArrivalRecord:
     def settle(self, now_ns: int) -> None:
         """Count as lost what newer ones overtook so long ago that it will not come any more."""
         self._newest_at.append((now_ns, self._window.newest))
-        while self._newest_at and now_ns - self._newest_at[0][0] >= SETTLE_NS:
+        while self._newest_at and now_ns - self._newest_at[0][0] >= LinkNetwork.SETTLE_NS:
             _, newest = self._newest_at.popleft()
             self._settle_up_to(newest + 1)
 

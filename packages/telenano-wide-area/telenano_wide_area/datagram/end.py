@@ -9,12 +9,14 @@ import contextlib
 import errno
 import socket
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal, cast
 
-from telenano.runtime import ConnectionEvent, Subscriber
-from telenano.timing import NEVER_NS, Clock, Exchange, OffsetFilter
+import zmq
+
+from telenano.runtime import LinkSide
+from telenano.timing import NEVER_NS, OffsetFilter
 from telenano.wire import LinkKey, Message, Received
 from telenano_wide_area.datagram.agreement import Agreement
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
@@ -33,7 +35,7 @@ from telenano_wide_area.datagram.held_samples import HeldSamples
 from telenano_wide_area.datagram.incoming import Incoming
 from telenano_wide_area.datagram.outgoing import Outgoing
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES, Repeats
-from telenano_wide_area.datagram.place import Address, Outlets, Place
+from telenano_wide_area.datagram.place import Address, Place
 from telenano_wide_area.datagram.reception import Reception, Way
 from telenano_wide_area.datagram.report import network_report
 from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
@@ -94,44 +96,29 @@ def _bound_socket(place: Place) -> socket.socket:
 
 
 class DatagramEnd:
-    """The datagrams of one process; the other end runs on `machine`."""
+    """The datagrams of one process."""
 
     # It is called in each turn, for the work that is due here.
     shared = True
     topics: Sequence[str] = ()
 
-    def __init__(
-        self,
-        clock: Clock,
-        place: Place,
-        settings: DatagramSettings,
-        subscriber: Subscriber,
-        outlets: Outlets,
-        *,
-        machine: str,
-        is_master: bool,
-        is_allowed: Callable[[], bool] = lambda: True,
-        is_connected: Callable[[], bool] = lambda: True,
-    ) -> None:
+    def __init__(self, side: LinkSide, place: Place, settings: DatagramSettings) -> None:
         """Open the socket; OSError where it cannot be bound.
 
         Args:
-            clock: The clock of the node.
+            side: The process of this end, which receives the same topics over TCP, and the public keys of the other
+                end.
             place: The addresses of both ends.
             settings: The settings of the transport.
-            subscriber: Receives the same topics over TCP, and the public keys of the other end.
-            outlets: Publish what arrives.
-            machine: The name of the other machine.
-            is_master: Whether this is the end at the master's site.
-            is_allowed: Whether the key of the other machine is still in the list.
-            is_connected: Whether the other machine is connected over TCP.
 
         Raises:
             OSError: The socket cannot be bound.
         """
+        clock, is_master, machine = side.clock, side.is_master, side.machine
         now = clock.monotonic_ns()
+        self.side = side
         self.machine = machine
-        self.subscriber = subscriber
+        self.subscriber = subscriber = side.reader
         self.trackers: dict[tuple[str, str], Any] = {}
         self.rejected: dict[str, int] = {}
         self.last_error = ""
@@ -148,13 +135,10 @@ class DatagramEnd:
         self._place = place
         self._is_master = is_master
         self._offers: list[LinkKey] = []
-        self._is_allowed = is_allowed
-        self._touch = Touch(is_connected, machine, now)
-        self._outlets = outlets
+        self._touch = Touch(lambda: side.is_connected, machine, now)
         self._agreement = Agreement(now, is_master=is_master)
         self._peer = place.peer
         self._relay = place.relay
-        self._events: list[ConnectionEvent] = []
         incoming: Literal["forward", "backward"] = "backward" if is_master else "forward"
         self._incoming = incoming
         topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
@@ -189,7 +173,7 @@ class DatagramEnd:
             self._relay.send = self._send_plain
         subscriber.set_aside("link/key", self._hear_offer)
         subscriber.sift = self._sift
-        self._reception = Reception(subscriber, topics, peer, self._tell, falls_back=falls_back, now_ns=now)
+        self._reception = Reception(side, topics, peer, self._tell, falls_back=falls_back, now_ns=now)
 
     @property
     def receiving(self) -> Way:
@@ -356,9 +340,8 @@ class DatagramEnd:
                     self.outgoing.forget_reports(new_process=False)
                 self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
-            exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
-            self.outgoing.record_heard(exchange, report)
-            self.offset.record(exchange)
+            self.outgoing.record_heard(report, now_ns)
+            self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)
@@ -411,7 +394,7 @@ class DatagramEnd:
         ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
         parts = self.offset, self.arrivals, self.outgoing, self.incoming.capacity
         report = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
-        self._outlets.reports.publish("link/network", **report, refused=dict(self.rejected))
+        self.side.report("link/network", **report, refused=dict(self.rejected))
 
     def _weigh_tcp(self) -> None:
         """Take what TCP can carry each way, by what is known of the datagrams."""
@@ -463,7 +446,7 @@ class DatagramEnd:
         silent = self._reception.is_silent(now_ns)
         changed = agreement.maintain(now_ns, silent=silent)
         offers, self._offers = self._offers, []
-        for message in offers if self._is_allowed() else ():
+        for message in offers if self.side.is_allowed else ():
             try:
                 new = agreement.hear(bytes.fromhex(message.public_key), bytes.fromhex(message.answers), now_ns)
             except ValueError as error:
@@ -483,7 +466,7 @@ class DatagramEnd:
             self._offered_ns, self._offered = now_ns, self.receiving
             answers = b"" if self._is_master else agreement.peer_public
             expected, arrived = self.arrivals.of_keys
-            self._outlets.keys.publish(
+            self.side.publish(
                 "link/key",
                 public_key=agreement.public.hex(),
                 answers=answers.hex(),
@@ -519,8 +502,8 @@ class DatagramEnd:
         sifted = [(self._sift(list(frames)), received_ns) for frames, received_ns in waiting]
         return self.subscriber.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
 
-    def connect_beside(self, beside: Subscriber) -> None:
-        """Take a further connection to the other machine, for the sparse samples that go by it."""
+    def connect_beside(self, beside: "zmq.Socket[bytes]") -> None:
+        """Take the socket of a further connection to the other machine, for the sparse samples that go by it."""
         self._reception.connect_beside(beside)
 
     def _sift(self, frames: list[bytes]) -> list[bytes] | None:
@@ -536,22 +519,13 @@ class DatagramEnd:
 
     def _tell(self, level: str, text: str) -> None:
         data: Mapping[str, bool | float | str] = {"peer": self.machine, "transport": self.receiving}
-        self._events.append(ConnectionEvent(level, text, dict(data)))
+        self.side.tell(level, text, data)
 
     # --- as one that looks after the network ---
 
-    def process_events(self) -> bool:
-        """Do nothing: what has happened is noted where it happens."""
-        return False
-
-    def take_events(self) -> list[ConnectionEvent]:
-        """Return what happened since the last call."""
-        events, self._events = self._events, []
-        return events
-
     def apply_permissions(self) -> None:
         """Forget the keys when the other machine is no longer allowed, and continue over TCP, which refuses it too."""
-        if self._is_allowed() or not self._agreement.peer_public:
+        if self.side.is_allowed or not self._agreement.peer_public:
             return
         now = self._clock.monotonic_ns()
         self._agreement.forget(now)

@@ -13,7 +13,7 @@ Neither way can have more of a queue than the round trip, which no clock enters,
 from collections import deque
 from typing import NamedTuple
 
-from telenano.timing import STEP_NS, ClockLine, Exchange
+from telenano.timing import STEP_NS, ClockLine
 
 # A queue stands if it does for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
@@ -100,12 +100,12 @@ class Line:
     def _standing(self, way: int) -> int | None:
         return None if self._windows < 2 else round(min(self._before[way], self._lowest[way]))
 
-    def record(self, exchange: Exchange) -> None:
-        """Record the delays of an exchange."""
-        there, back = exchange.received_there_ns - exchange.sent_ns, exchange.received_ns - exchange.sent_there_ns
+    def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> None:
+        """Record the delays of an exchange: sent here, received and answered there, the answer received here [ns]."""
+        there, back = there_ns - sent_ns, received_ns - back_ns
         if self._zero is None:
-            self._zero = (exchange.received_ns, there, back)
-        at, f, b = (x - zero for x, zero in zip((exchange.received_ns, there, back), self._zero, strict=True))
+            self._zero = (received_ns, there, back)
+        at, f, b = (x - zero for x, zero in zip((received_ns, there, back), self._zero, strict=True))
         if at < 0 or f + b < self._least_both - STEP_NS:
             # No round trip is that much shorter than the shortest: this process was given another clock.
             self.forget()

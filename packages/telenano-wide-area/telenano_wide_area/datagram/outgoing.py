@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from telenano.timing import Exchange
 from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, Report, mark, packed
 from telenano_wide_area.datagram.body import TRAIN as TRAIN_MARK
 from telenano_wide_area.datagram.line import Line
@@ -96,9 +95,9 @@ class Outgoing:
         self.datagrams += 1
         self._budget.spend(size_bytes)
 
-    def record_heard(self, exchange: Exchange, report: Report) -> None:
-        """Record what the other end says of what it received."""
-        self.line.record(exchange)
+    def record_heard(self, report: Report, now_ns: int) -> None:
+        """Record what the other end says of what it received, in a datagram that arrived now [ns]."""
+        self.line.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
         self._delivery.record(report.heard_ns, report.expected, report.arrived)
 
     def update(self, now_ns: int, round_trip_ns: int) -> None:

@@ -6,13 +6,14 @@ come over TCP, and on a network that loses packets a thousand samples a second, 
 keys, would hold them up for as long as they are sent.
 """
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from telenano.runtime import Subscriber
+import zmq
+
+from telenano.runtime import LinkSide
 from telenano.timing import NEVER_NS
-from telenano.wire import LOOP_DEADLINE_S, WireError, read_header
+from telenano.wire import LOOP_DEADLINE_S
 from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 
 # After a silence of this length the other way is used, and datagrams have to come for this time before they are relied
@@ -44,7 +45,7 @@ class Reception:
 
     def __init__(
         self,
-        subscriber: Subscriber,
+        side: LinkSide,
         topics: Sequence[str],
         peer: tuple[str, int],
         tell: Callable[[str, str], None],
@@ -55,7 +56,7 @@ class Reception:
         """Begin without a subscription over TCP.
 
         Args:
-            subscriber: Receives the topics over TCP.
+            side: The process of the end, whose reader receives the topics over TCP.
             topics: What crosses as datagrams to this end.
             peer: The other machine, and the UDP port between here and there.
             tell: Takes level and text of an event.
@@ -66,7 +67,7 @@ class Reception:
         # When the newest datagram arrived, and when a silence is long enough to subscribe over TCP.
         self.arrived_ns = now_ns
         self.missed_ns = NEVER_NS
-        self._subscriber, self._topics = subscriber, topics
+        self._subscriber, self._topics = side.reader, topics
         self._machine, self._port = peer
         self._tell = tell
         self._falls_back = falls_back
@@ -84,14 +85,14 @@ class Reception:
         self._names = {sparse + topic.encode(): topic.encode() for sparse in SPARSE for topic in topics}
         # What the socket of all samples carries of them, and what a connection beside it does.
         self._first, self._second = ([sparse + topic.encode() for topic in topics] for sparse in SPARSE)
-        self._beside: Subscriber | None = None
+        self._beside: zmq.Socket[bytes] | None = None
         # The newest sample that came over TCP in its own right: a sparse one is sent right behind it.
         self._whole = b""
         self._next_reminder_ns = now_ns + _UNOFFERED_NS
         self._subscribe(streaming=False)
 
-    def connect_beside(self, beside: Subscriber) -> None:
-        """Take a further connection to the other machine, for the sparse samples that go by it."""
+    def connect_beside(self, beside: "zmq.Socket[bytes]") -> None:
+        """Take the socket of a further connection to the other machine, for the sparse samples that go by it."""
         self._beside = beside
 
     def silence_ns(self, now_ns: int) -> int:
@@ -126,11 +127,8 @@ class Reception:
             return frames
         if self.silence_ns(now_ns) <= WANTED_NS or frames[-1] == self._whole:
             return None
-        with contextlib.suppress(WireError):
-            seq, t_ns, src = read_header(topic.decode(), frames[-1])
-            tracker = self._subscriber.trackers.get((topic.decode(), src))
-            if tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns:
-                return None
+        if self._subscriber.has_newer(topic.decode(), frames[-1]):
+            return None
         return [topic, *frames[1:]]
 
     def begin_keys(self, now_ns: int) -> None:
@@ -196,7 +194,7 @@ class Reception:
             beside, self._beside = self._beside, None
             if beside is not None:
                 for frame in self._second:
-                    beside.socket.subscribe(frame)
+                    beside.subscribe(frame)
         for frame in sorted(wanted - self._subscribed):
             self._subscriber.socket.subscribe(frame)
         for frame in sorted(self._subscribed - wanted):

@@ -12,14 +12,8 @@ TCP with losses carries no more than 1.22 MSS / (RTT sqrt(p)) (Mathis, Semke, Ma
 of the TCP congestion avoidance algorithm", Computer Communication Review 27(3), 1997, with sqrt(3/2)).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import sqrt
-
-import zmq
-
-from telenano.runtime import Subscriber
-from telenano.timing import Clock
-from telenano.wire import Received
 
 # A few samples are also sent under their topic with one of these before it, by turns, and a reader has a connection for
 # each.
@@ -83,22 +77,3 @@ class SparseSamples:
         self._next_ns[topic] = now_ns + max(round(pause_ns), _STATUS_NS if topic == _STATUS else 0)
         self._turns[topic] = turn = (self._turns.get(topic, 0) + 1) % len(SPARSE)
         return SPARSE[turn]
-
-
-class BesideConnection(Subscriber):
-    """The connection of an end for the sparse samples of the second kind; what it receives is taken as the end says."""
-
-    def __init__(
-        self,
-        context: "zmq.Context[zmq.Socket[bytes]]",
-        clock: Clock,
-        take: Callable[[Sequence[Taken]], list[Received]],
-    ) -> None:
-        """Open the socket, which is connected later and to which topics are subscribed later."""
-        super().__init__(context, clock, {}, connect=False)
-        self._take = take
-
-    def receive(self, *, signalled: bool = False) -> list[Received]:
-        """Return the messages that have arrived and bring something new."""
-        waiting = self.receive_raw(signalled=signalled)
-        return self._take(waiting) if waiting else []

@@ -1,18 +1,16 @@
 """`telenano relay`: a relay between two sites that can only dial out, and the end of a site alone."""
 
-import asyncio
 from typing import Annotated
 
 import typer
 
 from telenano.cli import SiteFileOption, report_errors
-from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog, beside_the_loop
+from telenano.runtime import AccessControl, AddressBook, StructuredLog, beside_the_loop
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import ConfigError
-from telenano_wide_area.relay.__main__ import until_stopped
 from telenano_wide_area.relay.protocol import RELAY, split_host_port
 from telenano_wide_area.relay.server import DEFAULT_PORT, Relay
-from telenano_wide_area.relay.site_end import site_end
+from telenano_wide_area.relay.site_end import site_end, until_stopped
 
 
 def relay(
@@ -45,7 +43,7 @@ def relay(
             work = site_end(AddressBook.load(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
         else:
             work = _serve(listen, mbit_per_s)
-        asyncio.run(until_stopped(work))
+        until_stopped(work)
 
 
 async def _serve(listen: str, mbit_per_s: float) -> None:
@@ -53,18 +51,17 @@ async def _serve(listen: str, mbit_per_s: float) -> None:
         host, port = split_host_port(listen)
     except ValueError as error:
         raise ConfigError(f"--listen: {error}") from error
-    keyring = Keyring()
-    access = AccessControl(RELAY, keyring, requires_keys=True)
+    access = AccessControl(RELAY)
     log = StructuredLog(RELAY)
     relay = Relay(access, log, mbit_per_s)
     await relay.start(host, port)
     log.info(f"listening on {host} port {port}, TCP and UDP; the key of this relay is {access.public_key}")
-    names = [key.name for key in keyring.allowed().keys if "relay" in access.roles(key.name)]
+    names = [key.name for key in access.keyring.allowed().keys if "relay" in access.roles(key.name)]
     if names:
         log.info(f"it may be used by {', '.join(names)}")
     else:
         log.warning("no machine may use it yet: run `telenano keys allow NAME KEY --role relay` for each site")
-    for text in keyring.expiring():
+    for text in access.keyring.expiring():
         log.warning(text)
     try:
         await relay.run()

@@ -7,13 +7,14 @@ what the relay sees: connections of CURVE.
 
 import asyncio
 import contextlib
+import signal
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import Future
 from threading import Thread
 from typing import Any
 
-from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog
+from telenano.runtime import AccessControl, AddressBook, StructuredLog
 from telenano.wire import ConfigError, EndpointError
 from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
 from telenano_wide_area.relay.protocol import RELAY, raw_key, relay_key, split_host_port
@@ -272,11 +273,24 @@ def _host_port(endpoint: str) -> tuple[str, int]:
     return split_host_port(endpoint.removeprefix("tcp://"))
 
 
+def until_stopped(work: Coroutine[Any, Any, None]) -> None:
+    """Run until SIGINT or SIGTERM, or until the work ends by an error, which is raised."""
+
+    async def run() -> None:
+        task = asyncio.ensure_future(work)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+    asyncio.run(run())
+
+
 def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
     """Return the end of a site; ConfigError where the site file has no relay, or a key is missing."""
     if book.relay is None:
         raise ConfigError("the site file has no `relay: host:port`")
-    return SiteEnd(book, site, AccessControl(site, Keyring(), requires_keys=True), log)
+    return SiteEnd(book, site, AccessControl(site), log)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,102 @@
+"""The folder of a session: the parts of its recording, and those that the other site keeps of a session of two."""
+
+import contextlib
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from telenano.recording.reader import Recording
+from telenano.recording.site_merge import merge_sites
+from telenano.wire.errors import RecordingError
+
+RECORDING_NAME = "session.mcap"
+# The list of the files that the other site recorded.
+FAR_LIST = "far.json"
+# The recording of both sites.
+_MERGED_NAME = "both.mcap"
+_PART = re.compile(r"session(?:_([0-9]{1,9}))?\.mcap")
+
+
+class SessionFolder:
+    """The folder that `telenano up` records to.
+
+    Example:
+        parts, faults = SessionFolder(Path("sessions/fig12")).own()
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def own(self) -> tuple[tuple[Path, ...], list[str]]:
+        """Return the parts of the recording, in the order of their numbers, and a sentence for each unreadable one."""
+        numbered = {
+            int(match[1] or 0): path
+            for path in self.path.glob("session*.mcap")
+            if (match := _PART.fullmatch(path.name))
+        }
+        readable, faults = [], []
+        for _, path in sorted(numbered.items()):
+            try:
+                Recording(path)
+                readable.append(path)
+            except RecordingError as error:
+                faults.append(str(error))
+        return tuple(readable), faults
+
+    def note_far(self, files: Sequence[str]) -> None:
+        """Keep which files the other site records the session to, if any."""
+        text = json.dumps({"files": [Path(name).name for name in files]})
+        # A full disk is not the end of a session.
+        with contextlib.suppress(OSError):
+            if files:
+                (self.path / FAR_LIST).write_text(text + "\n", encoding="utf-8")
+
+    @property
+    def has_far(self) -> bool:
+        """Whether the other site recorded the session."""
+        return (self.path / FAR_LIST).exists()
+
+    def far(self) -> tuple[str, ...]:
+        """Return the names of the files that the other site recorded the session to.
+
+        Raises:
+            RecordingError: The folder has no list of them, or none that can be used.
+        """
+        path = self.path / FAR_LIST
+        try:
+            files = json.loads(path.read_text(encoding="utf-8"))["files"]
+        except FileNotFoundError:
+            raise RecordingError(f"{path}: is missing: no session of two sites was recorded to {self.path}") from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RecordingError(f"{path}: is not a list of files: {error}") from error
+        return self.parts(files, str(path))
+
+    @staticmethod
+    def is_part(name: str) -> bool:
+        """Return whether a name is one that parts of a recording have: session.mcap, session_1.mcap."""
+        return _PART.fullmatch(name) is not None
+
+    @staticmethod
+    def parts(names: Any, origin: str) -> tuple[str, ...]:
+        """Return the names of parts of a recording; RecordingError where one of them is no such name, or none is there.
+
+        Args:
+            names: The names, which may be of any kind.
+            origin: Where they come from, for the error.
+        """
+        wrong = [name for name in names if not (isinstance(name, str) and SessionFolder.is_part(name))]
+        if wrong or not names:
+            named = repr(wrong[0]) if wrong else "nothing"
+            raise RecordingError(f"{origin}: {named} is no part of a recording, such as session.mcap or session_1.mcap")
+        return tuple(names)
+
+    def merge(self, far: Sequence[Path]) -> Path:
+        """Merge the recording with the parts of the other site's, and return the new file; RecordingError as there."""
+        target = self.path / _MERGED_NAME
+        unfinished = target.with_suffix(".part")
+        unfinished.unlink(missing_ok=True)
+        merge_sites([*self.own()[0], *far], unfinished)
+        unfinished.replace(target)
+        return target

@@ -1,0 +1,222 @@
+"""The link for bytes of any program: the node of the link, with a carrier in the place of the sites.
+
+It has the name, the reports and the commands of a rig's link, so that whatever shows, changes or records a link does so
+with this one. The truth of each message is `link/fates`, with the topic of the carrier.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Protocol, Self
+
+from telenano.link.config import LinkSettings
+from telenano.link.fate import Direction, Fate, Release
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.bus import Reader, ZmqBus
+from telenano.runtime.bus.publisher import ZmqPublisher
+from telenano.runtime.link_node import FATES_AT_ONCE, DelayNode, DirectionPath, SiteEndpoint
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.realtime import RealtimeStatus, apply_realtime
+from telenano.runtime.wiring.participant import Participant, StopSignals
+from telenano.timing.clock import NEVER_NS, Clock
+from telenano.wire.codec import read_header
+from telenano.wire.errors import EndpointError
+from telenano.wire.messages import Scalar, SessionControl
+from telenano.wire.nodes import LINK
+from telenano.wire.received import Received
+
+
+class Carrier(Protocol):
+    """What sends the bytes that the link has released, and learns what became of the others.
+
+    Attributes:
+        topic: What `link/fates` names the messages of both directions by.
+    """
+
+    topic: str
+
+    def send(
+        self, direction: Direction, payload: bytes, client: str, *, delay_ns: int, late_ns: int, is_copy: bool
+    ) -> None:
+        """Send bytes on.
+
+        Args:
+            direction: The direction.
+            payload: The bytes, of which some bits may be flipped.
+            client: Who has sent them, as `arrive` was called with.
+            delay_ns: How long the link has held them [ns].
+            late_ns: For how long they should have been sent before [ns].
+            is_copy: Whether they are a copy that the link made.
+        """
+
+    def dropped(self, direction: Direction, cause: str, size_bytes: int, *, is_copy: bool) -> None:
+        """Note that bytes will not be sent, and the impairment that is the cause."""
+
+
+class ByteLink(DelayNode):
+    """Forwards the bytes of a carrier when the engine releases them, and reports on link/status."""
+
+    # A re-run would need the bytes, which no recording holds.
+    journalled = False
+
+    def __init__(
+        self,
+        context: NodeContext,
+        settings: LinkSettings,
+        outlets: tuple[SiteEndpoint, SiteEndpoint],
+        carrier: Carrier,
+        folder: Path = Path(),
+        duration_s: float | None = None,
+    ) -> None:
+        """Start with the settings.
+
+        Args:
+            context: The context of the node.
+            settings: The settings of the link.
+            outlets: The publishers at the slave and at the master.
+            carrier: What sends what is released.
+            folder: The folder in which the files of the settings are sought.
+            duration_s: After this time the link ends [s]; None: at a signal.
+
+        Raises:
+            ConfigError: A file of the settings cannot be used.
+        """
+        super().__init__(context, settings, *outlets, folder)
+        self._carrier = carrier
+        self._numbers = {way.name: 0 for way in self._ways}
+        now_ns = self.clock.monotonic_ns()
+        self._end_ns = NEVER_NS if duration_s is None else now_ns + round(duration_s * 1e9)
+
+    def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
+        """Take bytes that have arrived from a client, and send what is due."""
+        way = self._forward if direction == "forward" else self._backward
+        number = self._numbers[direction]
+        self._numbers[direction] += 1
+        self.steps += 1
+        self._send(way, way.engine.submit(self.clock.now_ns(), self._carrier.topic, payload, number, client))
+        # Small reports hold up the next message for less than one of a tenth of a second would.
+        self._unreported += 1
+        if self._unreported >= FATES_AT_ONCE:
+            for task in self._fates:
+                self.defer(task)
+
+    def on_message(self, received: Received) -> None:
+        """Note the start of a session, which is all that a link for bytes has of one."""
+        self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
+        message = received.message
+        if type(message) is SessionControl and message.command == "start":
+            self.engine.begin_session(received.received_ns)
+
+    def deadline_ns(self) -> int:
+        return min(super().deadline_ns(), self._end_ns)
+
+    def on_deadline(self, now_ns: int) -> None:
+        super().on_deadline(now_ns)
+        if now_ns >= self._end_ns:
+            self.context.request_stop()
+
+    def make_safe(self) -> None:
+        """Report the fates that are not reported yet; what is still in transit stays unsent."""
+        self._publish_status()
+        for way in self._ways:
+            self._publish_fates(way)
+
+    def _send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
+        for release in releases:
+            fate = release.fate
+            late_ns = self.clock.now_ns() - (fate.release_ns or 0)
+            self._carrier.send(
+                way.name, release.payload, fate.src, delay_ns=fate.delay_ns, late_ns=late_ns, is_copy=fate.copy > 0
+            )
+
+    def _take_fates(self, way: DirectionPath) -> list[Fate]:
+        fates = super()._take_fates(way)
+        for fate in fates:
+            if fate.dropped:
+                self._carrier.dropped(way.name, fate.dropped, fate.size_bytes, is_copy=fate.copy > 0)
+        return fates
+
+
+class ByteLinkProcess:
+    """A link in this process for the bytes of other programs.
+
+    Example:
+        with ByteLinkProcess.open(AddressBook.load(site_file)) as link:
+            link.begin(settings, carrier, reader, duration_s=60.0)
+            link.run()
+
+    The reader calls `link.arrive` with what it receives, and the link calls `carrier.send` with what it releases.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        signals: StopSignals,
+        realtime: RealtimeStatus,
+        outlets: tuple[ZmqPublisher, ZmqPublisher],
+    ) -> None:
+        self.clock: Clock = participant.clock
+        self._participant, self._signals, self._realtime, self._outlets = participant, signals, realtime, outlets
+        self._node: ByteLink
+        self._bus: ZmqBus
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, book: AddressBook) -> Iterator[Self]:
+        """Bind the endpoints of a rig's link while the block runs.
+
+        Raises:
+            EndpointError: A link runs already.
+        """
+        signals, key = StopSignals(), f"{LINK}@master"
+        # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
+        realtime = apply_realtime(None, StructuredLog(key), key)
+        with Participant.open(key, book, signals.descriptor) as participant:
+            try:
+                outlets = participant.bind(f"{LINK}@slave"), participant.bind(key)
+            except EndpointError as error:
+                raise EndpointError(f"{error}; another link runs beside it with --rig NAME") from error
+            yield cls(participant, signals, realtime, outlets)
+
+    def begin(
+        self,
+        settings: LinkSettings,
+        carrier: Carrier,
+        reader: Reader,
+        *,
+        duration_s: float | None = None,
+        keep: Callable[[str, int, int, str, bytes], None] | None = None,
+    ) -> None:
+        """Begin with the settings.
+
+        Args:
+            settings: The settings of the link.
+            carrier: What sends what is released.
+            reader: What the loop of the link reads.
+            duration_s: After this time the link ends [s]; None: at a signal.
+            keep: Called with topic, number, time [ns], source and bytes of each message that the link publishes at the
+                master; None for no call.
+
+        Raises:
+            ConfigError: A file of the settings cannot be used.
+        """
+        participant, (to_slave, to_master) = self._participant, self._outlets
+        if keep is not None:
+            to_master.carry = lambda topic, payload: keep(topic, *read_header(topic, payload), payload)
+        readers = participant.subscribers(participant.book.sources(participant.key, ByteLink.inputs))
+        self._bus = participant.bus_of(to_master, [*readers, reader])
+        context = participant.context(self._bus)
+        self._node = ByteLink(context, settings, (to_slave, to_master), carrier, duration_s=duration_s)
+
+    def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
+        """Take bytes that have arrived from a client, and send what is due."""
+        self._node.arrive(direction, payload, client)
+
+    def event(self, kind: str, level: str, text: str, **data: Scalar) -> None:
+        """Publish a session/event and write it to the log."""
+        self._node.context.publish_event(kind, level, text, data)
+
+    def run(self) -> None:
+        """Run until the duration is over or a signal comes."""
+        self._signals.run(self._node, self._bus, self._realtime, guarded=True)

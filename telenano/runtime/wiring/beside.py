@@ -1,0 +1,35 @@
+"""The process beside the nodes of a site that reaches the other one through a relay: the transport runs in it."""
+
+import signal
+import sys
+from collections.abc import Sequence
+
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.wiring.link_transports import link_transport
+from telenano.runtime.wiring.main import EXIT_BAD_START, beside_the_loop, parse_arguments
+from telenano.runtime.wiring.participant import SITES
+from telenano.signals.children import die_with_parent
+from telenano.wire.errors import TelenanoError
+
+NAME = "relay"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the transport of the site file until it ends; return the exit code, 2 when it could not start."""
+    arguments_read = parse_arguments(NAME, SITES, arguments)
+    log = StructuredLog(f"{NAME}@{arguments_read.site}")
+    if arguments_read.with_parent:
+        die_with_parent(signal.SIGTERM)
+    beside_the_loop()
+    try:
+        book = AddressBook.load(arguments_read.site_file)
+        link_transport(book.link.transport).run_beside(book, arguments_read.site, log)
+    except TelenanoError as error:
+        log.error(str(error))
+        return EXIT_BAD_START
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
