@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.cli.child_session import run_session as run_session
     from telenano.cli.commands.device_files import run_ahead as run_ahead
     from telenano.cli.commands.device_files import section_of as section_of
     from telenano.cli.commands.topic import open_observer as open_observer

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from telenano.cli.child_session import run_session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.cli.model_options import validated
-from telenano.launcher.child_session import run_session
 from telenano.launcher.plan import UpRequest
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 

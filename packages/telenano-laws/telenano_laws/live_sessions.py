@@ -17,8 +17,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from telenano.cli import run_session
 from telenano.files import atomic_file
-from telenano.launcher import run_session
 from telenano.signals import start
 from telenano.wire import RigError
 

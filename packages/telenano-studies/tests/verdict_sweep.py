@@ -24,8 +24,8 @@ from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 from telenano_studies.loops.validate import longest_stall_s
 
 import telenano
+from telenano.cli.child_session import run_session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.launcher.child_session import run_session
 from telenano.laws.config import ControllerConfig
 from telenano.settings import find_scenario
 from telenano.settings.config import merge, nested, read_yaml

@@ -17,10 +17,10 @@ from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_laws import live_sessions
 from telenano_networks import measured_lines
 
+from telenano.cli.child_session import run_session
 from telenano.cli.commands.node import node as run_node
 from telenano.extend.hands import DeviceError
 from telenano.files.limited_child import read_in_child
-from telenano.launcher.child_session import run_session
 from telenano.launcher.fan_out import fan_out
 from telenano.launcher.processes import NodeProcesses
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
@@ -301,7 +301,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
     "telenano/runtime/loop/own_process.py": (by_servo,),
-    "telenano/launcher/child_session.py": (by_child_session,),
+    "telenano/cli/child_session.py": (by_child_session,),
     "telenano/launcher/fan_out.py": (by_fan_out,),
     "telenano/launcher/processes.py": (by_launcher,),
     "telenano/recording/provenance.py": "git",

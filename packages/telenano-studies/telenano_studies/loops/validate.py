@@ -33,8 +33,7 @@ import yaml
 
 from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import Session
-from telenano.cli import EXIT_INCOMPLETE
-from telenano.launcher import run_session
+from telenano.cli import EXIT_INCOMPLETE, run_session
 from telenano.lockstep import Trajectory
 from telenano.recording import Recording, Timeline, columns, last_force_profile
 from telenano.wire import ConfigError, RecordingError, TelenanoError

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import AfmConfig
-from telenano.cli import EXIT_INCOMPLETE
-from telenano.launcher import run_session
+from telenano.cli import EXIT_INCOMPLETE, run_session
 from telenano.recording import Recording, columns
 from telenano.settings import LoadedScenario, find_scenario
 from telenano.wire import RigError

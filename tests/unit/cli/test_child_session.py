@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from telenano.launcher.child_session import run_session
+from telenano.cli.child_session import run_session
 
 # ends in its own time at SIGTERM, as `telenano up` does, and would not survive an unexpected SIGINT
 _SESSION = """
@@ -23,7 +23,7 @@ time.sleep({seconds})
 """
 _PARENT = """
 import os, signal, sys, threading, time
-from telenano.launcher.child_session import run_session
+from telenano.cli.child_session import run_session
 from telenano.signals import interrupts
 
 interrupts.install()
