@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from telenano.files.atomic_files import changed as changed
     from telenano.files.atomic_files import locked as locked
     from telenano.files.atomic_files import whole_folder as whole_folder
-    from telenano.files.atomic_files import whole_results as whole_results
     from telenano.files.atomic_files import write_whole as write_whole
     from telenano.files.limited_child import Limits as Limits
     from telenano.files.limited_child import read_in_child as read_in_child

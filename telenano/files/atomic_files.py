@@ -204,12 +204,12 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def new_folder(path: Path) -> Iterator[None]:
+def new_folder(path: Path) -> Iterator[Path]:
     """Make a folder where there is none, and remove it if it is empty when the block ends; OSError if it cannot be."""
     is_new = not path.exists()
     path.mkdir(parents=True, exist_ok=True)
     try:
-        yield
+        yield path
     finally:
         if is_new:
             with contextlib.suppress(OSError):
