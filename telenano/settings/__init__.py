@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from telenano.settings.config import permit_code as permit_code
     from telenano.settings.config import read_yaml as read_yaml
     from telenano.settings.config import refused_code as refused_code
-    from telenano.settings.config import section_of as section_of
     from telenano.settings.config import validate as validate
     from telenano.settings.device_drivers import DeviceDriver as DeviceDriver
     from telenano.settings.file_readers import FileReader as FileReader
