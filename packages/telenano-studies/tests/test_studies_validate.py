@@ -25,7 +25,7 @@ from telenano.afm.config import AfmConfig
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
-from telenano.lockstep.lockstep import Trajectory
+from telenano.lockstep.trajectory import Trajectory
 from telenano.settings.config import validate
 from telenano.settings.scenario import Scenario
 from telenano.wire.errors import ConfigError, RecordingError, RigError
