@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from telenano.afm.config import DRIVERS as DRIVERS
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
-    from telenano.afm.contact.capillary import printed_meniscus_force as printed_meniscus_force
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from telenano.afm.part import register_part as register_part
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
-    from telenano.afm.programs.tactile import felt_speed_m_per_s as felt_speed_m_per_s
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from telenano.hand.coupling import coupling_step as coupling_step
     from telenano.hand.impedance_config import CouplingConfig as CouplingConfig
     from telenano.hand.impedance_config import bounds_of as bounds_of
-    from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.motor import MotorState as MotorState
     from telenano.hand.operator_config import ARMS as ARMS

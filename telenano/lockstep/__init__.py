@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from telenano.lockstep.link import Schedule as Schedule
     from telenano.lockstep.lockstep import Rig as Rig
     from telenano.lockstep.steering import HandSteps as HandSteps
-    from telenano.lockstep.trajectory import Series as Series
     from telenano.lockstep.trajectory import Trajectory as Trajectory
 else:
     __getattr__, __dir__ = face(__name__)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from telenano.recording.export import viewer_schema as viewer_schema
     from telenano.recording.export import write_mcap as write_mcap
     from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
-    from telenano.recording.indexed import IndexedRecording as IndexedRecording
     from telenano.recording.made_records import recorded as recorded
     from telenano.recording.messages import RawChannel as RawChannel
     from telenano.recording.messages import RecordedChannel as RecordedChannel
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from telenano.recording.rewrite import CopyWriter as CopyWriter
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.site_merge import merge_sites as merge_sites
-    from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tables import plain as plain
     from telenano.recording.tables import typed_columns as typed_columns
     from telenano.recording.tables import uniform as uniform

@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
     from telenano.runtime.bus.bus import Subscriber as Subscriber
     from telenano.runtime.bus.publisher import ZmqPublisher as ZmqPublisher
-    from telenano.runtime.bus.publisher import publish_end as publish_end
     from telenano.runtime.bus.transports import LinkTransport as LinkTransport
     from telenano.runtime.link_node import TRAIN as TRAIN
     from telenano.runtime.link_node import DelayNode as DelayNode

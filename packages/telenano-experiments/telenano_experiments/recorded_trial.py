@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.recording import ColumnTable, RecordedMessage, Recording, Timeline, columns_of, quantity, uniform
+from telenano.recording import ColumnTable, RecordedMessage, Recording, Timeline, quantity, typed_columns, uniform
 from telenano.wire import RecordingError
 from telenano_experiments.disturbances import Evidence, Hold, Passage
 from telenano_experiments.extend import TrialData
@@ -184,7 +184,7 @@ class _Rows:
     def __init__(self, messages: Iterable[RecordedMessage], timeline: Timeline) -> None:
         message_list = list(messages)
         self.src = message_list[0].src if message_list else ""
-        self.columns = columns_of(message_list)
+        self.columns = {name: values for name, (values, _) in typed_columns(message_list).items()}
         stamps = np.array([message.publish_ns for message in message_list], dtype=np.int64)
         self.times_ns = timeline.times_ns(self.src, stamps)
 

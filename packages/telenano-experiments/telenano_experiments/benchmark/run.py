@@ -14,10 +14,10 @@ from telenano_studies.loops.cells import CellResult, Scales, judged, never_place
 from telenano_studies.loops.sweep import Kind
 
 from telenano.hand import HapticConfig
-from telenano.lockstep import Rig, Schedule, Series, Trajectory
+from telenano.lockstep import Rig, Schedule, Trajectory
 from telenano.settings import validate
 from telenano.wire import RigError
-from telenano_experiments.benchmark.etvo import Offsets, etvo
+from telenano_experiments.benchmark.etvo import Offsets, Series, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
 # Every figure of the result has this many digits: those after them are beyond what a model means.

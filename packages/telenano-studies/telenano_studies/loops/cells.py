@@ -22,7 +22,7 @@ from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
 from telenano.hand import ARMS, HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.link import LinkSettings
-from telenano.lockstep import Rig, Schedule, Series, Trajectory
+from telenano.lockstep import Rig, Schedule, Trajectory
 from telenano.numerics import source_digest
 from telenano.settings import Option, Settings, merge, nested, validate
 from telenano.wire import ConfigError, RigError, known_names
@@ -30,6 +30,7 @@ from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
+from telenano_studies.loops.theory import Series
 
 ENVIRONMENTS = ("spring", "wall", "tip_sample", "body")
 if TYPE_CHECKING:
