@@ -23,7 +23,8 @@ from telenano.afm.step import step as instrument_step
 from telenano.hand.step import HapticInputs
 from telenano.hand.step import step as haptic_step
 from telenano.lockstep.link import Schedule
-from telenano.lockstep.lockstep import Rig, Trajectory
+from telenano.lockstep.lockstep import Rig
+from telenano.lockstep.trajectory import Trajectory
 from telenano.numerics.compiler import always_compiled
 
 AIM = 2000.0

@@ -11,9 +11,8 @@ from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, Span
 from telenano.recording.channel_filter import Selection
-from telenano.recording.indexed import open_indexed
 from telenano.recording.messages import RecordedChannel
-from telenano.recording.multi_file import RecordingSource
+from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.realtime import on_time, shallow_idle
 from telenano.runtime.wiring.participant import Participant, StopSignals
@@ -62,7 +61,7 @@ def run_replay(
     played runs.
     """
     # By its index an hour plays at once. Messages that stand behind later ones are put in order by their times.
-    recording = open_indexed(request.files)
+    recording = open_recordings(request.files, by_index=True)
     book = AddressBook.load(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")

@@ -22,8 +22,7 @@ from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import SiteFileOption
 from telenano.cli.output import report_errors
 from telenano.launcher.restart_policy import RestartTracker
-from telenano.recording.indexed import open_indexed
-from telenano.recording.multi_file import RecordingSource
+from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.loop.realtime import behind_others
@@ -107,7 +106,7 @@ def view(
         if demo and files:
             raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
         files = [DEMO_RECORDING] if demo else files or []
-        recordings = open_indexed(files) if files else None
+        recordings = open_recordings(files, by_index=True) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
             LiveSource(AddressBook.load(site_file), "").close()
@@ -166,7 +165,7 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: S
         # What draws the figures takes longer to import than the page to open.
         from telenano.analysis.recording_document import judged_recording
 
-        return judged_recording(open_indexed(files))
+        return judged_recording(open_recordings(files, by_index=True))
 
     document = RecordingDocument(recordings, judged, LevelCache(files))
     with (

@@ -183,7 +183,8 @@ class Hub:
         self._desks = {row.id: row.desk() for row in self.panels.rows if row.desk is not None}
         guests = self.panels.of_guests
         self._guests_panel = "" if guests is None else guests.id
-        self._picture: Picture = guests.guests.picture(described()) if guests and guests.guests else _NoPicture()
+        make_picture = None if guests is None else guests.guest_picture
+        self._picture: Picture = _NoPicture() if make_picture is None else make_picture(described())
         # the age of the loop by its parts, as it was taken last [s], and what it is of
         self._age, self._age_s, self._parts = LoopAge(), time.monotonic(), list[Part]()
         # the text of the newest reports, and when it was made [ns]
@@ -467,8 +468,9 @@ class Hub:
             raise RefusedError(f"{request.panel[:80]!r}: no panel of this name can be asked")
         if (size := len(_packed(request.values))) > _MOST_ASKED_BYTES:
             raise RefusedError(f"an answer has {size} bytes, {_MOST_ASKED_BYTES} are allowed")
-        asked = Asked(request.id, session.party.id, session.role.value, request.values)
-        return {request.panel: ("ack", await desk.ask(asked, _PanelRig(self.hand.outlet(), self._feed.state)))}
+        rig = _PanelRig(self.hand.outlet(), self._feed.state)
+        asked = Asked(request.id, session.party.id, session.role.value, request.values, rig)
+        return {request.panel: ("ack", await desk.ask(asked))}
 
     async def _stop(self, commander: Commander, by: str) -> Answers:
         """Stop the devices beside whatever else is being sent, and give up every command of every page."""

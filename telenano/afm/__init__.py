@@ -7,36 +7,24 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.afm.config import SAMPLES as SAMPLES
     from telenano.afm.config import AfmConfig as AfmConfig
-    from telenano.afm.contact.capillary import printed_meniscus_force as printed_meniscus_force
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
-    from telenano.afm.disturbed import noisy_params as noisy_params
     from telenano.afm.dynamic import damping_at as damping_at
     from telenano.afm.dynamic_sim import settled_tip as settled_tip
     from telenano.afm.felt import ChannelName as ChannelName
     from telenano.afm.layers import Ground as Ground
     from telenano.afm.layers import Height as Height
     from telenano.afm.layers import Layer as Layer
-    from telenano.afm.layers import TruthMessage as TruthMessage
     from telenano.afm.made_samples import SampleConfig as SampleConfig
     from telenano.afm.part import Part as Part
     from telenano.afm.part import inputs_over as inputs_over
-    from telenano.afm.part import motion_around as motion_around
     from telenano.afm.part import part_start as part_start
     from telenano.afm.part import part_step as part_step
     from telenano.afm.part import register_part as register_part
-    from telenano.afm.part import truths_of as truths_of
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
-    from telenano.afm.programs.runner import Report as Report
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
-    from telenano.afm.programs.settings import requested as requested
-    from telenano.afm.programs.tactile import felt_speed_m_per_s as felt_speed_m_per_s
-    from telenano.afm.safety import MODE_FOLLOW as MODE_FOLLOW
-    from telenano.afm.safety import MODE_HOLD as MODE_HOLD
-    from telenano.afm.sample.surface import Surface as Surface
-    from telenano.afm.sample.surface import height_at as height_at
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig

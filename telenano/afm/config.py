@@ -20,6 +20,7 @@ from telenano.afm.layers import Ground, Height
 from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
+from telenano.afm.safety import placing_s
 from telenano.afm.sample.surface import PLANE, Surface
 from telenano.afm.sample_maps import over_map
 from telenano.afm.sample_models import checked_sample
@@ -48,6 +49,10 @@ from telenano.wire.extras import missing
 if TYPE_CHECKING:
     from telenano.afm.dynamic_plant import DynamicPlant
 
+# Until the tip is placed a signal and its answer cross the link this number of times.
+_PLACING_ROUND_TRIPS = 4.0
+# Both halves and the hand have begun after this time [s], at the slowest rate of the rig.
+_BEGINNING_S = 0.05
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
 
@@ -406,6 +411,60 @@ class _OwnSections(Settings):
         gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
         plant = _plant(properties, _TABLE_REACH * s.force_limit_n, c.stiffness_n_per_m, self.rest_distance_m, gain)
         return AfmParams(self.to_guard(), plant)
+
+    def to_lockstep_params(self, origin: str, duration_s: float) -> AfmParams:
+        """Return what a node would simulate, for a run of that length [s].
+
+        Raises:
+            ConfigError: A lockstep has no such instrument; the message names `origin` and the key.
+
+        Example:
+            params = AfmConfig().to_lockstep_params("my scenario", 10.0)
+        """
+        from telenano.afm.over_surface import over_surface
+
+        if self.feel is not None:
+            raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
+        params = self.to_params()
+        # the disturbances are those of the cantilever that reads what the tip meets
+        cantilever, is_gauged = params.plant, self.environment in SAMPLES.found or self.environment == "spring"
+        if is_gauged:
+            params = self.to_spring_params() if self.environment == "spring" else self.to_sample_params()
+        elif self.sample is not None and self.sample.map is not None:
+            over = self.to_over_map()
+            cantilever = cantilever._replace(stiffness_n_per_m=over.stiffness_n_per_m)
+            params = params._replace(plant=over.params)
+        else:
+            surface = self.to_surface()
+            plant = over_surface(cantilever, surface, self.to_friction_params())
+            params = params._replace(plant=self.with_layers(plant, surface))
+        noisy = self.with_noise(params.plant, cantilever, duration_s, is_gauged=is_gauged)
+        return params._replace(plant=noisy)
+
+    def with_noise(self, part: Any, cantilever: Plant, duration_s: float, *, is_gauged: bool = False) -> Any:
+        """Return the parameters of a part with the disturbances of a run, drawn in advance; the part without any.
+
+        Args:
+            part: The part that the cantilever reads.
+            cantilever: The cantilever that is disturbed.
+            duration_s: The length of the run [s].
+            is_gauged: Whether the part says a force alone, as a spring does.
+        """
+        from telenano.afm.disturbed import noisy_params
+
+        if not self.disturbances.any_enabled:
+            return part
+        return noisy_params(self.disturbances, cantilever, duration_s, part, is_gauged=is_gauged)
+
+    def time_to_place_s(self, round_trip_s: float, reference_m: float = 0.0) -> float:
+        """Return the time before a session in which the tip comes to its reference [m], over a link [s].
+
+        >>> round(AfmConfig().time_to_place_s(0.060), 3)
+        0.34
+        """
+        limits = self.to_guard()
+        way_s = placing_s(limits, limits.retract_position_m, reference_m)
+        return way_s + _PLACING_ROUND_TRIPS * round_trip_s + _BEGINNING_S
 
 
 # The drivers and the environments that need no package.

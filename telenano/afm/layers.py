@@ -6,7 +6,7 @@ A layer is a part around the tip over the surface (`part`). It has settings, the
     DUST = Layer("dust", DustConfig, lambda settings: Height(1e-8, 1e-7, "the dust"), dust_around)
 
 What is so in it and no instrument knows, such as where its grains really are, is its *truth*: `Part.truths` of its part
-gives it by the name of the layer, and `says` makes a message of it for recordings, which no planner reads.
+gives it by the name of the layer, and `fields` makes a message of it for recordings, which no planner reads.
 """
 
 from collections.abc import Callable, Mapping
@@ -44,14 +44,6 @@ class Height(NamedTuple):
     what: str
 
 
-class TruthMessage(NamedTuple):
-    """A message of the truth: its topic and fields, and whether anything changes, so that it is said more often."""
-
-    topic: str
-    fields: Mapping[str, Any]
-    changes: bool
-
-
 @dataclass(frozen=True)
 class Layer:
     """What lies on a sample.
@@ -62,14 +54,18 @@ class Layer:
         height: Returns, of the settings, how far it stands above the surface.
         around: Returns, of settings, the parameters of a part and the ground under it, those of the layer around that
             part; it registers its own part (`part.register_part`) before. ValueError names the key at fault.
-        says: Returns what is said of its truth; None for nothing.
+        topic: The topic on which its truth is published for recordings, often while it changes; empty for none.
+        fields: Returns, of its truth, the fields of the message.
+        changes: Returns whether its truth changes.
     """
 
     name: str
     config: type[BaseModel]
     height: Callable[[Any], Height]
     around: Callable[[Any, Any, Ground], Any]
-    says: Callable[[Any], TruthMessage] | None = None
+    topic: str = ""
+    fields: Callable[[Any], Mapping[str, Any]] = lambda truth: {}
+    changes: Callable[[Any], bool] = lambda truth: False
 
 
 def checked_layer(name: str, value: Any) -> Layer:

@@ -152,9 +152,17 @@ else:
 class SampleConfig(_LayerSections):
     """The surface under the tip. Every default is Fig. 8 of the paper, or ours where it gives none."""
 
+    def layer(self, name: str) -> Any:
+        """Return the settings of a layer that lies on the sample, None where it does not: `sample.layer("particles")`.
+
+        Raises:
+            AttributeError: No installed package has a layer of that name.
+        """
+        return section_of(self, name)
+
 
 def layers_on(sample: SampleConfig | None) -> list[tuple[Layer, Any]]:
     """Return what lies on a sample, with the settings of each, from below upwards."""
-    sections = [(name, None if sample is None else section_of(sample, name)) for name in LAYERS.names]
+    sections = [(name, None if sample is None else sample.layer(name)) for name in LAYERS.names]
     layers = [(LAYERS.find(name), settings) for name, settings in sections if settings is not None]
     return [(layer, settings) for layer, settings in layers if layer is not None]

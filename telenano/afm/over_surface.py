@@ -6,7 +6,7 @@ The tip follows the stage: what friction holds it back moves it less than a pixe
 from typing import Any, NamedTuple
 
 from telenano.afm.contact.friction import FrictionParams, FrictionState, friction_step
-from telenano.afm.part import Part, inputs_over, motion_around, part_start, part_step, register_part
+from telenano.afm.part import Part, inputs_over, part_start, part_step, register_part
 from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
@@ -76,4 +76,4 @@ def _start(params: OverSurfaceParams, inputs: PlantInputs) -> OverSurfaceState:
     return OverSurfaceState(tip, inputs.x_m, inputs.y_m, FrictionState(0.0, 0.0))
 
 
-register_part(OverSurfaceParams, Part(_start, _step, motion=lambda params: motion_around(params, "tip")))
+register_part(OverSurfaceParams, Part(_start, _step, within="tip"))

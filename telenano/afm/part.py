@@ -51,8 +51,13 @@ class Part(NamedTuple):
 
     start(params, inputs) gives the state of a part that has been there for long. lateral: whether x and y mean anything
     to it. motion(params) gives what a part has whose tip moves between two steps, None for one that does not.
-    truths(params, state) gives what is so in it and no instrument knows, by the name of its layer (`layers`), for who
-    judges a simulation and for nobody who plans; None where the part has none, nor a part within that may have one.
+    truths(params, state) gives what is so in it and no instrument knows, by the name of its layer (`layers`): a
+    simulation is judged by it, and no planner reads it. within: the field of its parameters, and of its state, that has
+    another part, whose motion and truths it has as well. inputs_within(params, state, inputs): what acts on that part
+    between two steps; None where the inputs themselves do.
+
+    Example:
+        register_part(DustParams, Part(start, step, within="tip"))
     """
 
     start: Callable[[Any, PlantInputs], Any]
@@ -60,6 +65,8 @@ class Part(NamedTuple):
     lateral: bool = True
     motion: Callable[[Any], Motion | None] | None = None
     truths: Callable[[Any, Any], Mapping[str, Any]] | None = None
+    within: str = ""
+    inputs_within: Callable[[Any, Any, PlantInputs], PlantInputs] | None = None
 
 
 _PARTS: dict[type, Part] = {}
@@ -84,28 +91,18 @@ def part_start(params: Any, inputs: PlantInputs) -> Any:
 
 def truths_of(params: Any, state: Any) -> Mapping[str, Any]:
     """Return what is so in the part with these parameters and no instrument knows, by the name of the layer."""
-    truths = part_of(params).truths
-    return {} if truths is None else truths(params, state)
+    part = part_of(params)
+    inner = truths_of(getattr(params, part.within), getattr(state, part.within)) if part.within else {}
+    return inner if part.truths is None else {**inner, **part.truths(params, state)}
 
 
 def motion_of(params: Any) -> Motion | None:
     """Return the motion that the part with these parameters has between two steps, None where it has none."""
-    motion = part_of(params).motion
-    return None if motion is None else motion(params)
-
-
-def motion_around(
-    params: Any, within: str, inputs_of: Callable[[Any, Any, PlantInputs], PlantInputs] | None = None
-) -> Motion | None:
-    """Return the motion of a part that has another one within; None where that has none.
-
-    Args:
-        params: The parameters of the part.
-        within: The field of its parameters, and of its state, that has the part within.
-        inputs_of: Returns what acts on the part within, by parameters, state and inputs; None: the inputs themselves.
-    """
-    inner = motion_of(getattr(params, within))
-    if inner is None:
+    part = part_of(params)
+    if part.motion is not None:
+        return part.motion(params)
+    within, inputs_of = part.within, part.inputs_within
+    if not within or (inner := motion_of(getattr(params, within))) is None:
         return None
 
     def settle(params: Any, state: Any, inputs: PlantInputs) -> tuple[Any, bool]:

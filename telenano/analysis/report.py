@@ -49,7 +49,6 @@ from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.recording.arrays import columns, last_session
-from telenano.recording.indexed import open_indexed
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
@@ -297,7 +296,7 @@ def write_report(
     """
     paths = [path] if isinstance(path, Path) else path
     # What is missing is found by reading the whole; the session by the index, which takes half of the time.
-    recording, indexed = open_recordings(paths), open_indexed(paths)
+    recording, indexed = open_recordings(paths), open_recordings(paths, by_index=True)
     show("1 of 3: reading the session")
     session = Session.of(indexed)
     show(f"2 of 3: reading all messages of its {session.duration_s:.0f} s, and judging")

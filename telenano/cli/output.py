@@ -25,7 +25,7 @@ from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 
-_PIPE_COLUMNS = 140
+_PIPE_COLUMNS = 160
 # This is what a person can do where a rig does not reach its rate.
 NO_ROOM = "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
 
@@ -108,26 +108,24 @@ def _suggested(message: str) -> str:
 
 
 @contextlib.contextmanager
-def results_folder(out: Path) -> Iterator[None]:
-    """Make a folder for results, and remove it if nothing came to be in it; TelenanoError when it cannot be made."""
-    with contextlib.ExitStack() as folder:
-        try:
-            folder.enter_context(new_folder(out))
-        except OSError as error:
-            raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
-        yield
-
-
-@contextlib.contextmanager
-def results_in(out: Path) -> Iterator[Path]:
+def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
     """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
+
+    Args:
+        out: The folder of the results, which is made.
+        at_once: Whether files are written to `out` itself, and stay if the block fails, as a journal does; the folder
+            is removed again where it is new and stays empty.
 
     Raises:
         TelenanoError: The folder cannot be made.
+
+    Example:
+        with results_in(Path("out/edge")) as folder:
+            (folder / "edge.json").write_text("{}")
     """
     with contextlib.ExitStack() as results:
         try:
-            folder = results.enter_context(whole_results(out))
+            folder = results.enter_context(new_folder(out) if at_once else whole_results(out))
         except OSError as error:
             raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
         yield folder
@@ -138,10 +136,10 @@ def print_json(document: Any) -> None:
     typer.echo(json.dumps(document))
 
 
-def console(pipe_columns: int = _PIPE_COLUMNS) -> Console:
+def console() -> Console:
     """Return the console of standard output; a pipe has no width of its own, and a narrow table would lose names."""
     made = PrintableConsole()
-    return made if made.is_terminal else PrintableConsole(width=pipe_columns)
+    return made if made.is_terminal else PrintableConsole(width=_PIPE_COLUMNS)
 
 
 class PrintableConsole(Console):

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.cli.child_session import run_session
 from telenano.cli.model_options import validated
-from telenano.launcher.child_session import run_session
 from telenano.launcher.plan import UpRequest
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
@@ -97,9 +96,10 @@ def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show
         show(f"{number}/{len(points)}: {point.name}")
         folder = out / point.name
         command = [sys.executable, "-m", "telenano", "up", *arguments, *point.options, "--out", str(folder), "--json"]
-        done = run_session(command)
         # The summary says what is missing in a recording, and the table shows a hold without data.
-        if done.returncode not in (0, EXIT_INCOMPLETE):
-            raise RigError(f"the session {point.name} failed: {done.stderr.strip() or done.stdout.strip()}")
+        try:
+            run_session(command)
+        except RigError as error:
+            raise RigError(f"the session {point.name} failed: {error}") from error
         folders.append(folder)
     return folders

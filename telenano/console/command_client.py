@@ -13,7 +13,7 @@ import zmq
 from telenano.console.lease import FREE_COMMANDS, MOST_LETTERS
 from telenano.console.lease_register import NAME_VARIABLE, Hold, acting
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.publisher import ZmqPublisher, publish_end
+from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.wiring.observer import RIG_HINT, require_rig
@@ -191,8 +191,6 @@ def _exchange(
                 if isinstance(message, SessionEvent) and (client.on_event(message) or client.is_place(message)):
                     answers[message.src] = message
                     on_answer(message)
-        # the next command comes from a process that counts again
-        publish_end(publisher, participant.key)
     names = ", ".join(dict.fromkeys(command.name for command in commands))
     if client.void:
         raise RigError(f"{client.failure}{_half_done(answers, client)}")
@@ -290,7 +288,8 @@ def _bind(participant: Participant) -> ZmqPublisher:
     deadline = clock.monotonic_ns() + _BIND_PATIENCE_NS
     while True:
         try:
-            publisher = participant.bind(participant.key, zmq.XPUB)
+            # the next command comes from a process that counts again
+            publisher = participant.bind(participant.key, zmq.XPUB, ends=True)
         except EndpointError:
             if clock.monotonic_ns() >= deadline:
                 raise

@@ -10,7 +10,6 @@ from typing import Any
 
 from telenano.numerics.frames import to_site_frame
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import Message
@@ -26,7 +25,7 @@ class RigHand:
         participant = self._open.enter_context(Participant.open(VIEW, AddressBook.load(site_file)))
         self._clock = participant.clock
         try:
-            self._publisher = participant.bind(VIEW)
+            self._publisher = participant.bind(VIEW, ends=True)
         except TelenanoError:
             self._open.close()
             raise
@@ -45,5 +44,4 @@ class RigHand:
 
     def close(self) -> None:
         """Publish the last message, and close the endpoint."""
-        publish_end(self._publisher, VIEW)
         self._open.close()

@@ -5,13 +5,10 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.files.atomic_files import BusyError as BusyError
     from telenano.files.atomic_files import atomic_file as atomic_file
     from telenano.files.atomic_files import changed as changed
     from telenano.files.atomic_files import locked as locked
     from telenano.files.atomic_files import whole_folder as whole_folder
-    from telenano.files.atomic_files import whole_results as whole_results
-    from telenano.files.atomic_files import write_whole as write_whole
     from telenano.files.limited_child import Limits as Limits
     from telenano.files.limited_child import read_in_child as read_in_child
     from telenano.files.regular_files import is_own as is_own

@@ -67,10 +67,6 @@ def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             _name_once(part, path)
 
 
-class BusyError(RigError):
-    """Another process has the lock of a shared file; the text names the file."""
-
-
 def changed(
     path: Path,
     step: Callable[[bytes | None], bytes | None],
@@ -92,8 +88,8 @@ def changed(
         wait_s: How long the lock is waited for [s].
 
     Raises:
-        BusyError: Another process has had the lock for `wait_s`.
-        RigError: The system refuses; the text names the file, which is as it was.
+        RigError: Another process has had the lock for `wait_s`, or the system refuses; the text names the file, which
+            is as it was.
     """
     with locked(path, wait_s, mode=mode):
         try:
@@ -107,12 +103,18 @@ def changed(
 
 
 @contextlib.contextmanager
-def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600) -> Iterator[None]:
+def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600, busy: str = "") -> Iterator[None]:
     """Have a shared file alone while the block runs; a process that is killed has it no longer.
 
+    Args:
+        path: The file. `path.lock` beside it is the lock, and stays.
+        wait_s: How long the lock is waited for [s].
+        mode: Who may read and write the lock, before the mask of this process is applied.
+        busy: What a person has to do where another process has it, in words; empty for ending that process.
+
     Raises:
-        BusyError: Another process has had it for `wait_s`.
-        RigError: The lock cannot be had for another reason, which the text states.
+        RigError: Another process has had it for `wait_s`, or the lock cannot be had for another reason, which the text
+            states.
     """
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
@@ -120,7 +122,7 @@ def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600) -> Ite
     except OSError as error:
         raise RigError(f"{path}: cannot be locked: {error.strerror}") from error
     try:
-        _lock(descriptor, path, wait_s)
+        _lock(descriptor, path, wait_s, busy)
         yield
     finally:
         os.close(descriptor)
@@ -142,7 +144,7 @@ def write_whole(path: Path, content: bytes, mode: int = 0o600, *, is_forced: boo
         part.replace(path)
 
 
-def _lock(descriptor: int, path: Path, wait_s: float) -> None:
+def _lock(descriptor: int, path: Path, wait_s: float, busy: str) -> None:
     end_s = time.monotonic() + wait_s
     while fcntl is not None:
         try:
@@ -150,7 +152,8 @@ def _lock(descriptor: int, path: Path, wait_s: float) -> None:
             return
         except BlockingIOError as error:
             if time.monotonic() >= end_s:
-                raise BusyError(f"{path}: another process has had it for {wait_s:g} s: end that process") from error
+                text = busy or f"another process has had it for {wait_s:g} s: end that process"
+                raise RigError(f"{path}: {text}") from error
             time.sleep(_RETRY_S)
         except OSError as error:
             raise RigError(f"{path}: cannot be locked: {error.strerror}") from error
@@ -204,12 +207,12 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def new_folder(path: Path) -> Iterator[None]:
+def new_folder(path: Path) -> Iterator[Path]:
     """Make a folder where there is none, and remove it if it is empty when the block ends; OSError if it cannot be."""
     is_new = not path.exists()
     path.mkdir(parents=True, exist_ok=True)
     try:
-        yield
+        yield path
     finally:
         if is_new:
             with contextlib.suppress(OSError):

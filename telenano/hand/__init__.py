@@ -7,7 +7,6 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.hand.config import HapticConfig as HapticConfig
     from telenano.hand.config import LimitsConfig as LimitsConfig
-    from telenano.hand.lateral_hand import LateralHandConfig as LateralHandConfig
     from telenano.hand.lateral_hand import LateralPath as LateralPath
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.operator import interpolate as interpolate

@@ -183,6 +183,11 @@ class _OwnSections(Settings):
         driver = DRIVERS.find(self.driver)
         return self.driver == "simulated" if driver is None else driver.in_lockstep
 
+    @property
+    def lateral_in_force(self) -> LateralHandConfig:
+        """The hand across the sample, with its defaults where there is no section."""
+        return LateralHandConfig() if self.lateral is None else self.lateral
+
     @model_validator(mode="after")
     def _serial_is_described(self) -> Self:
         if self.driver == "serial" and self.serial is None:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.launcher.child_session import run_session as run_session
     from telenano.launcher.plan import anchored as anchored
     from telenano.launcher.plan import check_sections as check_sections
     from telenano.launcher.rigs import running_rigs as running_rigs

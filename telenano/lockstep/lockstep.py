@@ -29,9 +29,8 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.safety import REASON_NAMES, placing_s
+from telenano.afm.safety import REASON_NAMES
 from telenano.afm.step import AfmParams, initial_afm_state
-from telenano.extend.instruments import SafetyParams
 from telenano.extend.laws import NO_SIGNAL, TipMeasurement
 from telenano.hand.config import HapticConfig
 from telenano.hand.step import HapticParams
@@ -73,16 +72,11 @@ from telenano.lockstep.sites import (
     went_on,
 )
 from telenano.lockstep.steering import hand_ends, hand_moves, hand_notes, hand_sees, hand_writes
+from telenano.lockstep.trajectory import Series, Trajectory
 from telenano.numerics.compiler import borrowed, compiled, compiled_call, inlined, is_compiled
 from telenano.wire.errors import ConfigError, RigError
 
-Series = npt.NDArray[np.float64]
-
 _NEVER_NS = 2**62
-# Until the tip is placed a signal and its answer cross the link so often.
-_PLACING_ROUND_TRIPS = 4.0
-# Both halves and the hand have begun after this time [s], at the slowest rate of the rig.
-_BEGINNING_S = 0.05
 # Plain Python takes 70 microseconds of processor time for a tick, and the compiler 10 to 16 s for the loop of a law
 # (docs/api.md): this many ticks of one kind take as long as compiling, and more of them will follow.
 PLAIN_TICKS = 200_000
@@ -167,8 +161,8 @@ class Rig:
 
         Args:
             schedule: The arrivals of `Schedule.of`, whose number of ticks is the length of the run.
-            session_tick: The tick at which the operator's program starts (`time_to_place_s`), or later, when the tip is
-                placed.
+            session_tick: The tick at which the operator's program starts (`AfmConfig.time_to_place_s`), or later, when
+                the tip is placed.
             hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
                 without a path the run ends when it is done.
             path: The lateral path of the controller, by which a path or `hand` moves the tip; the run continues to its
@@ -205,46 +199,6 @@ class Rig:
         columns["begins_s"] = start * self.period_s
         columns["across"] = None if path is None else path.rows[start:done]
         return Trajectory(**columns)
-
-
-def time_to_place_s(limits: SafetyParams, round_trip_s: float, reference_m: float = 0.0) -> float:
-    """Return the time before a session in which a tip with these limits comes to its reference [m], over a link [s]."""
-    way_s = placing_s(limits, limits.retract_position_m, reference_m)
-    return way_s + _PLACING_ROUND_TRIPS * round_trip_s + _BEGINNING_S
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """What happened, one value a tick of the hand, each of shape (n,), from the start of the session on.
-
-    hand_force_n, hand_position_m: F_m [N] on the device and x_m [m] at the tick. The rest is as it stands at the end of
-    the tick: reference_m, x_mr [m]; rendered_force_n, the force that the law ascribes to the environment, at the hand's
-    scale [N]; base_position_m, x_s [m]; tip_force_n, F_s [N]; separation_m, h [m];
-    hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
-    put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
-    safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
-    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10)
-    or wider, the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long
-    the rig ran before the session [s].
-    """
-
-    time_s: Series
-    hand_force_n: Series
-    hand_position_m: Series
-    reference_m: Series
-    rendered_force_n: Series
-    base_position_m: Series
-    tip_force_n: Series
-    separation_m: Series
-    hand_energy_j: Series
-    tip_energy_j: Series
-    in_contact: npt.NDArray[np.bool_]
-    instrument_mode: npt.NDArray[np.int64]
-    hand_following: npt.NDArray[np.bool_]
-    instrument_reason: npt.NDArray[np.int64]
-    withdrawn_s: Series
-    across: Series | None = None
-    begins_s: float = 0.0
 
 
 def _run_as_it_pays(rig: Rig, arguments: tuple[Any, ...]) -> tuple[int, int]:

@@ -5,10 +5,9 @@ seconds of Fig. 12 take a fraction of one. What the processes add to it, their o
 jitter, is not in it.
 """
 
-import functools
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
@@ -16,32 +15,27 @@ from typing import Any
 
 import numpy as np
 
-from telenano.afm.config import SAMPLES, AfmConfig
+from telenano.afm.config import AfmConfig
 from telenano.afm.disturbances import instrument_name
-from telenano.afm.disturbed import noisy_params
-from telenano.afm.over_surface import over_surface
-from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
-from telenano.afm.step import AfmParams
 from telenano.analysis.holds import (
     NO_CONTEXT,
-    Guard,
     Hold,
     Instrument,
-    Limits,
     SessionContext,
     guard_of,
     judge_holds,
     verdict_of,
 )
-from telenano.analysis.interruptions import ModeReport, in_words, interruptions_of
+from telenano.analysis.interruptions import in_words
 from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import HapticConfig
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.laws.config import ControllerConfig
 from telenano.link.config import EVEN, LinkSettings
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule
-from telenano.lockstep.lockstep import Rig, Trajectory, time_to_place_s
+from telenano.lockstep.lockstep import Rig
 from telenano.lockstep.steering import columns_of
+from telenano.lockstep.trajectory import Trajectory, known_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
@@ -158,6 +152,95 @@ class SimulatedSession(ColumnTable):
             {name: text for name, (_, text) in described.items()},
         )
 
+    @classmethod
+    def of(
+        cls, document: Mapping[str, Any], origin: str, steers: Steers | None = None, *, at_once: bool = False
+    ) -> "SimulatedSession":
+        """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
+
+        Args:
+            document: The scenario.
+            origin: What an error names.
+            steers: Makes a hand that steers the tip across the sample, in mode rate.
+            at_once: Whether to compile for the first session, as in `Rig.run`.
+
+        Example:
+            session = SimulatedSession.of({"name": "mine", "duration_s": 2.0}, "my scenario")
+        """
+        from telenano.analysis.report import planned_holds
+
+        loaded = LoadedScenario.of(document, origin)
+        controller = loaded.section("controller", ControllerConfig)
+        haptic = loaded.section("haptic_node", HapticConfig)
+        afm = loaded.section("afm_node", AfmConfig)
+        link = loaded.section("delay_node", LinkSettings)
+        drivers = (
+            ("haptic_node", haptic.driver, haptic.in_lockstep),
+            ("afm_node", afm.driver, afm.driver == "simulated"),
+        )
+        for section, driver, has_model in drivers:
+            if not has_model:
+                raise ConfigError(
+                    f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it"
+                )
+        if afm.model != "quasi_static":
+            raise ConfigError(
+                f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static"
+            )
+        if haptic.operator.kind == "interactive":
+            text = "interactive is a person, who cannot be simulated: give another operator"
+            raise ConfigError(f"{origin}: haptic_node.operator.kind: {text}")
+        if afm.begin is not None:
+            text = (
+                f"{afm.begin.program} moves the tip by a program of the instrument, which simulated time does not have"
+            )
+            raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
+        trip_s = link.forward.delay_s + link.backward.delay_s
+        period_s = controller.period_s
+        reference_m = controller.law_config().position_scale * haptic.device.start_position_m
+        settle = math.ceil(afm.time_to_place_s(trip_s, reference_m) / period_s)
+        ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
+        length_s = ticks * period_s
+        rig = Rig.of(controller, haptic, afm.to_lockstep_params(origin, length_s), length_s)
+        schedule, path = Schedule.of(link, ticks, period_s), None
+        hand = None if steers is None else steers(period_s)
+        if haptic.lateral is not None and controller.lateral.mode != "direct":
+            path = across.across_path(controller, haptic.lateral, schedule, len(columns_of(hand)))
+        if steers is not None and (path is None or controller.lateral.mode != "rate"):
+            text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
+            raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
+        if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=link.network_name in EVEN):
+            warnings.warn(text, stacklevel=3)
+        course = rig.run(schedule, settle, hand, path, at_once=at_once)
+        section = controller.law_config()
+        conditions = Conditions(
+            scenario=loaded.scenario.name,
+            law=controller.law,
+            parameters=section.model_dump(mode="json"),
+            environment=afm.environment,
+            round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
+            link_profile=link.network_name,
+            link_seed=link.seed,
+            instrument=instrument_name(loaded.scenario.instrument, loaded.scenario.afm_node),
+        )
+        safety = rig.instrument.safety
+        ages_s = _ages_s(schedule, period_s)
+        transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
+        context = known_of(
+            controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s
+        )
+        context = context._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
+        context = context._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
+        return cls(
+            conditions,
+            course,
+            section.force_scale,
+            safety,
+            further=columns_of(hand),
+            known=context,
+            position_scale=section.position_scale,
+        )
+
     def __repr__(self) -> str:
         return f"<SimulatedSession {self.conditions.title()}: {self['time_s'].size} samples, {self.verdict}>"
 
@@ -211,69 +294,11 @@ class SimulatedSession(ColumnTable):
 
     @property
     def _tip(self) -> Instrument:
-        return instrument_of(self._course, self._position_scale)
+        return self._course.tip(self._position_scale)
 
     @cached_property
     def _context(self) -> SessionContext:
-        return context_of(self._course, self._safety, self._known)
-
-
-def instrument_of(course: Trajectory, position_scale: float | None = None, *, knows_contact: bool = True) -> Instrument:
-    """Return what the instrument of a course says; position_scale, alpha_p, tells how far the hand is ahead of it."""
-    mode = course.instrument_mode
-    held, apart_m = mode == MODE_HOLD, None
-    if position_scale is not None:
-        apart_m = course.hand_position_m - course.base_position_m / position_scale
-    return Instrument((mode == MODE_FOLLOW) | held, course.in_contact, held, apart_m, knows_contact)
-
-
-def context_of(course: Trajectory, safety: SafetyParams | None, context: SessionContext = NO_CONTEXT) -> SessionContext:
-    """Return what is known of a course besides its series: when the loop was open, and the guard, which acts once."""
-    withdrawn = np.flatnonzero(np.isfinite(course.withdrawn_s))[:1].tolist()
-    reasons = [REASON_NAMES[int(course.instrument_reason[i])] for i in withdrawn]
-    guards = [Guard(float(course.withdrawn_s[i]), why) for i, why in zip(withdrawn, reasons, strict=True)]
-    if safety is not None:
-        context = context._replace(limits=Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s))
-    time_s, held = course.time_s, course.instrument_mode == MODE_HOLD
-    begins = np.flatnonzero(np.diff(held, prepend=False) & held)
-    reports = [ModeReport(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
-    interruptions = interruptions_of("tip_held", time_s, held, reports)
-    # a hand is let go for want of commands, or because the law no longer couples it to a tip that is held or away
-    interruptions += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
-    return context._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
-
-
-def holds_of(
-    course: Trajectory,
-    controller: ControllerConfig,
-    transit_s: float,
-    deadlines_s: Sequence[float],
-    spans: Sequence[tuple[float, float, float]],
-    *,
-    knows_contact: bool = True,
-) -> list[Hold]:
-    """Return what became of the holds of a course, each judged.
-
-    Args:
-        course: The course.
-        controller: The configuration of the law that ran.
-        transit_s: How long a command is in transit in the loop [s].
-        deadlines_s: The deadlines for commands of both devices [s].
-        spans: Begin and end of each hold [s], with the force of the hand in it [N].
-        knows_contact: Whether the instrument measures contact.
-    """
-    section = controller.law_config()
-    tip = instrument_of(course, section.position_scale, knows_contact=knows_contact)
-    context = context_of(course, None, known_of(controller, transit_s, *deadlines_s))
-    tip_n = section.force_scale * course.tip_force_n
-    return judge_holds(course.time_s, course.hand_force_n, course.time_s, tip_n, tip, context, spans)
-
-
-def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> SessionContext:
-    """Return what a law and a link tell of a session: what the law rests at, how long a command is in transit [s]."""
-    rest_force = KNOWN_LAWS[controller.law].rest_force
-    own = None if rest_force is None else functools.partial(rest_force, controller.params())
-    return SessionContext(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)
+        return self._course.context(self._safety, self._known)
 
 
 def simulate_scenario(
@@ -324,7 +349,7 @@ def simulate_scenario(
     if operator is not None:
         # in the place of that of the scenario, and not key by key: it may be of another kind
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
-    return simulate_document(document, str(path))
+    return SimulatedSession.of(document, str(path))
 
 
 # An error of Python's names it as it is called.
@@ -335,82 +360,7 @@ def compile_scenario(scenario: str, law: str) -> None:
     """Compile what a scenario runs with a law, in a session of two ticks, and keep it on the disk."""
     path = find_scenario(scenario)
     document = merge(read_yaml(path), {"controller": {"law": law}, "duration_s": 0.002})
-    simulate_document(document, str(path), at_once=True)
-
-
-def simulate_document(
-    document: Mapping[str, Any], origin: str, steers: Steers | None = None, *, at_once: bool = False
-) -> SimulatedSession:
-    """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
-
-    Args:
-        document: The scenario.
-        origin: What an error names.
-        steers: Makes a hand that steers the tip across the sample, in mode rate.
-        at_once: Whether to compile for the first session, as in `Rig.run`.
-    """
-    from telenano.analysis.report import planned_holds
-
-    loaded = LoadedScenario.of(document, origin)
-    controller = loaded.section("controller", ControllerConfig)
-    haptic = loaded.section("haptic_node", HapticConfig)
-    afm = loaded.section("afm_node", AfmConfig)
-    link = loaded.section("delay_node", LinkSettings)
-    runs = haptic.in_lockstep, afm.driver == "simulated"
-    for section, driver, has_model in zip(("haptic_node", "afm_node"), (haptic.driver, afm.driver), runs, strict=True):
-        if not has_model:
-            raise ConfigError(f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it")
-    if afm.model != "quasi_static":
-        raise ConfigError(f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static")
-    if haptic.operator.kind == "interactive":
-        text = "interactive is a person, who cannot be simulated: give another operator"
-        raise ConfigError(f"{origin}: haptic_node.operator.kind: {text}")
-    if afm.begin is not None:
-        text = f"{afm.begin.program} moves the tip by a program of the instrument, which simulated time does not have"
-        raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
-    trip_s = link.forward.delay_s + link.backward.delay_s
-    period_s = controller.period_s
-    reference_m = controller.law_config().position_scale * haptic.device.start_position_m
-    settle = math.ceil(time_to_place_s(afm.to_guard(), trip_s, reference_m) / period_s)
-    ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
-    length_s = ticks * period_s
-    rig = Rig.of(controller, haptic, instrument_params(afm, origin, length_s), length_s)
-    schedule, path = Schedule.of(link, ticks, period_s), None
-    hand = None if steers is None else steers(period_s)
-    if haptic.lateral is not None and controller.lateral.mode != "direct":
-        path = across.across_path(controller, haptic.lateral, schedule, len(columns_of(hand)))
-    if steers is not None and (path is None or controller.lateral.mode != "rate"):
-        text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
-        raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
-    if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=link.network_name in EVEN):
-        warnings.warn(text, stacklevel=3)
-    course = rig.run(schedule, settle, hand, path, at_once=at_once)
-    section = controller.law_config()
-    conditions = Conditions(
-        scenario=loaded.scenario.name,
-        law=controller.law,
-        parameters=section.model_dump(mode="json"),
-        environment=afm.environment,
-        round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
-        link_profile=link.network_name,
-        link_seed=link.seed,
-        instrument=instrument_name(loaded.scenario.instrument, loaded.scenario.afm_node),
-    )
-    safety = rig.instrument.safety
-    ages_s = _ages_s(schedule, period_s)
-    transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
-    context = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
-    context = context._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
-    context = context._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
-    return SimulatedSession(
-        conditions,
-        course,
-        section.force_scale,
-        safety,
-        further=columns_of(hand),
-        known=context,
-        position_scale=section.position_scale,
-    )
+    SimulatedSession.of(document, str(path), at_once=True)
 
 
 def _ages_s(schedule: Schedule, period_s: float) -> Any:
@@ -423,26 +373,3 @@ def _median_round_trip_ms(schedule: Schedule, period_s: float, least_s: float) -
     """Return the median age of the hand's sample that an answer descends from [ms]; the least one where none comes."""
     ages_s = _ages_s(schedule, period_s)
     return round(1e3 * (float(np.median(ages_s)) if ages_s.size else least_s), 3)
-
-
-def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
-    """Return what a node would simulate, for a run of that length [s]; ConfigError names what a lockstep has not."""
-    if config.feel is not None:
-        raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
-    params = config.to_params()
-    # the disturbances are those of the cantilever that reads what the tip meets
-    cantilever, is_gauged = params.plant, config.environment in SAMPLES.found or config.environment == "spring"
-    if is_gauged:
-        params = config.to_spring_params() if config.environment == "spring" else config.to_sample_params()
-    elif config.sample is not None and config.sample.map is not None:
-        over = config.to_over_map()
-        cantilever = cantilever._replace(stiffness_n_per_m=over.stiffness_n_per_m)
-        params = params._replace(plant=over.params)
-    else:
-        surface = config.to_surface()
-        plant = over_surface(cantilever, surface, config.to_friction_params())
-        params = params._replace(plant=config.with_layers(plant, surface))
-    if not config.disturbances.any_enabled:
-        return params
-    noisy = noisy_params(config.disturbances, cantilever, duration_s, params.plant, is_gauged=is_gauged)
-    return params._replace(plant=noisy)

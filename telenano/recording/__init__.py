@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from telenano.recording.export import viewer_json as viewer_json
     from telenano.recording.export import write_mcap as write_mcap
     from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
-    from telenano.recording.indexed import IndexedRecording as IndexedRecording
     from telenano.recording.made_records import recorded as recorded
     from telenano.recording.messages import RecordedChannel as RecordedChannel
     from telenano.recording.messages import RecordedMessage as RecordedMessage

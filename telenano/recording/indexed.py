@@ -28,7 +28,6 @@ from telenano.recording.mcap_scan import (
     unpack,
 )
 from telenano.recording.messages import ChannelFilter, RecordedMessage
-from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.reader import END_OF_TIME, DamageCallback, Recording, SeeMessage, each_block
 from telenano.recording.summary_section import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
@@ -168,8 +167,3 @@ def message_places(data: mmap.mmap, number: int, start: int, most: int) -> npt.N
     if (opcode, channel, size) != (Opcode.MESSAGE_INDEX, number, len(body) - INDEX_HEAD.size):
         raise ValueError(f"byte {start} is no message index of channel {number}")
     return np.frombuffer(body, dtype="<u8", offset=INDEX_HEAD.size)[1::2]
-
-
-def open_indexed(paths: Sequence[str | Path]) -> RecordingSource:
-    """Open a recording, or several files of one, by the index; RecordingError names the file that cannot be read."""
-    return open_recordings(paths, IndexedRecording)

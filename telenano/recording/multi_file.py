@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from telenano.recording.indexed import IndexedRecording
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
 from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
@@ -116,9 +117,18 @@ class MultiFileRecording:
         return newest
 
 
-def open_recordings(paths: Sequence[str | Path], kind: type[Recording] = Recording) -> RecordingSource:
-    """Open a recording, or several files of one; RecordingError names the file that cannot be read."""
+def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> RecordingSource:
+    """Open a recording, or several files of one; RecordingError names the file that cannot be read.
+
+    Args:
+        paths: The files.
+        by_index: Whether a file is read by its index where that is sound (`telenano.recording.indexed`): it opens at
+            once, and damage between its chunks is not found.
+
+    Example:
+        recording = open_recordings(["out/session.mcap"], by_index=True)
+    """
     if not paths:
         raise RecordingError("no recording was given")
-    recordings = [kind(path) for path in paths]
+    recordings = [(IndexedRecording if by_index else Recording)(path) for path in paths]
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

@@ -280,7 +280,7 @@ class _RerunWiring(Wiring):
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.rerun_bus)
 
-    def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
+    def bind(self, key: str, kind: int = zmq.PUB, *, ends: bool = False) -> ZmqPublisher:
         """Return an endpoint of the node."""
         return cast(ZmqPublisher, RerunOutlet(self.rerun_bus, key))
 

@@ -6,7 +6,6 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
-    from telenano.runtime.bus.publisher import publish_end as publish_end
     from telenano.runtime.byte_link import ByteLinkProcess as ByteLinkProcess
     from telenano.runtime.link_node import TRAIN as TRAIN
     from telenano.runtime.loop.commands import Command as Command

@@ -7,9 +7,7 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.serving.config import ViewConfig as ViewConfig
     from telenano.serving.panels import Asked as Asked
-    from telenano.serving.panels import Guests as Guests
     from telenano.serving.panels import Panel as Panel
-    from telenano.serving.panels import PanelRig as PanelRig
     from telenano.serving.serve import web_folder as web_folder
     from telenano.serving.token_socket import TokenSocket as TokenSocket
 else:

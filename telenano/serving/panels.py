@@ -30,12 +30,14 @@ class Asked(NamedTuple):
         page: What the page is called, the same for all its requests.
         role: The role of the page: `participant` where it belongs to guests, else that of who may have the hand.
         values: What was asked, by name.
+        rig: The rig that the page shows, for what is published and read there.
     """
 
     id: str
     page: str
     role: str
     values: Mapping[str, Scalar]
+    rig: "PanelRig"
 
 
 class PanelRig(Protocol):
@@ -54,7 +56,7 @@ class PanelRig(Protocol):
 class Desk(Protocol):
     """The half of a panel that runs in the server: it carries out what pages ask, beside everything else there."""
 
-    async def ask(self, asked: Asked, rig: PanelRig) -> str:
+    async def ask(self, asked: Asked) -> str:
         """Carry out what was asked and return what to answer; RefusedError says why not."""
 
 
@@ -71,18 +73,6 @@ class Picture(Protocol):
         """Return the answer to a request in words that tell nothing else."""
 
 
-class Guests(NamedTuple):
-    """Pages of people who are sent less than the others: they press, answer and stop, and command nothing.
-
-    Args:
-        page: The HTML file of their page, in the folder of the panel.
-        picture: Makes their picture, of the streams that pages have (name, topic and columns of each).
-    """
-
-    page: str
-    picture: Callable[[Sequence[Mapping[str, Any]]], Picture]
-
-
 class Panel(NamedTuple):
     """A panel of a package.
 
@@ -94,7 +84,9 @@ class Panel(NamedTuple):
         topics: Of which topics pages are sent the newest message, and which of its keys.
         shows: The state without which the panel is not there, such as one of these topics; empty for always.
         desk: Makes the half in the server, where the panel has one.
-        guests: The page of those who are sent less; one installed panel may have it.
+        guest_page: The HTML file, in the folder of the panel, of people who are sent less than the others: they press,
+            answer and stop, and command nothing. One installed panel may have it.
+        guest_picture: Makes their picture, of the streams that pages have (name, topic and columns of each).
     """
 
     id: str
@@ -104,7 +96,8 @@ class Panel(NamedTuple):
     topics: Mapping[str, tuple[str, ...]] = {}
     shows: str = ""
     desk: Callable[[], Desk] | None = None
-    guests: Guests | None = None
+    guest_page: str = ""
+    guest_picture: Callable[[Sequence[Mapping[str, Any]]], Picture] | None = None
 
     @property
     def base(self) -> str:
@@ -141,7 +134,7 @@ class Panels(NamedTuple):
     @property
     def of_guests(self) -> Panel | None:
         """The panel whose package has a page for guests, None without one."""
-        return next((row for row in self.rows if row.guests is not None), None)
+        return next((row for row in self.rows if row.guest_page), None)
 
 
 @cache
@@ -163,6 +156,7 @@ def _checked(name: str, panel: Any) -> Panel:
         raise ValueError(f"module {panel.module}: must be a file of JavaScript, NAME.js")
     if wrong := [topic for topic in panel.topics if not NAME.fullmatch(topic)]:
         raise ValueError(f"topics: {wrong[0]!r} is not the name of a topic, such as wind/speed")
-    if panel.guests is not None and not (panel.module.parent / panel.guests.page).is_file():
-        raise ValueError(f"guests: {panel.guests.page} is no file beside {panel.module}")
+    if panel.guest_page and (panel.guest_picture is None or not (panel.module.parent / panel.guest_page).is_file()):
+        lack = "has no guest_picture" if panel.guest_picture is None else f"is no file beside {panel.module}"
+        raise ValueError(f"guest_page: {panel.guest_page} {lack}")
     return panel

@@ -120,8 +120,8 @@ def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: st
     shown = name or (f"[{host}]" if ":" in host else host)
     base = f"{'https' if tls else 'http'}://{shown}:{port}/"
     addresses = {"operator": f"{base}#{access.operator_token}", "observer": f"{base}#{access.observer_token}"}
-    if (panel := installed_panels().of_guests) and panel.guests:
-        addresses["participant"] = f"{base}{panel.base}{panel.guests.page}#{access.participant_token}"
+    if panel := installed_panels().of_guests:
+        addresses["participant"] = f"{base}{panel.base}{panel.guest_page}#{access.participant_token}"
     return addresses
 
 

@@ -6,11 +6,10 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.signals.children import run as run
-    from telenano.signals.children import safe_path as safe_path
+    from telenano.signals.children import spawning_workers as spawning_workers
     from telenano.signals.children import start as start
     from telenano.signals.interrupts import exit_code as exit_code
     from telenano.signals.interrupts import finishing as finishing
     from telenano.signals.interrupts import held as held
-    from telenano.signals.interrupts import kept_from_children as kept_from_children
 else:
     __getattr__, __dir__ = face(__name__)

@@ -15,21 +15,32 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
+from telenano.signals.interrupts import kept_from_children
+
 _SAFE_PATH = "PYTHONSAFEPATH"
 _PR_SET_PDEATHSIG = 1
 
 
-def start(command: Sequence[str], *, dies_with_parent: bool = False, **options: Any) -> "subprocess.Popen[Any]":
+def start(
+    command: Sequence[str], *, dies_with_parent: bool = False, ends_with_command: bool = False, **options: Any
+) -> "subprocess.Popen[Any]":
     """Start a command; the options are those of `subprocess.Popen`.
+
+    >>> with start([sys.executable, "-c", "pass"], ends_with_command=True) as process:
+    ...     process.wait()
+    0
 
     Args:
         command: The command and its arguments.
         dies_with_parent: The process gets SIGTERM when this one ends, however it ends; on Linux only.
+        ends_with_command: Whether this process ends the other one in order itself. SIGINT is then kept from it, which
+            a terminal sends to both.
         **options: Further options.
     """
     if dies_with_parent:
         options["preexec_fn"] = partial(_tie_to, os.getpid())
-    return subprocess.Popen(_safe(command), **options | {"env": _environment(options.get("env"))})
+    with kept_from_children() if ends_with_command else contextlib.nullcontext():
+        return subprocess.Popen(_safe(command), **options | {"env": _environment(options.get("env"))})
 
 
 def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[Any]":
@@ -43,12 +54,20 @@ def become(command: Sequence[str]) -> NoReturn:
 
 
 @contextlib.contextmanager
-def safe_path() -> Iterator[None]:
-    """Set PYTHONSAFEPATH while the workers of `multiprocessing` are spawned, which starts Python in its own way."""
+def spawning_workers() -> Iterator[None]:
+    """Set PYTHONSAFEPATH while the workers of `multiprocessing` are spawned, which starts Python in its own way.
+
+    SIGINT is kept from them as well, because the process with the pool ends them.
+
+    Example:
+        with spawning_workers():
+            pool = ProcessPoolExecutor(2, get_context("spawn"))
+    """
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"
     try:
-        yield
+        with kept_from_children():
+            yield
     finally:
         if not before:
             del os.environ[_SAFE_PATH]

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from telenano.recording import mcap_scan, reader, summary_section
-from telenano.recording.indexed import IndexedRecording, open_indexed
+from telenano.recording.indexed import IndexedRecording
+from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.wire.errors import TelenanoError
 
@@ -51,9 +52,9 @@ def view(path: Path, folder: Path) -> None:
     from services.viz_node.playback import RecordingPlayback
     from telenano.analysis.recording_document import judged_recording
 
-    recording = open_indexed([path])
+    recording = open_recordings([path], by_index=True)
     playback = RecordingPlayback(recording, time.monotonic)
-    document = RecordingDocument(recording, lambda: judged_recording(open_indexed([path])))
+    document = RecordingDocument(recording, lambda: judged_recording(open_recordings([path], by_index=True)))
     document.wait()
     list(playback.poll(watched=True))
     document.part(0.0, 10.0, 100)

@@ -31,7 +31,7 @@ from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule, last_together, schedule_from
-from telenano.lockstep.lockstep import Trajectory
+from telenano.lockstep.trajectory import Trajectory
 from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message
 from telenano.wire.messages import TeleopForward

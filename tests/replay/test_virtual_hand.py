@@ -7,7 +7,7 @@ from lateral_hand import FIXTURES, PARTICLE_M, LatePage, Pushed, push_by_hand, s
 
 from telenano.laws.config import ControllerConfig
 from telenano.lockstep import lockstep
-from telenano.lockstep.simulation import SimulatedSession, simulate_document
+from telenano.lockstep.simulation import SimulatedSession
 from telenano.settings.config import merge, nested
 
 DELAYED = tuple(f"delay_node.{way}.delay_s=0.1" for way in ("forward", "backward"))
@@ -22,7 +22,7 @@ SHORT = 0.5, 0.7, 3.0
 def simulated(times: tuple[float, float, float], *settings: str) -> SimulatedSession:
     """Run the session of `push_by_hand` in lockstep."""
     keys = {key: yaml.safe_load(value) for key, _, value in (word.partition("=") for word in settings)}
-    return simulate_document(merge(scenario(*times), nested(keys, "a test")), "a test")
+    return SimulatedSession.of(merge(scenario(*times), nested(keys, "a test")), "a test")
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from telenano_studies.loops.validate import read_course, scenario_of
 from test_virtual_lockstep import PERIOD_NS, PERIOD_S, SETTLE_TICKS, ConstantRig
 from virtual_rig import Range, constant_timing
 
-from telenano.lockstep.lockstep import Trajectory
+from telenano.lockstep.trajectory import Trajectory
 
 SEED = 7
 Points = tuple[tuple[float, float], ...]

@@ -44,7 +44,7 @@ from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS
 from telenano.laws.config import LAWS, ControllerConfig
 from telenano.lockstep.link import Schedule
-from telenano.lockstep.lockstep import Trajectory
+from telenano.lockstep.trajectory import Trajectory
 from telenano.wire import Message, encode
 from telenano.wire.messages import AfmCommand, SessionControl, TeleopForward
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from telenano.afm import Ground, Height, Layer, TruthMessage
+from telenano.afm import Ground, Height, Layer
 from telenano.wire import Array
 from telenano_assembly.particles.settings import ParticlesConfig
 
@@ -23,11 +23,14 @@ def _around(settings: ParticlesConfig, part: Any, ground: Ground) -> Any:
     return particle_layer(settings, part, ground)
 
 
-def says(particles: "Particles") -> TruthMessage:
-    """Return the message of where the particles really are: `afm/particles`."""
+def _fields(particles: "Particles") -> dict[str, Any]:
+    """Return the fields of `afm/particles`, which has where the particles really are."""
     arrays = particles._replace(moving=particles.moving.astype(np.uint8))._asdict()
-    fields = {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
-    return TruthMessage("afm/particles", fields, bool(particles.moving.any()))
+    return {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
 
 
-PARTICLES = Layer("particles", ParticlesConfig, _height, _around, says)
+def _changes(particles: "Particles") -> bool:
+    return bool(particles.moving.any())
+
+
+PARTICLES = Layer("particles", ParticlesConfig, _height, _around, "afm/particles", _fields, _changes)

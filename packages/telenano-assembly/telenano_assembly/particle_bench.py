@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from telenano.settings import flag_overrides, merge, section_of, validate
+from telenano.settings import flag_overrides, merge, validate
 
 if TYPE_CHECKING:
     from telenano.afm import AfmConfig
@@ -63,5 +63,5 @@ def configured(
 
 def particles_of(config: "AfmConfig") -> "ParticlesConfig | None":
     """Return the particles on the sample of a configuration, None without any."""
-    particles: ParticlesConfig | None = None if config.sample is None else section_of(config.sample, "particles")
+    particles: ParticlesConfig | None = None if config.sample is None else config.sample.layer("particles")
     return particles

@@ -86,7 +86,6 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
-    from telenano.afm import requested
     from telenano.devices import VirtualInstrument
     from telenano_assembly.particle_bench import DISTURBED, configured
 
@@ -95,7 +94,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     instrument = VirtualInstrument(config)
     with progress("push", 1.0, shown=not as_json) as show:
         # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
-        for number, _ in enumerate(instrument.run(requested(keys))):
+        for number, _ in enumerate(instrument.run(keys)):
             if number % 1000 == 0 and (report := instrument.report()) is not None:
                 show(0.01 * report.done_percent, text=report.text)
     outcome = instrument.outcome

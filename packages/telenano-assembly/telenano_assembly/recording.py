@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.afm import Report
-from telenano.devices import Step, VirtualInstrument, line_fields
+from telenano.devices import VirtualInstrument
 from telenano.recording import FileSettings, RecordingWriter
 from telenano.wire import TOPICS, compose
-from telenano_assembly.layers import says
+from telenano_assembly.layers import PARTICLES
 
 NAME = "assembly.mcap"
 # The nodes under whose names the messages are written.
@@ -39,21 +38,20 @@ class AssemblyRecorder:
         self._channels: dict[str, tuple[int, int]] = {}
         self._due_s = {"afm/state": 0.0, "afm/program": 0.0, "afm/particles": 0.0}
 
-    def step(self, step: Step) -> None:
-        """Record a step of a program, where it is due."""
+    def step(self) -> None:
+        """Record the last step of a program, where it is due."""
         if self._is_due("afm/state", _STATE_S):
-            self._write("afm/state", **self._instrument.fields(step))
+            self._write("afm/state", **self._instrument.state())
             self._truth()
         if self._is_due("afm/program", _REPORT_S) and (report := self._instrument.report()) is not None:
-            self._report(report)
-        if (line := step.wanted.line) is not None:
-            lines = line.line + 1 if (report := self._instrument.report()) is None else report.lines
-            self._write("afm/scanline", **line_fields(line, lines, self._instrument.config.friction))
+            self._write("afm/program", **report.fields())
+        if (line := self._instrument.scanline()) is not None:
+            self._write("afm/scanline", **line)
 
     def ended(self) -> None:
         """Record how a program has ended."""
         if self._instrument.outcome is not None:
-            self._report(self._instrument.outcome)
+            self._write("afm/program", **self._instrument.outcome.fields())
 
     def say(self, text: str) -> None:
         """Record a sentence of the assembly."""
@@ -64,12 +62,9 @@ class AssemblyRecorder:
         self._writer.finish()
 
     def _truth(self) -> None:
-        message = says(self._instrument.truths["particles"])
-        if message.changes or self._is_due(message.topic, _RESTING_S):
-            self._write(message.topic, **message.fields)
-
-    def _report(self, report: Report) -> None:
-        self._write("afm/program", **report.fields())
+        truth = self._instrument.truths["particles"]
+        if PARTICLES.changes(truth) or self._is_due(PARTICLES.topic, _RESTING_S):
+            self._write(PARTICLES.topic, **PARTICLES.fields(truth))
 
     def _is_due(self, topic: str, period_s: float) -> bool:
         if self._instrument.time_s < self._due_s[topic]:

@@ -8,13 +8,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, requested
-from telenano.devices import Step, VirtualInstrument
+from telenano.afm import AfmConfig
+from telenano.devices import VirtualInstrument
+from telenano.extend.programs import Wanted
 from telenano.wire import Scalar
 from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places
@@ -213,16 +214,16 @@ class VirtualBench(ProgramBench):
         return [(x, y) for x, y in self.instrument.truths["particles"].places_m.tolist()]
 
     def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
-        for step in self._steps(keys):
-            if step.wanted.line is not None:
-                yield step.wanted.line.line, step.wanted.line.height_m
+        for wanted in self._steps(keys):
+            if wanted.line is not None:
+                yield wanted.line.line, wanted.line.height_m
 
-    def _steps(self, keys: dict[str, Scalar]) -> Iterator[Step]:
+    def _steps(self, keys: dict[str, Scalar]) -> Iterator[Wanted[Any]]:
         """Run a program, and record it."""
-        for step in self.instrument.run(requested(keys)):
+        for step in self.instrument.run(keys):
             if self.recorder is not None:
-                self.recorder.step(step)
-            yield step
+                self.recorder.step()
+            yield step.wanted
         if self.recorder is not None:
             self.recorder.ended()
 

@@ -12,7 +12,6 @@ from telenano_assembly.push_program import Push, PushSettings, PushState
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.programs import scan
-from telenano.afm.programs.settings import requested
 from telenano.devices import VirtualInstrument
 from telenano.extend.programs import Inputs, Instrument
 from telenano.extend.samples import Oscillation
@@ -47,7 +46,7 @@ def pushed(afm: VirtualInstrument, **keys: Any) -> PushState:
     """Run a push and return its last state."""
     state: Any = None
     parameters = {"program": "push", "push.approach_m_per_s": 2e-6}
-    for step in afm.run(requested(parameters | {f"push.{key}": value for key, value in keys.items()})):
+    for step in afm.run(parameters | {f"push.{key}": value for key, value in keys.items()}):
         state = step.wanted.state
     assert isinstance(state, PushState)
     return state
@@ -200,7 +199,7 @@ def test_a_light_image_whose_edge_lies_on_a_particle_leaves_it_where_it_is(left_
         "scan.settle_s": 0.05,
     }
     before, ways, lines = None, [], 0
-    for step in afm.run(requested(keys)):
+    for step in afm.run(keys):
         if before is not None and step.wanted.state.phase == scan.LINES:
             ways.append(math.dist(step.inputs.place, before))
         before, lines = step.inputs.place, lines + (step.wanted.line is not None)
@@ -217,6 +216,6 @@ def test_the_image_of_the_walk_in_the_page_leaves_particles_and_a_quick_one_does
     afm = instrument([[0.0, 0.0]], cantilever={"stiffness_n_per_m": 0.1})
     image = {"setpoint_n": 1.5e-9, "width_m": 7.5e-7, "depth_m": 6e-7, "pixels": 6, "lines": 3}
     image |= {"approach_m_per_s": 2e-6, "dwell_s": dwell_s, "gain_per_s": gain_per_s}
-    for _ in afm.run(requested({"program": "scan"} | {f"scan.{key}": value for key, value in image.items()})):
+    for _ in afm.run({"program": "scan"} | {f"scan.{key}": value for key, value in image.items()}):
         pass
     assert (math.hypot(*truth(afm)) < 1e-9) == stays

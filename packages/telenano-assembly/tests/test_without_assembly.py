@@ -30,7 +30,8 @@ import json, sys
 from pathlib import Path
 from typer.testing import CliRunner
 from telenano.cli.root import app
-from telenano.afm import AfmConfig, requested
+from telenano.afm import AfmConfig
+from telenano.afm.programs.settings import requested
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings import find_scenario, validate
 from telenano.wire.errors import TelenanoError

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import zmq
 
-from telenano.runtime import AddressBook, Participant, publish_end
+from telenano.runtime import AddressBook, Participant
 from telenano.wire import VIEW, Array, ConfigError, Scalar
 from telenano_experiments.extend import Course
 from telenano_experiments.messages import MOST_QUESTIONS, ExperimentAnswer, Question
@@ -60,7 +60,7 @@ class ExperimentBus:
             raise ConfigError(f"{site_file}: nodes.{EXPERIMENT} is missing, an experiment needs it: add `{line}`")
         with contextlib.ExitStack() as opened:
             participant = opened.enter_context(Participant.open(EXPERIMENT, book))
-            self._publisher = participant.bind(EXPERIMENT)
+            self._publisher = participant.bind(EXPERIMENT, ends=True)
             self._subscribers = participant.subscribers(book.sources(EXPERIMENT, ["experiment/answer"]))
             self._network = participant.network
             self._open = opened.pop_all()
@@ -203,7 +203,6 @@ class ExperimentBus:
 
     def close(self) -> None:
         """Publish the last message, and close the endpoint."""
-        publish_end(self._publisher, EXPERIMENT)
         self._open.close()
 
     def _received(self) -> list[ExperimentAnswer]:

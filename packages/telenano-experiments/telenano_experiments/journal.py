@@ -24,11 +24,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from telenano.files import BusyError, locked, write_whole
+from telenano.files import atomic_file, locked
 from telenano.wire import ConfigError, RigError
 
 NAME = "journal.jsonl"
 Record = dict[str, Any]
+_BUSY = "another `telenano experiment` is at work on it; wait for it or end it"
 
 
 def now_utc() -> str:
@@ -84,7 +85,7 @@ class Journal:
         self.path = path
         with contextlib.ExitStack() as opened:
             try:
-                opened.enter_context(locked(path, 0.0, mode=0o666))
+                opened.enter_context(locked(path, 0.0, mode=0o666, busy=_BUSY))
                 # A journal is replaced by an erasure, so that the lock is a file of its own.
                 self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
                 opened.callback(lambda: os.close(self._descriptor))
@@ -92,10 +93,6 @@ class Journal:
                 self.torn = rest.decode(errors="replace")[:80]
                 self._whole_bytes = os.fstat(self._descriptor).st_size - len(rest)
                 os.ftruncate(self._descriptor, self._whole_bytes)
-            except BusyError as error:
-                raise RigError(
-                    f"{path}: another `telenano experiment` is at work on it; wait for it or end it"
-                ) from error
             except OSError as error:
                 raise ConfigError(f"{path}: cannot be opened: {error.strerror}") from error
             self._opened = opened.pop_all()
@@ -144,7 +141,10 @@ class Journal:
         """
         content = "".join(json.dumps(record) + "\n" for record in records).encode()
         try:
-            write_whole(self.path, content, 0o666)
+            with atomic_file(self.path) as part, part.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
             descriptor = os.open(self.path, os.O_RDWR | os.O_APPEND)
         except OSError as error:
             raise RigError(f"{self.path}: the records cannot be replaced: {error.strerror}") from error

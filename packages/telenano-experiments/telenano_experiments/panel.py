@@ -4,7 +4,7 @@ import asyncio
 import time
 from pathlib import Path
 
-from telenano.serving import Asked, Guests, Panel, PanelRig
+from telenano.serving import Asked, Panel
 from telenano.wire import RefusedError
 from telenano_experiments.messages import ANSWER
 from telenano_experiments.participant import CUE, CUE_KEYS, TRIAL, TRIAL_KEYS, ParticipantPicture
@@ -26,14 +26,14 @@ class AnswerDesk:
     def __init__(self) -> None:
         self._answering: set[str] = set()
 
-    async def ask(self, asked: Asked, rig: PanelRig) -> str:
+    async def ask(self, asked: Asked) -> str:
         """Send an answer; RefusedError where no experiment takes it.
 
         A page has one under way, because each is sent many times, and a participant answers the cue that stands.
         """
         if asked.page in self._answering:
             raise RefusedError("the answer before this one has not been taken yet: wait for it")
-        cue, shown_s = asked.values.get("cue"), asked.values.get("shown_s")
+        rig, cue, shown_s = asked.rig, asked.values.get("cue"), asked.values.get("shown_s")
         if not isinstance(cue, str) or not isinstance(shown_s, int | float) or isinstance(shown_s, bool):
             raise RefusedError("an answer has cue, the id of what was shown, and shown_s, for how long [s]")
         values = {
@@ -74,5 +74,6 @@ PANEL = Panel(
     topics={CUE: CUE_KEYS, TRIAL: TRIAL_KEYS},
     shows=CUE,
     desk=AnswerDesk,
-    guests=Guests("participant.html", ParticipantPicture),
+    guest_page="participant.html",
+    guest_picture=ParticipantPicture,
 )

@@ -13,10 +13,9 @@ from telenano_assembly import Hand, new_hand, push_of
 from telenano_studies.loops.push_study import SPEED_M_PER_S
 
 from telenano.afm import AfmConfig
-from telenano.hand import HapticConfig, LateralHandConfig
+from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
-from telenano.lockstep import instrument_params
 from telenano.settings import LoadedScenario
 from telenano_experiments.extend import Course
 from telenano_experiments.operators import Profile
@@ -40,8 +39,8 @@ def steering_of(
         seed: The seed of its errors.
     """
     loaded = LoadedScenario.of(document, "a trial")
-    plant = instrument_params(loaded.section("afm_node", AfmConfig), "a trial", 0.0).plant
-    lateral = loaded.section("haptic_node", HapticConfig).lateral or LateralHandConfig()
+    plant = loaded.section("afm_node", AfmConfig).to_lockstep_params("a trial", 0.0).plant
+    lateral = loaded.section("haptic_node", HapticConfig).lateral_in_force
     link = loaded.section("delay_node", LinkSettings)
     trip_s = link.forward.delay_s + link.backward.delay_s
     # the arm brings the stylus to a place as a spring brings a damper there

@@ -7,7 +7,6 @@ row a session. A live session depends on how busy the machine is: two runs agree
 
 import argparse
 import contextlib
-import json
 import socket
 import subprocess
 import sys
@@ -17,8 +16,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from telenano.cli import run_session
 from telenano.files import atomic_file
-from telenano.launcher import run_session
 from telenano.signals import start
 from telenano.wire import RigError
 
@@ -41,7 +40,7 @@ def emulated_inverse3(scenario: str) -> Iterator[tuple[str, ...]]:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     command = [sys.executable, "-m", "telenano", "device", "simulate", "haply", "--port", str(port)]
-    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL}
+    streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL}
     with (
         tempfile.TemporaryFile() as log,
         start([*command, "--scenario", scenario], stderr=log, dies_with_parent=True, **streams) as device,
@@ -73,14 +72,10 @@ def summary_of(folder: Path, law: str, line: str, settings: Sequence[str] = ()) 
     keys = (f"controller.law={law}", f"delay_node.profile={line}", f"delay_node.seed={SEED}", *settings)
     command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json", "--overwrite", "--out"]
     sets = [word for key in keys for word in ("--set", key)]
-    done = run_session([*command, str(folder), *sets])
     try:
-        summary: dict[str, Any] = json.loads(done.stdout)
-    except ValueError as error:
-        raise RigError(f"{law} over {line}: {done.stderr.strip() or done.stdout.strip()}") from error
-    if "holds" not in summary:
-        raise RigError(f"{law} over {line}: {summary.get('error', done.stderr.strip())}")
-    return summary
+        return run_session([*command, str(folder), *sets])
+    except RigError as error:
+        raise RigError(f"{law} over {line}: {error}") from error
 
 
 def row(law: str, line: str, device: str, summary: dict[str, Any]) -> str:

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, Surface, height_at, requested
-from telenano.devices import VirtualInstrument, line_fields
-from telenano.extend.programs import FinishedLine
+from telenano.afm import AfmConfig, height_over_middle
+from telenano.devices import VirtualInstrument
 from telenano.wire import AfmScanline, ConfigError, RefusedError, Scalar
 from telenano_microscopy.image_files import LiveImage
 
@@ -68,13 +67,12 @@ def take_image(
     image = SimulatedImage()
     try:
         instrument = VirtualInstrument(config)
-        request = requested({"program": "scan", **keys})
-        for line in (step.wanted.line for step in instrument.run(request)):
-            if line is None:
+        for _ in instrument.run({"program": "scan", **keys}):
+            if (fields := instrument.scanline()) is None:
                 continue
-            lines = request.settings_of("scan").lines
-            _add(instrument, line, lines, image)
-            if line.backward and not progress(line.line + 1, lines):
+            line = AfmScanline(seq=fields["line"], t_ns=0, src="afm_node@slave", v=1, **fields)
+            _add(instrument, line, image)
+            if line.direction == "retrace" and not progress(line.line + 1, line.lines):
                 break
     except RefusedError as error:
         raise ConfigError(str(error)) from error
@@ -88,16 +86,14 @@ def take_image(
     return image
 
 
-def _add(instrument: VirtualInstrument, line: FinishedLine, lines: int, image: SimulatedImage) -> None:
-    message = line_fields(line, lines, instrument.config.friction)
-    image.lines.add(AfmScanline(seq=line.line, t_ns=0, src="afm_node@slave", v=1, **message))
+def _add(instrument: VirtualInstrument, line: AfmScanline, image: SimulatedImage) -> None:
+    image.lines.add(line)
+    (pixels,) = line.height_m.shape
     if image.truth_m.size == 0:
-        image.truth_m = np.full((lines, len(line.height_m)), math.nan)
-    xs = np.linspace(line.start.x_m, line.end.x_m, len(line.height_m)).tolist()
+        image.truth_m = np.full((line.lines, pixels), math.nan)
     relief = instrument.device.relief
-    surface: Surface | None = None if relief is None else relief.surface
-    if surface is None:
+    if relief is None or relief.surface is None:
         image.truth_m[line.line] = 0.0
         return
-    left_m, front_m = 0.5 * surface.width_m, 0.5 * surface.depth_m
-    image.truth_m[line.line] = [height_at(*surface, x + left_m, line.start.y_m + front_m)[0] for x in xs]
+    xs = np.linspace(line.start_m[0], line.end_m[0], pixels).tolist()
+    image.truth_m[line.line] = [height_over_middle(relief.surface, x, line.start_m[1])[0] for x in xs]

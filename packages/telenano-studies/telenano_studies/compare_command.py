@@ -16,6 +16,7 @@ from telenano.cli import (
     print_json,
     print_rows,
     report_errors,
+    results_in,
     table_formats,
 )
 from telenano.wire import ConfigError
@@ -78,7 +79,6 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from telenano.analysis import write_files
     from telenano_studies.comparison import beside, compare_figure, rows_of
     from telenano_studies.comparison import compare as read
     from telenano_studies.published import paper_points, read_published
@@ -97,7 +97,9 @@ def compare_sessions(
     files["compare.json"] = _json(summaries)
     if points:
         files["published.json"] = _json([beside(comparison, part) for part in points])
-    write_files(out, files)
+    with results_in(out) as folder:
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
     return Comparison(rows, statistics)
 
 

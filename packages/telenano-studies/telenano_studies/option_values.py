@@ -4,9 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from telenano.laws import LAWS, OWN_LAWS
-from telenano.settings import flag_overrides, flatten, instrument_named
+from telenano.settings import LoadedScenario, flag_overrides, flatten
 from telenano.wire import ConfigError, known_names
 
 _MOST_VALUES = 10_000
@@ -164,8 +165,13 @@ def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | boo
     >>> disturbances_of("ideal")
     ()
     """
-    section = instrument_named(instrument).scenario.get("afm_node", {}).get("disturbances", {})
-    return tuple(flatten(section).items())
+    return tuple(flatten(section_of_instrument(instrument).get("disturbances", {})).items())
+
+
+def section_of_instrument(instrument: str) -> dict[str, Any]:
+    """Return the section `afm_node` of a named instrument; ConfigError for others: `section_of_instrument("real")`."""
+    named = {"name": "study", "description": "A study.", "duration_s": 1.0, "instrument": instrument}
+    return LoadedScenario.of(named, "--instrument").scenario.afm_node
 
 
 def _single_values(option: str, texts: Sequence[str]) -> dict[str, float | int | str | bool]:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.files import atomic_file
-from telenano.recording import IndexedRecording, Timeline, column_pieces
+from telenano.recording import Timeline, column_pieces, open_recordings
 from telenano.wire import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]
@@ -72,7 +72,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
         if not field:
             raise ConfigError(f"{name}: is not of the form TOPIC.FIELD, such as afm/state.tip_force_n.2")
         fields_of.setdefault(topic, []).append(field)
-    recording = IndexedRecording(path)
+    recording = open_recordings([path], by_index=True)
     # The recorder lags by a time that changes: against its times a ramp is a staircase.
     timeline = Timeline(recording, quick=True)
     courses = {name: _Course() for name in names}

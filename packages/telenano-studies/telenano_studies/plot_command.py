@@ -1,5 +1,7 @@
 """`telenano bag plot`: fields of a recording over time, on the terminal or into a picture."""
 
+import shutil
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +24,6 @@ def plot(
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
     with report_errors(as_json=False):
-        from telenano.cli import console
         from telenano_studies.plot import draw, read_traces, save_png
 
         traces = read_traces(file, fields)
@@ -30,6 +31,6 @@ def plot(
             save_png(traces, out, file.name)
             typer.echo(str(out))
             return
-        width = console().size.width if console().is_terminal else _SIZE[0]
+        width = shutil.get_terminal_size(_SIZE).columns if sys.stdout.isatty() else _SIZE[0]
         for trace in traces:
             typer.echo(draw(trace, width, _SIZE[1]))

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from telenano.cli import EXIT_FAILED, JsonOption, print_json, progress, report_errors, results_folder
+from telenano.cli import EXIT_FAILED, JsonOption, print_json, progress, report_errors, results_in
 
 # For Fig. 10 and 12 a rig is run.
 PaperFigure = Literal["all", "equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12"]
@@ -26,7 +26,7 @@ def reproduce(
         from telenano_studies.pages.reproduce import reproduce as make
 
         chosen = FIGURES if what == "all" else (what,)
-        with results_folder(out), progress("reproduce", shown=not as_json) as show:
+        with results_in(out, at_once=True), progress("reproduce", shown=not as_json) as show:
             summary = make(chosen, out, pixels, lambda name, n, of: show(n, of, name))
     failed: Any = summary.get("failed", {})
     if as_json:

@@ -18,7 +18,6 @@ from telenano.cli import (
     TableOption,
     command_group,
     report_errors,
-    results_folder,
     results_in,
     table_formats,
     validated,
@@ -230,7 +229,7 @@ def validate(
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
         for cell in cells:
             scenario_of(cell)
-        with results_folder(out):
+        with results_in(out, at_once=True):
             agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
         records = [asdict(agreement) for agreement in agreements]
         edges = bus_edges(agreements, cells[0].controller().period_s)

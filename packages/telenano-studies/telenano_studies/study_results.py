@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.table import Column, Table
 
-from telenano.cli import console, print_json, progress, results_folder
+from telenano.cli import print_json, print_rows, progress, results_in
 from telenano_studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
 from telenano_studies.page import Page, text, write_tables
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins again"
-_PIPE_COLUMNS = 160
 
 
 @contextlib.contextmanager
@@ -25,7 +23,7 @@ def sweep_in(
     out: Path, workers: int | None, scheduler: str | None, *, shown: bool, kind: Kind = HOLDS
 ) -> Iterator[Sweep]:
     """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
-    with results_folder(out), progress("cells", shown=shown, counted=True) as show:
+    with results_in(out, at_once=True), progress("cells", shown=shown, counted=True) as show:
         yield Sweep(
             Journal(out / JOURNAL_NAME, kind),
             workers or os.cpu_count() or 1,
@@ -68,10 +66,6 @@ def print_result(
     if as_json:
         print_json(summary)
         return
-    # The text is folded, so that no figure is cut off on a narrow terminal.
-    table = Table(*(Column(name, overflow="fold") for name in head))
-    for row in rows:
-        table.add_row(*(text(value) for value in row))
-    out = console(_PIPE_COLUMNS)
-    out.print(table)
-    out.print(f"page: {folder / summary['study']}.html", markup=False, highlight=False)
+    if rows:
+        print_rows([dict(zip(head, map(text, row), strict=True)) for row in rows])
+    typer.echo(f"page: {folder / summary['study']}.html")

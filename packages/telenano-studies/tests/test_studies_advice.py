@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 from answered_sweep import Answered
-from telenano_studies.loops import cells
 from telenano_studies.loops.advice import CANDIDATES, Question, advise, in_words
 from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_of
 from telenano_studies.loops.theory import critical_delay_s, loop_model
@@ -15,6 +14,7 @@ from telenano_studies.option_values import COMPARED_LAWS, Jitter
 from telenano.hand.operator_config import ARMS
 from telenano.laws.config import LAWS
 from telenano.lockstep import lockstep
+from telenano.lockstep.trajectory import Trajectory
 from telenano.wire.errors import ConfigError
 
 
@@ -94,7 +94,7 @@ def laws(**held: tuple[str, float, float]) -> Answered:
 def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cells, "holds_of", lambda *course, **known: [])
+    monkeypatch.setattr(Trajectory, "holds", lambda *course, **known: [])
     result = run_cell(cell("force", session_s=2.0))
     assert (result.verdict, result.outcome) == ("stable", "nothing_moved")
     assert result.reason == "the hand does not press, and the tip does not touch"

@@ -19,12 +19,12 @@ from telenano_studies.loops.push_study import Outcome, Trial, check, read, rows_
 from telenano_studies.loops.sweep import Journal
 from typer.testing import CliRunner
 
+from telenano import SimulatedSession
 from telenano.analysis.intervals import wilson
 from telenano.cli.root import app
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from telenano.laws.lateral_settings import LateralConfig
 from telenano.lockstep import across, lockstep
-from telenano.lockstep.simulation import simulate_document
 from telenano.settings import find_scenario
 from telenano.wire.errors import ConfigError
 
@@ -147,7 +147,7 @@ def test_a_hand_that_steers_by_the_stylus_moves_the_tip_and_sees_it_later(monkey
     def hand(period_s: float) -> push_hand.Hand:
         return push_hand.new_hand(push, np.random.Generator(np.random.PCG64(1)), 0, period_s)
 
-    found = simulate_document(document, "a test", hand)
+    found = SimulatedSession.of(document, "a test", hand)
     tip_m = found["tip_x_m"]
     assert np.diff(tip_m)[-100:] == pytest.approx(2e-10, rel=0.02)
     # of 200 nm some are lost while the arm brings the stylus there
@@ -157,7 +157,7 @@ def test_a_hand_that_steers_by_the_stylus_moves_the_tip_and_sees_it_later(monkey
     assert seen[-1] == pytest.approx(tip_m[-1] - 21 * 2e-10, abs=3e-10)
     document["controller"]["lateral"] = {"mode": "position"}
     with pytest.raises(ConfigError, match="a hand that steers the tip needs mode rate"):
-        simulate_document(document, "a test", hand)
+        SimulatedSession.of(document, "a test", hand)
 
 
 def outcome(law: str, seed: int, error_nm: float, **more: Any) -> Outcome:

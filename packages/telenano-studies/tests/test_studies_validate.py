@@ -1,7 +1,6 @@
 """Lockstep against the bus: the scenario that a cell becomes, and what counts as agreement."""
 
 import dataclasses
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +25,10 @@ from telenano.afm.config import AfmConfig
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
-from telenano.lockstep.lockstep import Trajectory
+from telenano.lockstep.trajectory import Trajectory
 from telenano.settings.config import validate
 from telenano.settings.scenario import Scenario
-from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.errors import ConfigError, RecordingError, RigError
 
 
 def cell(**changes: Any) -> Cell:
@@ -199,14 +198,11 @@ def test_spring_needs_an_instrument_that_can_be_one(monkeypatch: pytest.MonkeyPa
 
 
 def test_rig_that_does_not_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Done:
-        returncode, stdout, stderr = 1, '{"error": "afm_node@slave died"}', "telenano: afm_node@slave died"
-
     asked: list[list[str]] = []
 
-    def run(command: list[str], most_s: float) -> Done:
+    def run(command: list[str], most_s: float) -> dict[str, Any]:
         asked.append(command)
-        return Done()
+        raise RigError("afm_node@slave died")
 
     monkeypatch.setattr(study, "run_session", run)
     with pytest.raises(StudyError, match="afm_node@slave died"):
@@ -226,12 +222,12 @@ def test_why_a_rig_did_not_start_is_said_whatever_an_earlier_study_or_the_rig_ha
     recording.write_bytes(b"of an earlier study")
     done: list[list[str]] = []
 
-    def run(command: list[str], longest_s: float) -> subprocess.CompletedProcess[str]:
+    def run(command: list[str], longest_s: float) -> dict[str, Any]:
         done.append(command)
         assert not recording.exists()
         if leaves_a_part:
             recording.write_bytes(b"no recording that can be read")
-        return subprocess.CompletedProcess(command, 1, "", "telenano: port 7400 is in use")
+        raise RigError("port 7400 is in use")
 
     monkeypatch.setattr(study, "run_session", run)
     monkeypatch.setattr(study, "draws_of", lambda one: [])

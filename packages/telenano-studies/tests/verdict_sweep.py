@@ -9,7 +9,6 @@ many drawn cells run on real processes as well, each in a session of its own, wi
 """
 
 import argparse
-import json
 import random
 import sys
 from collections import Counter
@@ -19,16 +18,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from telenano_studies.failed_session import reason_of
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 from telenano_studies.loops.validate import longest_stall_s
 
 import telenano
-from telenano.cli.exit_codes import EXIT_INCOMPLETE
-from telenano.launcher.child_session import run_session
+from telenano.cli.child_session import run_session
 from telenano.laws.config import ControllerConfig
 from telenano.settings import find_scenario
 from telenano.settings.config import merge, nested, read_yaml
+from telenano.wire.errors import RigError
 
 STIFFNESS_N_PER_M = 20.0
 HOLD_S = (0.9, 2.4)
@@ -118,18 +116,23 @@ def hold_on_bus(loop: Loop, outage_s: float, at_s: float, folder: Path) -> tuple
     scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     command = [sys.executable, "-m", "telenano", "up", "--scenario", str(scenario), "--out", str(folder)]
     found: dict[str, Any] | None = None
-    stalled_s = 0.0
+    stalled_s, failure = 0.0, "it has recorded no hold"
     for _ in range(TRIES):
-        done = run_session([*command, "--overwrite", "--headless", "--json"], document["duration_s"] + OVERHEAD_S)
-        if done.returncode in (0, EXIT_INCOMPLETE):
-            holds, stalled_s = json.loads(done.stdout)["holds"], longest_stall_s(folder / "session.mcap")
-            if stalled_s == 0.0:
-                (found,) = holds
-                break
-            # Where the machine held a process up, the hold may be in parts, or there may be none.
-            found = holds[0] if holds else found
+        try:
+            summary = run_session(
+                [*command, "--overwrite", "--headless", "--json"], document["duration_s"] + OVERHEAD_S
+            )
+        except RigError as error:
+            failure = str(error)
+            continue
+        holds, stalled_s = summary["holds"], longest_stall_s(folder / "session.mcap")
+        if stalled_s == 0.0:
+            (found,) = holds
+            break
+        # Where the machine held a process up, the hold may be in parts, or there may be none.
+        found = holds[0] if holds else found
     if found is None:
-        raise RuntimeError(f"{folder}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
+        raise RuntimeError(f"{folder}: the rig did not run: {failure}")
     return found, stalled_s
 
 

@@ -65,9 +65,12 @@ class TipSample(NamedTuple):
         """Return force [N] and gradient [N/m] at h [m] on a branch, as `branch_force`."""
         return branch_force(self, distance_m, contact, meniscus)
 
-    def bridge(self, distance_m: float) -> tuple[float, float]:
-        """Return force [N] and gradient [N/m] of the meniscus alone at h [m]."""
-        return meniscus_force(distance_m, self.capillary_force_n, self.meniscus_width_m, self.contact_distance_m)
+    def bridge(self, distance_m: float, *, retracting: bool = False) -> tuple[float, float]:
+        """Return force [N] and gradient [N/m] of the meniscus alone at h [m]; `as_printed` has two branches."""
+        own = self.capillary_force_n, self.meniscus_width_m, self.contact_distance_m
+        if self.as_printed:
+            return printed_meniscus_force(distance_m, retracting, *own, self.meniscus_break_m)
+        return meniscus_force(distance_m, *own)
 
 
 @compiled

@@ -37,15 +37,6 @@ DONE = Way.ARRIVED + 1
 _GAINS = ("tactile.gain_per_s", "")
 
 
-def felt_speed_m_per_s(feature_m: float, bandwidth_hz: float) -> float:
-    """Return the fastest motion of the tip at which features of that length are felt [m/s] (Eq. 14).
-
-    >>> round(felt_speed_m_per_s(1e-9, 30.0) * 1e9, 9)  # nm/s
-    30.0
-    """
-    return feature_m * bandwidth_hz
-
-
 class TactileSettings(ProgramSettings):
     """A path that a hand feels."""
 
@@ -65,6 +56,15 @@ class TactileSettings(ProgramSettings):
     )
     gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of that feedback [1/s].")
     approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
+
+    @property
+    def felt_speed_m_per_s(self) -> float:
+        """The fastest motion of the tip at which its features are felt [m/s] (Eq. 14).
+
+        >>> round(TactileSettings(feature_m=1e-9, bandwidth_hz=30.0).felt_speed_m_per_s * 1e9, 9)  # nm/s
+        30.0
+        """
+        return self.feature_m * self.bandwidth_hz
 
 
 class TactilePlan(NamedTuple):
@@ -120,12 +120,11 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
             raise RefusedError(f"tactile: the line reaches {furthest:.3g} m, and lateral.reach_m is {reach_m:g} m")
         if not s.setpoint_n < limits.force_limit_n:
             raise RefusedError(f"tactile.setpoint_n must be below safety.force_limit_n = {limits.force_limit_n:g} N")
-        felt = felt_speed_m_per_s(s.feature_m, s.bandwidth_hz)
         plan = TactilePlan(
             settings=s,
             start=start,
             end=end,
-            speed_m_per_s=min(s.speed_m_per_s, felt, fastest),
+            speed_m_per_s=min(s.speed_m_per_s, s.felt_speed_m_per_s, fastest),
             stiffness_n_per_m=instrument.stiffness_n_per_m,
             clear_m=limits.retract_position_m,
             period_s=instrument.period_s,
@@ -136,7 +135,8 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
         limited = ""
         if (speed := plan.speed_m_per_s) < s.speed_m_per_s:
             limited = f"its speed is limited from {s.speed_m_per_s:g} to {speed:g} m/s"
-            limited += f": features of {s.feature_m:g} m at {s.bandwidth_hz:g} Hz (Eq. 14)" if speed == felt else ""
+            if speed == s.felt_speed_m_per_s:
+                limited += f": features of {s.feature_m:g} m at {s.bandwidth_hz:g} Hz (Eq. 14)"
         text = f"the tip touches the sample and goes along {'a pointer' if plan.by_pointer else 'a line'}"
         return Begun(plan, TactileState(Way.RISE, False), "; ".join(filter(None, (text, limited))), limited)
 

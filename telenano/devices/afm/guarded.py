@@ -4,7 +4,7 @@ A part is what an instrument may have or lack, such as a lateral stage or a reco
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -13,7 +13,7 @@ import msgspec
 from telenano.afm import safety
 from telenano.afm.config import AfmConfig
 from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
-from telenano.afm.layers import TruthMessage
+from telenano.afm.layers import Layer
 from telenano.afm.made_samples import layers_on
 from telenano.afm.programs.runner import ProgramRunner
 from telenano.afm.section_config import FrictionConfig
@@ -188,8 +188,8 @@ class SimulatedTime(AfmPart):
 class Truths(AfmPart):
     """Publishes for recordings what is so of what lies on the sample (`telenano.afm.layers`)."""
 
-    def __init__(self, says: Mapping[str, Callable[[Any], TruthMessage]], simulation: Simulation, node: Node) -> None:
-        self._says, self._simulation, self._node = says, simulation, node
+    def __init__(self, layers: Sequence[Layer], simulation: Simulation, node: Node) -> None:
+        self._layers, self._simulation, self._node = layers, simulation, node
 
     def report(self, step: Step, memory: AfmMemory) -> None:
         look, before = memory.stepped_ns // _LOOK_PERIOD_NS, memory.particles_look
@@ -197,9 +197,9 @@ class Truths(AfmPart):
             return
         memory.particles_look = look
         rests, truths = look // _RESTING_LOOKS != before // _RESTING_LOOKS, self._simulation.truths
-        for message in (says(truths[name]) for name, says in self._says.items()):
-            if message.changes or rests:
-                self._node.publish(message.topic, **message.fields)
+        for layer in self._layers:
+            if rests or layer.changes(truths[layer.name]):
+                self._node.publish(layer.topic, **layer.fields(truths[layer.name]))
 
 
 class OwnImages(AfmPart):
@@ -267,8 +267,8 @@ def parts_of(node: DeviceNode, config: AfmConfig, driver: AfmDriver) -> list[Afm
         parts.append(Stage(driver.stage, config.to_lateral_params()))
     if driver.simulation is not None:
         parts.append(SimulatedTime(driver.simulation, node))
-        says = {layer.name: layer.says for layer, _ in layers_on(config.sample) if layer.says is not None}
-        parts.append(Truths(says, driver.simulation, node))
+        layers = [layer for layer, _ in layers_on(config.sample) if layer.topic]
+        parts.append(Truths(layers, driver.simulation, node))
     if (own_scan := getattr(driver, "own_scan", None)) is not None:
         parts.append(OwnImages(own_scan))
     if driver.report is not None:

@@ -1,8 +1,8 @@
 """The instrument of a configuration in simulated time: guard, programs and device of the node, without a bus.
 
 instrument = VirtualInstrument(AfmConfig())
-for step in instrument.run(requested({"program": "curve"})):
-    instrument.fields(step)["tip_force_n"]
+for step in instrument.run({"program": "curve"}):
+    instrument.state()["tip_force_n"]
 instrument.outcome.state                       # "finished"
 """
 
@@ -11,13 +11,14 @@ from typing import Any
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.programs.runner import Report
-from telenano.afm.programs.settings import InstrumentRequest
+from telenano.afm.programs.settings import requested
 from telenano.afm.safety import ACTION_RETRACT, MODE_RETRACTING, initial_safety_state
-from telenano.devices.afm.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step
+from telenano.devices.afm.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step, line_fields
 from telenano.devices.afm.instrument import driver_of, reach_of, runner_of
 from telenano.extend.instruments import Simulation
 from telenano.extend.programs import Wanted
 from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Scalar
 
 PERIOD_S = 1e-3
 
@@ -50,24 +51,29 @@ class VirtualInstrument:
         self._programs = runner_of(config, self.device, reach_of(config, self.device), PERIOD_S)
         self.time_s = 0.0
         self.outcome: Report | None = None
+        self._step: Step | None = None
         self.device.open()
         parts: list[AfmPart] = [_WholeTime(self.device.simulation)]
         if self.device.stage is not None:
             parts.append(Stage(self.device.stage, config.to_lateral_params()))
         self._instrument = GuardedInstrument(limits, self.device, parts)
 
-    def run(self, request: InstrumentRequest) -> Iterator[Step]:
+    def run(self, parameters: Mapping[str, Scalar]) -> Iterator[Step]:
         """Yield the steps of a program until the tip is retracted again; `outcome` then says how it ended.
+
+        Args:
+            parameters: The program and its settings by dotted key, as in `session set`: {"program": "scan",
+                "scan.pixels": 64}.
 
         Raises:
             RefusedError: The program refuses what is asked of it.
         """
         memory = self._memory
-        self._programs.request(request, memory.guard.mode, memory.place, device_lost=False)
+        self._programs.request(requested(parameters), memory.guard.mode, memory.place, device_lost=False)
         self.outcome = None
         while self._programs.name:
             self.time_s += PERIOD_S
-            step = self._instrument.step_program(memory, self._programs, PERIOD_S)
+            self._step = step = self._instrument.step_program(memory, self._programs, PERIOD_S)
             if self._programs.is_over:
                 self.outcome = self._programs.report()
                 self._programs.end()
@@ -78,9 +84,20 @@ class VirtualInstrument:
             asked = memory.asks(base_m, ACTION_RETRACT, 0.0, False, False, False)
             self._instrument.step(memory, asked, Wanted((), base_m, memory.place), PERIOD_S)
 
-    def fields(self, step: Step) -> dict[str, Any]:
-        """Return afm/state after a step."""
-        return {"command_seq": 0, "hand_seq": 0, "hand_t_ns": 0, **step.fields(self._memory)}
+    def state(self) -> dict[str, Any]:
+        """Return the fields of afm/state after the last step of a program, empty before the first."""
+        if self._step is None:
+            return {}
+        return {"command_seq": 0, "hand_seq": 0, "hand_t_ns": 0, **self._step.fields(self._memory)}
+
+    def scanline(self) -> dict[str, Any] | None:
+        """Return the fields of afm/scanline where the last step has finished a line of an image, else None."""
+        line = None if self._step is None else self._step.wanted.line
+        if line is None:
+            return None
+        # the program is over with the last line
+        lines = line.line + 1 if (report := self.report()) is None else report.lines
+        return line_fields(line, lines, self.config.friction)
 
     @property
     def truths(self) -> Mapping[str, Any]:

@@ -12,7 +12,7 @@ import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
-from telenano.runtime.bus.publisher import Publisher, ZmqPublisher
+from telenano.runtime.bus.publisher import Publisher, ZmqPublisher, publish_end
 from telenano.runtime.bus.transports import STREAM
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.hang_guard import HangGuard
@@ -50,12 +50,14 @@ class Participant:
     period_s: float = LOOP_PERIOD_S
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
-    def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
+    def bind(self, key: str, kind: int = zmq.PUB, *, ends: bool = False) -> ZmqPublisher:
         """Bind the endpoints of a node; EndpointError gives the reason if that fails.
 
         Args:
             key: The node as node@site.
             kind: The kind of the socket, of ZeroMQ.
+            ends: Whether the last message of the node is published when this participant is closed: how many messages
+                it has sent. A node of a loop publishes it itself.
 
         Raises:
             EndpointError: The endpoints cannot be bound; the message has the reason.
@@ -63,6 +65,8 @@ class Participant:
         publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
         log = RateLimitedLog(self.log, self.clock)
         publisher.on_limited = lambda text: log.warning("range", text)
+        if ends:
+            self.resources.callback(publish_end, publisher, key)
         return publisher
 
     def subscribers(

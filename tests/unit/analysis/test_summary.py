@@ -19,7 +19,6 @@ from telenano.analysis.report import Session, write_report
 from telenano.analysis.summary import Package, Summary, markdown, rows_of, summary_schema
 from telenano.analysis.verdict import Kind
 from telenano.recording.channel_filter import ALL
-from telenano.recording.indexed import open_indexed
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.rewrite import filter_recording
 from telenano.settings.included import SCHEMA_DIRECTORY
@@ -161,7 +160,7 @@ def test_the_traffic_of_a_session_is_what_was_sent_in_it_by_index_and_as_a_whole
     sent = Counter(
         one.channel_topic for one in recording.messages() if session.start_ns <= one.publish_ns < session.end_ns
     )
-    by_index = open_indexed([recording.path])
+    by_index = open_recordings([recording.path], by_index=True)
     for summary in (session.summary(recording), Session.of(by_index).summary(by_index)):
         assert summary["rate_hz"] == {name: round(sent[name] / session.duration_s, 3) for name in sorted(sent)}
         share = round(sent["haptic/state"] / (1000.0 * session.duration_s), 5)

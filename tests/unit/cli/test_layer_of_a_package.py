@@ -20,7 +20,7 @@ import json, sys
 import numpy as np
 import yaml
 from services.afm_node.node import AfmNode
-from telenano.afm import AfmConfig, requested
+from telenano.afm import AfmConfig
 from telenano.devices.afm.instrument import driver_of, reach_of
 from telenano.testing import NodeBench
 from telenano.numerics.compiler import compiled_form
@@ -78,17 +78,17 @@ restore(nodes[1], pack(nodes[0]))
 found["state"] = [node._driver.simulation.truths["dust"] for node in nodes]
 
 import my_hand
-from telenano.lockstep import simulate_document
+from telenano import SimulatedSession
 
 document = yaml.safe_load(find_scenario("fig12").read_text())
 document["haptic_node"] = {**document["haptic_node"], "lateral": {}}
 document["controller"] = {**document.get("controller", {}), "lateral": {"mode": "rate"}}
 document |= {"duration_s": 1.0, "afm_node": {"sample": {"name": "flat", "dust": {}}}}
-session = simulate_document(document, "my scenario", lambda period_s: my_hand.Circling(np.zeros(4)))
+session = SimulatedSession.of(document, "my scenario", lambda period_s: my_hand.Circling(np.zeros(4)))
 found["tip_y_m"] = [float(session["tip_y_m"][at]) for at in (0, -1)]
 found["columns"] = [name for name in session.units if name.startswith("particle")]
 if "--compiled" in sys.argv:
-    again = simulate_document(
+    again = SimulatedSession.of(
         document, "my scenario", lambda period_s: my_hand.Circling(np.zeros(4)), at_once=True
     )
     found["same"] = all(session[name].tobytes() == again[name].tobytes() for name in session.units)

@@ -14,7 +14,7 @@ import pytest
 from services.viz_node.lease_desk import LeaseDesk
 from telenano.console.lease import Lease, Party, current, take
 from telenano.console.lease_register import Hold, LeaseRegister
-from telenano.files.atomic_files import BusyError, changed, locked
+from telenano.files.atomic_files import changed, locked
 from telenano.runtime.loop import kept_stop
 from telenano.runtime.security.keyring import Keyring
 from telenano.serving.people import People
@@ -129,7 +129,7 @@ def test_what_the_system_refuses_is_a_sentence_and_a_lock_that_stays_is_named(tm
         with pytest.raises(RigError, match=f"{path}: cannot be .*: Is a directory"):
             changed(path, lambda before: b"x")
     path = tmp_path / "held"
-    with locked(path), pytest.raises(BusyError, match=f"{path}: another process has had it for 0.01 s"):
+    with locked(path), pytest.raises(RigError, match=f"{path}: another process has had it for 0.01 s"):
         changed(path, lambda before: b"x", wait_s=0.01)
 
 

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 from made_sessions import Made
 
-from telenano.recording.indexed import IndexedRecording, open_indexed
+from telenano.recording.indexed import IndexedRecording
 from telenano.recording.messages import RecordedChannel
+from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.summary_section import channels_in
 from telenano.recording.writer import FileSettings, RecordingWriter
@@ -126,8 +127,8 @@ def test_the_information_shows_each_message_once_in_the_order_of_the_file(path: 
 
 def test_parts_are_read_as_one(path: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="missing"):
-        open_indexed([path, tmp_path / "missing.mcap"])
-    assert list(open_indexed([path, path]).select()) == 2 * list(Recording(path).select())
+        open_recordings([path, tmp_path / "missing.mcap"], by_index=True)
+    assert list(open_recordings([path, path], by_index=True).select()) == 2 * list(Recording(path).select())
 
 
 def test_a_forged_index_ends_in_nothing_but_what_a_person_can_read(path: Path, tmp_path: Path) -> None:

@@ -17,10 +17,10 @@ from telenano_haptic_devices.servo_process import ProcessLink
 from telenano_laws import live_sessions
 from telenano_networks import measured_lines
 
+from telenano.cli.child_session import run_session
 from telenano.cli.commands.node import node as run_node
 from telenano.extend.hands import DeviceError
 from telenano.files.limited_child import read_in_child
-from telenano.launcher.child_session import run_session
 from telenano.launcher.fan_out import fan_out
 from telenano.launcher.processes import NodeProcesses
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
@@ -77,10 +77,10 @@ def starts_in(text: str) -> list[int]:
     ]
     # workers are spawned in a way of their own, and with the pool already the process that tracks its semaphores
     spawns = re.search(r"get_context\(\"spawn\"\)|multiprocessing\.(Process|Pool)\(", text)
-    if spawns and "safe_path()" not in text:
+    if spawns and "spawning_workers()" not in text:
         found.append(text[: spawns.start()].count("\n") + 1)
     blocks = [each for each in ast.walk(tree) if isinstance(each, ast.With)]
-    safe = [each for each in blocks if any("safe_path()" in ast.unparse(item) for item in each.items)]
+    safe = [each for each in blocks if any("spawning_workers()" in ast.unparse(item) for item in each.items)]
     within = {id(part) for block in safe for part in ast.walk(block)}
     found += [
         each.lineno
@@ -94,8 +94,8 @@ def starts_in(text: str) -> list[int]:
 
 def uses_children(path: Path) -> bool:
     """Whether a file of the core or of a package starts a process by `children`."""
-    by_module = r"\bchildren\.(start|run|become|safe_path)\("
-    by_face = r"^ *from telenano\.signals import .*\b(start|run|safe_path)\b"
+    by_module = r"\bchildren\.(start|run|become|spawning_workers)\("
+    by_face = r"^ *from telenano\.signals import .*\b(start|run|spawning_workers)\b"
     return bool(re.search(f"{by_module}|{by_face}", path.read_text(), re.MULTILINE))
 
 
@@ -109,7 +109,7 @@ def uses_children(path: Path) -> bool:
         "import asyncio\nasyncio.create_subprocess_exec('a')",
         'from multiprocessing import get_context\nget_context("spawn").Process()',
         "from concurrent.futures import ProcessPoolExecutor\nProcessPoolExecutor(2)",
-        "pool = ProcessPoolExecutor(2)  # concurrent\nwith children.safe_path():\n    pool.submit(abs, 1)",
+        "pool = ProcessPoolExecutor(2)  # concurrent\nwith children.spawning_workers():\n    pool.submit(abs, 1)",
     ],
 )
 def test_a_start_of_a_process_is_seen(text: str) -> None:
@@ -121,7 +121,7 @@ def test_one_function_starts_every_process() -> None:
     assert not found, f"start it by telenano.signals.children: {sorted(found)}"
 
 
-def test_shells_images_and_units_start_python_with_a_safe_path() -> None:
+def test_shells_images_and_units_start_python_with_a_spawning_workers() -> None:
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     names = [name for name in listed.splitlines() if name.startswith("deploy/") or name in ("Makefile", "compose.yaml")]
     names = [name for name in names if not name.endswith((".py", ".lock", ".md"))]
@@ -219,7 +219,9 @@ def by_fan_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 
 
 def by_child_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
-    return run_session([sys.executable, "-m", "telenano", "--help"]).returncode == 0
+    with pytest.raises(RigError) as caught:
+        run_session([sys.executable, "-m", "telenano", "--help"])
+    return "Show this message" in str(caught.value)
 
 
 def by_servo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
@@ -244,7 +246,7 @@ def by_watched_reader(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 
 def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     # This program is started as a console script is: its own path is safe, and no flag of it says so to its workers.
-    safe = "pass" if children.safe_path is SAFE else "sweep.safe_path = contextlib.nullcontext"
+    safe = "pass" if children.spawning_workers is SAFE else "sweep.spawning_workers = contextlib.nullcontext"
     code = (
         "import contextlib, os\n"
         "from telenano_studies.loops import sweep\n"
@@ -288,7 +290,7 @@ def by_emulated_inverse3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     return "no_such_scenario" in str(caught.value)
 
 
-SAFE = children.safe_path
+SAFE = children.spawning_workers
 Start = Callable[[Path, pytest.MonkeyPatch], bool]
 # Every file that starts a process, and what starts one there, or why no path can matter.
 STARTED: dict[str, tuple[Start, ...] | str] = {
@@ -301,7 +303,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
     "telenano/runtime/loop/own_process.py": (by_servo,),
-    "telenano/launcher/child_session.py": (by_child_session,),
+    "telenano/cli/child_session.py": (by_child_session,),
     "telenano/launcher/fan_out.py": (by_fan_out,),
     "telenano/launcher/processes.py": (by_launcher,),
     "telenano/recording/provenance.py": "git",
@@ -324,12 +326,12 @@ def test_what_a_start_runs_imports_nothing_of_the_folder(
     if not safe:
         monkeypatch.setattr(children, "_safe", list)
         monkeypatch.setattr(children, "_environment", lambda given: dict(os.environ if given is None else given))
-        monkeypatch.setattr(children, "safe_path", contextlib.nullcontext)
+        monkeypatch.setattr(children, "spawning_workers", contextlib.nullcontext)
     assert start(foreign, monkeypatch) is safe
     assert bool(were_run(foreign)) is not safe
 
 
-def test_a_process_takes_the_place_of_this_one_with_a_safe_path() -> None:
+def test_a_process_takes_the_place_of_this_one_with_a_spawning_workers() -> None:
     code = f"import sys; from telenano.signals import children; children.become([sys.executable, '-c', {SHOWS_PATH!r}])"
     assert children.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split()[1:] == [
         "1",

@@ -18,7 +18,7 @@ from test_viz_server import Page
 from services.viz_node import feed, hub, server, source
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
-from telenano.serving import Asked, Guests, Panel, PanelRig
+from telenano.serving import Asked, Panel
 from telenano.serving import panels as panels_module
 from telenano.serving.panels import Panels, installed_panels
 from telenano.serving.serve import addresses_of
@@ -39,11 +39,11 @@ class WindSpeed(Message):
 class Desk:
     """Publishes what it is asked, and refuses the rest."""
 
-    async def ask(self, asked: Asked, rig: PanelRig) -> str:
+    async def ask(self, asked: Asked) -> str:
         if "gust_s" not in asked.values:
             raise RefusedError("give gust_s")
-        rig.publish("wind/speed", gust_s=asked.values["gust_s"])
-        return f"{asked.role} was told {rig.state('wind/speed').get('gust_s')}"
+        asked.rig.publish("wind/speed", gust_s=asked.values["gust_s"])
+        return f"{asked.role} was told {asked.rig.state('wind/speed').get('gust_s')}"
 
 
 class Blind:
@@ -86,9 +86,8 @@ def panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
     for name in ("wind.js", "wind.css", "icons/a.svg", "guest.html", "secret.py", "key"):
         (folder / name).write_text(name)
     (tmp_path / "wind" / "wind.js").write_text("outside")
-    guests = Guests("guest.html", Blind)
     shown = {"wind/speed": ("gust_s",)}
-    found = Panel("wind", "Wind", "watch", folder / "wind.js", shown, "wind/speed", Desk, guests)
+    found = Panel("wind", "Wind", "watch", folder / "wind.js", shown, "wind/speed", Desk, "guest.html", Blind)
     panels = Panels((found,), ("rain of the package rain 1.2 cannot be used: no licence",))
     for module in (hub, feed, source):
         monkeypatch.setattr(module, "installed_panels", lambda: panels)
@@ -199,7 +198,8 @@ def test_without_a_page_for_guests_their_token_shows_nothing(monkeypatch: pytest
         ({"module": Path("/nowhere/wind.js")}, "must be a file of JavaScript"),
         ({"module": Path(__file__)}, "must be a file of JavaScript"),
         ({"topics": {"wind": ()}}, "topics: 'wind' is not the name of a topic"),
-        ({"guests": Guests("none.html", Blind)}, "guests: none.html is no file beside"),
+        ({"guest_page": "none.html"}, "guest_page: none.html is no file beside"),
+        ({"guest_picture": None}, "guest_page: guest.html has no guest_picture"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

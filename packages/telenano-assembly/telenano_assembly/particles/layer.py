@@ -18,11 +18,9 @@ from telenano.afm import (
     Part,
     height_over_middle,
     inputs_over,
-    motion_around,
     part_start,
     part_step,
     register_part,
-    truths_of,
 )
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics import compiled
@@ -156,18 +154,14 @@ def _start(params: ParticleLayerParams, inputs: PlantInputs) -> ParticleLayerSta
     return ParticleLayerState(within, params.start, inputs.x_m, inputs.y_m, raised, 0.0)
 
 
-def _inputs_of(params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs) -> PlantInputs:
+def _inputs_within(params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs) -> PlantInputs:
     return inputs_over(inputs, state.raised_m, state.lift_n / params.spring.normal_n_per_m)
-
-
-def _motion(params: ParticleLayerParams) -> Any:
-    return motion_around(params, "within", _inputs_of)
 
 
 def _truths(params: ParticleLayerParams, state: ParticleLayerState) -> Mapping[str, Any]:
     moves = state.moving[:, RESTED] < params.spring.rest_s
     own = Particles(state.moving[:, (X, Y)], params.fixed[:, RADIUS], moves)
-    return {**truths_of(params.within, state.within), "particles": own}
+    return {"particles": own}
 
 
-register_part(ParticleLayerParams, Part(_start, _step, motion=_motion, truths=_truths))
+register_part(ParticleLayerParams, Part(_start, _step, truths=_truths, within="within", inputs_within=_inputs_within))

@@ -185,8 +185,10 @@ class Live(Apparatus):
             return nullcontext()
         if self._page is None:
             self._page = PageHand(self._site_file)
-        hand = section_of(course.document, "haptic_node", HapticConfig).lateral
-        return self._page.pushing(steers, section_of(course.document, "controller", ControllerConfig), hand)
+        hand = section_of(course.document, "haptic_node", HapticConfig).lateral_in_force
+        return self._page.pushing(
+            steers, section_of(course.document, "controller", ControllerConfig), hand.stiffness_n_per_m
+        )
 
     def _judged(
         self,

@@ -13,9 +13,9 @@ from telenano_experiments.types import particle_table
 
 def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> Any:
     # The models of the closed loop take seconds to load.
-    from telenano.lockstep import simulate_document
+    from telenano import SimulatedSession
 
-    return simulate_document(document, origin, steers)
+    return SimulatedSession.of(document, origin, steers)
 
 
 class Lockstep(Apparatus):

@@ -10,7 +10,6 @@ import zmq
 from telenano_assembly import Hand, hand_moves
 
 from telenano.console import RigHand
-from telenano.hand import LateralHandConfig
 from telenano.laws import ControllerConfig
 from telenano.lockstep import steering_force_n
 from telenano.runtime import AddressBook, Participant
@@ -41,14 +40,14 @@ class PageHand:
 
     @contextlib.contextmanager
     def pushing(
-        self, steers: Callable[[float], Hand], controller: ControllerConfig, stylus: LateralHandConfig | None
+        self, steers: Callable[[float], Hand], controller: ControllerConfig, arm_n_per_m: float
     ) -> Iterator[None]:
         """Push while the block runs and the operator's force profile with it.
 
         Args:
             steers: Makes the hand, from the period [s].
             controller: The settings of the controller, in mode rate.
-            stylus: The stylus that is pushed.
+            arm_n_per_m: The spring of the arm that pushes the stylus [N/m].
 
         Raises:
             RigError: The hand has failed in between.
@@ -59,7 +58,7 @@ class PageHand:
             try:
                 # It listens while it pushes only, because what is not read would fill the queues of the nodes.
                 with Participant.observing(self._book) as participant:
-                    self._push(over, _HandInputs(participant), steers(controller.period_s), controller, stylus)
+                    self._push(over, _HandInputs(participant), steers(controller.period_s), controller, arm_n_per_m)
             except Exception as error:  # noqa: BLE001
                 faults.append(error)
 
@@ -79,9 +78,9 @@ class PageHand:
         inputs: "_HandInputs",
         hand: Hand,
         controller: ControllerConfig,
-        stylus: LateralHandConfig | None,
+        arm_n_per_m: float,
     ) -> None:
-        motion, arm_n_per_m = controller.lateral_params().motion, (stylus or LateralHandConfig()).stiffness_n_per_m
+        motion = controller.lateral_params().motion
         ticks, neutral_m, speed = 0, None, (0.0, 0.0)
         while not over.is_set():
             state = inputs.newest(hand)

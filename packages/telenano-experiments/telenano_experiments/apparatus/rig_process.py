@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from telenano.launcher import running_rigs
-from telenano.signals import kept_from_children, start
+from telenano.signals import start
 from telenano.wire import RigError
 
 # names the rig that commands are for, as --rig does
@@ -60,13 +60,14 @@ class RigProcess:
         self._before = os.environ.get(RIG_VARIABLE)
         # A pipe would break when this process is killed, in the middle of what the rig does to end in order.
         self._log = folder / "up.log"
-        with kept_from_children(), self._log.open("wb") as log:
+        with self._log.open("wb") as log:
             self._process = start(
                 [*command, *further],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 dies_with_parent=True,
+                ends_with_command=True,
             )
         try:
             os.environ[RIG_VARIABLE] = self._named()

@@ -13,12 +13,11 @@ import numpy as np
 from telenano_studies.loops.cells import CellResult, Scales, judged, never_placed, scales_of, settle_ticks
 from telenano_studies.loops.sweep import Kind
 
-from telenano.afm import MODE_FOLLOW, MODE_HOLD
 from telenano.hand import HapticConfig
-from telenano.lockstep import Rig, Schedule, Series, Trajectory
+from telenano.lockstep import Rig, Schedule, Trajectory
 from telenano.settings import validate
 from telenano.wire import RigError
-from telenano_experiments.benchmark.etvo import Offsets, etvo
+from telenano_experiments.benchmark.etvo import Offsets, Series, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
 # Every figure of the result has this many digits: those after them are beyond what a model means.
@@ -172,7 +171,7 @@ def _parted(course: Trajectory, scales: Scales, hold_s: tuple[float, float], swi
 
 def _followed(course: Trajectory) -> bool:
     """Return whether the instrument followed to the end; a pause in the commands makes it hold for a moment."""
-    return bool(((course.instrument_mode == MODE_FOLLOW) | (course.instrument_mode == MODE_HOLD)).all())
+    return bool((course.follows | course.held).all())
 
 
 def _swung(course: Trajectory, begin_s: float, scales: Scales, task: Task) -> dict[str, float | None]:

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from telenano.afm import MODE_FOLLOW, MODE_HOLD, SAMPLES, AfmConfig, noisy_params
+from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
 from telenano.hand import ARMS, HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.link import LinkSettings
-from telenano.lockstep import Rig, Schedule, Series, Trajectory, holds_of, time_to_place_s
+from telenano.lockstep import Rig, Schedule, Trajectory
 from telenano.numerics import source_digest
 from telenano.settings import Option, Settings, merge, nested, validate
 from telenano.wire import ConfigError, RigError, known_names
@@ -30,6 +30,7 @@ from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
+from telenano_studies.loops.theory import Series
 
 ENVIRONMENTS = ("spring", "wall", "tip_sample", "body")
 if TYPE_CHECKING:
@@ -216,10 +217,10 @@ class Cell(Conditions):
             return instrument
         section = nested(dict(self.disturbances), "--disturb")
         # Link and instrument share one seed unless it is given.
-        config = validate(AfmConfig, {"disturbances": merge({"seed": self.seed}, section)}, "--disturb").disturbances
+        config = validate(AfmConfig, {"disturbances": merge({"seed": self.seed}, section)}, "--disturb")
         is_gauged = self.environment != "tip_sample"
         cantilever = _instrument("tip_sample", CANTILEVER_N_PER_M, 1.0, 0.0).plant if is_gauged else instrument.plant
-        noisy = noisy_params(config, cantilever, duration_s, instrument.plant, is_gauged=is_gauged)
+        noisy = config.with_noise(instrument.plant, cantilever, duration_s, is_gauged=is_gauged)
         return instrument._replace(plant=noisy)
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
@@ -385,7 +386,7 @@ def course_of(
 
 def settle_s(cell: Cell) -> float:
     """Return the time before the session [s], in which the instrument is armed and comes to its reference."""
-    return time_to_place_s(_LIMITS, cell.round_trip_s)
+    return AfmConfig().time_to_place_s(cell.round_trip_s)
 
 
 def settle_ticks(cell: Cell, period_s: float) -> int:
@@ -413,7 +414,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     scales = scales_of(controller)
     start_s, end_s = cell.hold_s()
     # a pause in the commands makes the instrument hold for a moment; what ends the session is the retraction
-    lost = (course.instrument_mode != MODE_FOLLOW) & (course.instrument_mode != MODE_HOLD)
+    lost = ~(course.follows | course.held)
     ended = int(np.argmax(lost)) if lost.any() else len(lost)
     force = scales.force_scale * course.tip_force_n
     deadlines_s = (_LIMITS.command_deadline_s, LimitsConfig().command_deadline_s)
@@ -421,7 +422,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
     knows_contact = cell.environment == "tip_sample"
     transit_s = cell.round_trip_s + controller.period_s
-    holds = holds_of(course, controller, transit_s, deadlines_s, (span,), knows_contact=knows_contact)
+    holds = course.holds(controller, transit_s, deadlines_s, (span,), knows_contact=knows_contact)
     judgement = _UNTOUCHED
     if holds:
         (found,) = holds
@@ -448,7 +449,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         peak_n,
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
-        float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
+        float(np.mean(~course.follows | ~course.hand_following)),
         judgement.facts,
     )
 

@@ -21,7 +21,7 @@ from telenano.afm import AfmConfig
 from telenano.analysis import wilson
 from telenano.hand import HapticConfig
 from telenano.laws import LAWS, ControllerConfig
-from telenano.lockstep import Rig, Schedule, instrument_params, time_to_place_s
+from telenano.lockstep import Rig, Schedule
 from telenano.settings import Settings, validate
 from telenano.wire import ConfigError, known_names
 from telenano_studies.loops.cells import sources
@@ -96,13 +96,18 @@ def check(trial: Trial) -> None:
         raise ConfigError(f"--law: unknown law {trial.law!r}, {known_names(trial.law, LAWS)}")
 
 
+@functools.lru_cache(maxsize=1)
+def _instrument() -> AfmConfig:
+    section = bench({"places": [[0.0, 0.0]]}, _STIFFNESS_N_PER_M)
+    return validate(AfmConfig, section, "the instrument", "afm_node")
+
+
 @functools.lru_cache(maxsize=8)
 def _rig(law: str) -> Rig:
     points = [{"time_s": 0.2, "force_n": 0.0}, {"time_s": 0.6, "force_n": PRESSES_N}]
     haptic = validate(HapticConfig, {"operator": {"kind": "force_profile", "points": points}}, "the hand")
-    afm = validate(AfmConfig, bench({"places": [[0.0, 0.0]]}, _STIFFNESS_N_PER_M), "the instrument", "afm_node")
     controller = validate(ControllerConfig, {"law": law}, "--law", "controller")
-    return Rig.of(controller, haptic, instrument_params(afm, "the instrument", 0.0))
+    return Rig.of(controller, haptic, _instrument().to_lockstep_params("the instrument", 0.0))
 
 
 @functools.lru_cache(maxsize=4)
@@ -121,7 +126,7 @@ def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
     place = 2.5 * push.d_m * np.array([math.cos(bearing), math.sin(bearing)])
     goal = place + WAY_M * np.array([math.cos(heading), math.sin(heading)])
     rig = rig.over(plant._replace(start=np.array([[*place.tolist(), 1.0]])))
-    settle = math.ceil(time_to_place_s(rig.instrument.safety, round_trip_s) / period_s)
+    settle = math.ceil(_instrument().time_to_place_s(round_trip_s) / period_s)
     begins = round((_TOUCHED_S + 2.0 * round_trip_s) / period_s)
     ticks = settle + begins + round(longest_s / period_s)
     schedule = _schedule(round_trip_s, trial.loss, trial.seed if trial.loss else 0, ticks, period_s)

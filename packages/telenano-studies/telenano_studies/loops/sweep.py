@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from telenano.files import locked
-from telenano.signals import kept_from_children, safe_path
+from telenano.signals import spawning_workers
 from telenano.wire import ConfigError, RigError
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
 
@@ -171,10 +171,10 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
     # The workers are spawned, not forked, because the parent has threads of its own by now.
     others = set(active_children())
     # The pool itself starts a process, which tracks its semaphores.
-    with safe_path():
+    with spawning_workers():
         pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
-        with kept_from_children(), safe_path():
+        with spawning_workers():
             futures = [pool.submit(run_batch, batch, kind.run) for batch in batches]
         for future in as_completed(futures):
             yield future.result()

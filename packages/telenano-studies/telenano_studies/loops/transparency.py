@@ -27,7 +27,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import MODE_FOLLOW, MODE_HOLD
 from telenano.lockstep import Trajectory
 from telenano_studies.loops.cells import Cell, course_of, run_cell, scales_of
 
@@ -273,8 +272,7 @@ def _tones(cell: Cell, mean_n: float, frequency_hz: float) -> _Tones | None:
 
 def _followed(course: Trajectory) -> bool:
     """Return whether the instrument followed throughout; a pause in the commands makes it hold for a moment."""
-    mode = course.instrument_mode
-    return bool(((mode == MODE_FOLLOW) | (mode == MODE_HOLD)).all())
+    return bool((course.follows | course.held).all())
 
 
 def _demodulated(course: Trajectory, begin_s: float, cell: Cell, frequency_hz: float) -> _Tones:

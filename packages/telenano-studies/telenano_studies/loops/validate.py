@@ -33,12 +33,10 @@ import yaml
 
 from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import Session
-from telenano.cli import EXIT_INCOMPLETE
-from telenano.launcher import run_session
+from telenano.cli import run_session
 from telenano.lockstep import Trajectory
 from telenano.recording import Recording, Timeline, columns, last_force_profile
-from telenano.wire import ConfigError, RecordingError, TelenanoError
-from telenano_studies.failed_session import reason_of
+from telenano.wire import ConfigError, RecordingError, RigError, TelenanoError
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
     Cell,
@@ -257,12 +255,12 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     command += ["--overwrite", "--headless", "--json"]
     command += ["--site-file", str(bus.site_file)] if bus.site_file is not None else []
     try:
-        done = run_session(command, document["duration_s"] + _OVERHEAD_S)
+        # The hold decides whether it matters what the recording lacks.
+        run_session(command, document["duration_s"] + _OVERHEAD_S)
     except TimeoutError as error:
         raise StudyError(f"{error}, see {folder}") from error
-    # The hold decides whether it matters what the recording lacks.
-    if done.returncode not in (0, EXIT_INCOMPLETE):
-        raise StudyError(f"the rig did not run: {reason_of(done.stdout, done.stderr)}")
+    except RigError as error:
+        raise StudyError(f"the rig did not run: {error}") from error
     return read_course(recording)
 
 

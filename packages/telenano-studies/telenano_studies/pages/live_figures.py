@@ -9,12 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import AfmConfig
-from telenano.cli import EXIT_INCOMPLETE
-from telenano.launcher import run_session
+from telenano.cli import run_session
 from telenano.recording import Recording, columns
 from telenano.settings import LoadedScenario, find_scenario
 from telenano.wire import RigError
-from telenano_studies.failed_session import reason_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,14 +63,14 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
     duration_s = LoadedScenario.load(find_scenario(name)).scenario.duration_s
     usual = round(duration_s + _USUAL_OVERHEAD_S)
     try:
-        done = run_session(
-            command, duration_s + _OVERHEAD_S, lambda spent_s: progress(min(round(spent_s), usual), usual)
-        )
+        # The figure shows what the recording lacks.
+        run_session(command, duration_s + _OVERHEAD_S, lambda spent_s: progress(min(round(spent_s), usual), usual))
     except TimeoutError as error:
         raise RigError(f"{name}: {error}, see {folder}") from error
-    # The figure shows what the recording lacks.
-    if done.returncode not in (0, EXIT_INCOMPLETE) or not (folder / RECORDING_NAME).exists():
-        raise RigError(f"{name}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
+    except RigError as error:
+        raise RigError(f"{name}: the rig did not run: {error}") from error
+    if not (folder / RECORDING_NAME).exists():
+        raise RigError(f"{name}: the rig has left no recording in {folder}")
     progress(usual, usual)
     return folder / RECORDING_NAME
 

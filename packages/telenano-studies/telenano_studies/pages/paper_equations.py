@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from telenano import SimulatedSession, simulate
-from telenano.afm import AfmConfig, MaugisDugdale, damping_at, felt_speed_m_per_s, printed_meniscus_force
+from telenano.afm import AfmConfig, MaugisDugdale, damping_at
 from telenano.hand import HapticConfig
 from telenano.laws import LAWS, impedance_scaled
 from telenano_studies.loops.theory import critical_delay_s, loop_model
@@ -49,7 +49,8 @@ def cantilever_rows() -> list[Row]:
     tip = AfmConfig().to_params().plant.tip
     width, a0 = tip.meniscus_width_m, tip.contact_distance_m
     forming = tip.bridge(width)[0]
-    printed = printed_meniscus_force(a0, True, tip.capillary_force_n, width, a0, 4e-9)[0]
+    as_printed = AfmConfig.model_validate({"mode": "as_printed", "tip_sample": {"break_distance_m": 4e-9}})
+    printed = as_printed.to_params().plant.tip.bridge(a0, retracting=True)[0]
     return [
         # expected of silica, water and mica, with 4, 0.37 and 1.35e-19 J
         Row("Hamaker constant across water", "Eq. 5", AfmConfig().tip_sample.hamaker_j * 1e20, 18.861, "1e-20 J"),
@@ -82,6 +83,14 @@ def _servo_gain(frequency_hz: float) -> float:
     return abs(slow * fast / ((s - slow) * (s - fast)))
 
 
+def _felt_m_per_s(feature_m: float, bandwidth_hz: float) -> float:
+    """Return the fastest scan at which features of a length are felt (Eq. 14)."""
+    path = {"program": "tactile", "tactile": {"feature_m": feature_m, "bandwidth_hz": bandwidth_hz}}
+    begin = AfmConfig.model_validate({"begin": path}).begin
+    assert begin is not None
+    return float(begin.settings_of("tactile").felt_speed_m_per_s)
+
+
 def control_rows() -> list[Row]:
     """Return scaling, scan speed, and the bilateral loop: its delay margins, and Fig. 12 in lockstep."""
     law = LAWS["virtual_impedance"].config()
@@ -93,7 +102,7 @@ def control_rows() -> list[Row]:
         Row("force at the hand for 10 nN", "Eq. 12", 10e-9 * force, 1.0, "N"),
         Row("stiffness at the hand of 40 N/m, for alpha_p = 1e4", "Eq. 13",
             impedance_scaled(1e4, 0.0, 0.0, 40.0)[2] * 1e-9, 4.0, "GN/m"),
-        Row("scan speed for 1 nm and 30 Hz", "Eq. 14", felt_speed_m_per_s(1e-9, 30.0) * 1e9, 30.0, "nm/s"),
+        Row("scan speed for 1 nm and 30 Hz", "Eq. 14", _felt_m_per_s(1e-9, 30.0) * 1e9, 30.0, "nm/s"),
         Row("way of the hand for the gap of 10 nm", "Eq. 12, E8", 10e-9 / scale * 1e3, 6.667, "mm"),
         Row("the same with the printed alpha_p in m/m", "Eq. 12, E8", 10e-9 / 15e-9 * 1e3, 666.7, "mm"),
     ]  # fmt: skip

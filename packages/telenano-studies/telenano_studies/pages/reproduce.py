@@ -13,8 +13,8 @@ from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
 from telenano.afm import AfmConfig, cohesive_stress_pa, reduced_modulus_pa
 from telenano.files import atomic_file
-from telenano.settings import instrument_named
 from telenano.wire import RigError
+from telenano_studies.option_values import section_of_instrument
 from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
@@ -226,8 +226,7 @@ def _add_holds(page: Page, recording: Path) -> dict[str, object]:
 
 def _with_its_bridge(config: AfmConfig) -> AfmConfig:
     """Return a configuration with the disturbances of the paper's own AFM."""
-    section = instrument_named("paper_bridge").scenario["afm_node"]
-    return AfmConfig.model_validate({**config.model_dump(exclude_unset=True), **section})
+    return AfmConfig.model_validate({**config.model_dump(exclude_unset=True), **section_of_instrument("paper_bridge")})
 
 
 def _add_curve(

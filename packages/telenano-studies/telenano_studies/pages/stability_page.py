@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis import FigureOptions
-from telenano.files import whole_results
+from telenano.cli import results_in
 from telenano.wire import RigError
 from telenano_studies.figure_colours import ON_SCREEN, VERDICTS
 from telenano_studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
@@ -65,7 +65,7 @@ def write_stability(
         if (ports := two_port_figure(results)) is not None:
             figures["two_ports"] = ports
         figures["energy"] = energy_figure(results)
-        with whole_results(out) as folder:
+        with results_in(out) as folder:
             images = write_images(folder, figures, command, options)
             rows = [row.as_dict() for result in results for row in result.cells]
             write_tables(folder, "stability", rows, tables)

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from telenano.launcher.child_session import run_session
+from telenano.cli.child_session import run_session
+from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.wire.errors import RigError
 
 # ends in its own time at SIGTERM, as `telenano up` does, and would not survive an unexpected SIGINT
 _SESSION = """
@@ -17,13 +19,13 @@ def end(number, frame):
     open("complete", "w").close()
     sys.exit(0)
 signal.signal(signal.SIGTERM, end)
-print("runs", flush=True)
+print('{{"runs": true}}', flush=True)
 open("runs", "w").close()
 time.sleep({seconds})
 """
 _PARENT = """
 import os, signal, sys, threading, time
-from telenano.launcher.child_session import run_session
+from telenano.cli.child_session import run_session
 from telenano.signals import interrupts
 
 interrupts.install()
@@ -43,12 +45,34 @@ except KeyboardInterrupt:
 """
 
 
-def test_a_session_gives_its_code_and_what_it_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_gives_its_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     spent: list[float] = []
-    done = run_session([sys.executable, "-c", _SESSION.format(seconds=0.7)], 60.0, spent.append)
-    assert (done.returncode, done.stdout) == (0, "runs\n")
+    summary = run_session([sys.executable, "-c", _SESSION.format(seconds=0.7)], 60.0, spent.append)
+    assert summary == {"runs": True}
     assert spent
+
+
+@pytest.mark.parametrize(
+    ("out", "err", "code", "reason"),
+    [
+        ('{"error": "port taken", "summary": null}', "telenano: port taken", 1, "port taken"),
+        ('{"verdict": "stable"}', "Traceback", 1, "Traceback"),
+        ('{"error": "no summary"}', "", 0, "no summary"),
+        ("no JSON", "", 0, "no JSON"),
+        ("", "", -9, "no output"),
+    ],
+)
+def test_a_session_that_fails_gives_its_own_reason(out: str, err: str, code: int, reason: str) -> None:
+    script = f"import os, signal, sys; sys.stdout.write({out!r}); sys.stderr.write({err!r}); sys.stdout.flush()"
+    end = f"sys.exit({code})" if code >= 0 else f"os.kill(os.getpid(), {-code})"
+    with pytest.raises(RigError, match=f"^{reason}$"):
+        run_session([sys.executable, "-c", f"{script}; {end}"])
+
+
+def test_the_summary_of_a_session_whose_recording_is_not_whole_is_returned() -> None:
+    script = f"import sys; print('{{\"holds\": []}}'); sys.exit({EXIT_INCOMPLETE})"
+    assert run_session([sys.executable, "-c", script]) == {"holds": []}
 
 
 def test_one_that_takes_too_long_is_ended_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,19 +1,22 @@
 """A session by a `telenano up` of its own, for commands that run several; it ends in order when they do."""
 
+import json
 import subprocess
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
+from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.signals import children
-from telenano.signals.interrupts import kept_from_children
+from telenano.wire.errors import RigError
 
 _LOOK_S = 0.5
 
 
 def run_session(
     command: Sequence[str], most_s: float | None = None, progress: Callable[[float], object] = lambda spent_s: None
-) -> "subprocess.CompletedProcess[str]":
-    """Run a command to its end.
+) -> dict[str, Any]:
+    """Run a `telenano up … --json` to its end and return its summary, also where its recording is not whole.
 
     Ctrl-C and SIGTERM at this process end the session as Ctrl-C at its own terminal does: the devices are made safe and
     the recording is complete before the interruption continues.
@@ -25,17 +28,19 @@ def run_session(
 
     Raises:
         TimeoutError: The session took longer; it has ended.
+        RigError: The session failed; the text is what it reports of itself.
+
+    Example:
+        summary = run_session([sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json"])
     """
     begun_s = time.monotonic()
     pipe = subprocess.PIPE
-    with kept_from_children():
-        session = children.start(command, stdout=pipe, stderr=pipe, text=True)
-    with session:
+    with children.start(command, ends_with_command=True, stdout=pipe, stderr=pipe, text=True) as session:
         try:
             while True:
                 try:
                     out, err = session.communicate(timeout=_LOOK_S)
-                    return subprocess.CompletedProcess(list(command), session.returncode, out, err)
+                    return _summary(session.returncode, out, err)
                 except subprocess.TimeoutExpired:
                     spent_s = time.monotonic() - begun_s
                     progress(spent_s)
@@ -45,3 +50,14 @@ def run_session(
             session.terminate()
             session.communicate()
             raise
+
+
+def _summary(code: int, out: str, err: str) -> dict[str, Any]:
+    """Return the summary that a session has printed; RigError with its own reason where it failed."""
+    try:
+        document: dict[str, Any] = json.loads(out)
+    except ValueError:
+        document = {}
+    if code not in (0, EXIT_INCOMPLETE) or not document or "error" in document:
+        raise RigError(str(document.get("error") or err.strip() or out.strip() or "no output"))
+    return document
