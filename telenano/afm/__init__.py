@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
-    from telenano.afm.sim import SimulatedInstrument as SimulatedInstrument
     from telenano.afm.sim import simulated_afm as simulated_afm
     from telenano.afm.tip_guard import TipGuard as TipGuard
 else:

@@ -222,6 +222,11 @@ class Session:
         }
         return Summary.model_validate(summary).model_dump(exclude_unset=True)
 
+    def clock_error_s(self, stage: str) -> float:
+        """Return the bound of the error of a part of `split_age` by the two clocks [s]; 0 for one within a site."""
+        clock = self.timeline.clock
+        return 0.0 if clock is None or stage not in loop_age.ACROSS_CLOCKS else clock.uncertainty_s
+
     def split_age(self, recording: RecordingSource) -> dict[str, Series]:
         """Return the parts of the age of each sample of the hand that an answer came to [s], by name; none of too few.
 

@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from telenano.devices.afm.converter_calibration import CantileverCalibration as CantileverCalibration
     from telenano.devices.afm.converter_calibration import InstrumentCalibration as InstrumentCalibration
     from telenano.devices.afm.converter_calibration import Readings as Readings
-    from telenano.devices.afm.instrument import calibration_of_file as calibration_of_file
     from telenano.devices.afm.instrument import driver_of as driver_of
     from telenano.devices.afm.modbus_driver import ModbusAfm as ModbusAfm
     from telenano.devices.afm.modbus_frames import FeedbackRequest as FeedbackRequest

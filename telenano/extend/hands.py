@@ -85,7 +85,10 @@ class DriveCommand(NamedTuple):
 
 
 class Gate(IntEnum):
-    """Why an impedance device gives no force; a fault is refused until armed, and the node takes the device as lost."""
+    """Why an impedance device gives no force; a fault is refused until armed, and the node takes the device as lost.
+
+    Gate(reading.spatial.gate).text    # "the device gives no force until the hand has been at rest"
+    """
 
     text: str
 
@@ -165,6 +168,8 @@ class HapticReport(NamedTuple):
 
 class SimulatedHand(NamedTuple):
     """A simulated device with the hand on it, which a rig and a session in lockstep run alike.
+
+    SimulatedHand(SlideParams(2e-3, operator.to_params()), able, "a slide: chosen, not measured")
 
     params: of a class that `telenano.hand.HandPart.register` knows. capabilities: what the device declares. about: a
     sentence that the node reports at its start.

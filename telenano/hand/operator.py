@@ -48,6 +48,8 @@ class OperatorState(NamedTuple):
 def interpolate(times_s: NDArray[np.float64], values: NDArray[np.float64], time_s: float, before: float) -> float:
     """Return the piecewise-linear value at time_s: `before` ahead of the first point, the last value after the last.
 
+    interpolate(np.array([0.0, 1.0]), np.array([0.0, 2.0]), 0.25, 0.0)    # 0.5
+
     Args:
         times_s: The times of the points [s], strictly increasing (checked where they are configured), shape (n,), n >=
             1.

@@ -15,7 +15,7 @@ from telenano.numerics.compiler import chosen_step
 
 
 class HandPart(NamedTuple):
-    """The functions of a simulated hand device.
+    """The functions of a simulated hand device, as in `HandPart(start, step, place).register(SlideParams)`.
 
     start(params, position_m, operator): the state of a device at rest at a place [m] along the paper's axis, with the
     state of the hand on it. step: advances device and hand by dt [s], > 0, under a guarded command. place(params,

@@ -3,16 +3,16 @@
 import contextlib
 import errno
 import heapq
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Self
 
 from pydantic import BaseModel
 
 from telenano.files.atomic_files import atomic_file, whole_results
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.mcap_messages import MessageWriter
-from telenano.recording.mcap_scan import describe_damage
+from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.reader import Recording
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError
@@ -26,6 +26,33 @@ class CopyResult(BaseModel):
     path: str
     messages: int
     skipped: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        target: Path,
+        recordings: Sequence[Recording],
+        messages: Iterable[RawMessage],
+        skipped: Iterable[Damage] = (),
+        **others: Any,
+    ) -> Self:
+        """Write a new recording and return its result: `CopyResult.of(target, [recording], recording.raw())`.
+
+        Args:
+            target: The file, which is not left where `messages` or the disk fails.
+            recordings: Those whose attachments and metadata it gets.
+            messages: Its messages in their order.
+            skipped: What could not be copied, complete once the messages are.
+            others: Further fields of the result, complete then as well.
+
+        Raises:
+            RecordingError: The target exists or cannot be written.
+        """
+        with CopyWriter(target) as writer:
+            writer.copy_attachments_and_metadata(recordings)
+            for message in messages:
+                writer.add(message)
+        return cls(path=str(target), messages=writer.messages, skipped=describe_damage(skipped), **others)
 
 
 class CopyWriter:
@@ -135,13 +162,12 @@ def filter_recording(
     first_ns = recording.span_ns[0] + round(start_s * 1e9)
     after_ns = None if end_s is None else recording.span_ns[0] + round(end_s * 1e9)
     wanted = _cached(selection)
-    with CopyWriter(target) as writer:
-        writer.copy_attachments_and_metadata([recording])
-        for message in recording.raw(skipped.append):
-            inside = message.log_ns >= first_ns and (after_ns is None or message.log_ns < after_ns)
-            if inside and wanted(message.channel):
-                writer.add(message)
-    return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
+    chosen = (
+        message
+        for message in recording.raw(skipped.append)
+        if message.log_ns >= first_ns and (after_ns is None or message.log_ns < after_ns) and wanted(message.channel)
+    )
+    return CopyResult.of(target, [recording], chosen, skipped)
 
 
 def merge_recordings(sources: Sequence[Path], target: Path) -> CopyResult:
@@ -152,12 +178,9 @@ def merge_recordings(sources: Sequence[Path], target: Path) -> CopyResult:
     """
     recordings = [Recording(source) for source in sources]
     skipped = [part for recording in recordings for part in recording.structural_damage]
-    with CopyWriter(target) as writer:
-        writer.copy_attachments_and_metadata(recordings)
-        streams = (recording.raw(skipped.append) for recording in recordings)
-        for message in heapq.merge(*streams, key=lambda message: message.log_ns):
-            writer.add(message)
-    return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
+    streams = (recording.raw(skipped.append) for recording in recordings)
+    merged = heapq.merge(*streams, key=lambda message: message.log_ns)
+    return CopyResult.of(target, recordings, merged, skipped)
 
 
 def split_recording(

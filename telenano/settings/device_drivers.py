@@ -85,7 +85,10 @@ class DeviceDriver:
 
     @staticmethod
     def why_missing(name: str) -> str:
-        """Return why no package gives a driver: what is wrong with it, or which package to install; else empty."""
+        """Return why no package gives a driver: what is wrong with it, or which package to install; else empty.
+
+        DeviceDriver.why_missing("haply")    # "the driver haply is in the package telenano-haptic-devices: …"
+        """
         return DeviceDriver.all().problems.get(name) or where_it_is(f"driver {name}")
 
     @staticmethod

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from telenano.analysis import Session, mean_half_width
 from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.recording import RecordingSource
-from telenano.timing import ACROSS_CLOCKS, STAGES
+from telenano.timing import STAGES
 from telenano.wire import TelenanoError
 
 # 95 % are within this number of standard uncertainties.
@@ -132,15 +132,10 @@ def delay_budget(recording: RecordingSource, session: Session) -> list[Stage]:
             f"{recording.path}: fewer than 50 samples of the hand can be followed from the device to the instrument "
             "and back: give the master's recording of a session whose loop was closed"
         )
-    clock = session.timeline.clock
-    open_ms = 0.0 if clock is None else 1e3 * clock.uncertainty_s
     # a simulated device has no age, and on one machine there is no line
     found_s = {name: values for name, values in parts.items() if values.any()}
     loop_ms = 1e3 * np.sum(list(found_s.values()), axis=0)
-    rows = [
-        _stage(name, 1e3 * values, loop_ms, open_ms if name in ACROSS_CLOCKS else 0.0)
-        for name, values in found_s.items()
-    ]
+    rows = [_stage(name, 1e3 * values, loop_ms, 1e3 * session.clock_error_s(name)) for name, values in found_s.items()]
     return [*rows, _stage("loop", loop_ms, loop_ms, 0.0)]
 
 

@@ -1,13 +1,14 @@
 """A recording of real devices read again with a better calibration: from the counts and volts that it keeps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.numerics import to_site_frame
-from telenano.recording import CopyResult, CopyWriter, Recording
+from telenano.recording import CopyResult, Recording
 from telenano.wire import AfmState, ConfigError, HapticState, Message, NodeHealth, RecordingError, decode, encode
 
 
@@ -36,8 +37,8 @@ def recalibrate(
     recording = Recording(source)
     identities = {"haptic_node": handle and handle.identity, "afm_node": stage and stage.identity}
     again = dict.fromkeys(read, 0)
-    with CopyWriter(target) as writer:
-        writer.copy_attachments_and_metadata([recording])
+
+    def messages() -> Iterator[Any]:
         for message in recording.raw():
             topic = message.channel.topic.partition("@")[0]
             if topic in read:
@@ -52,13 +53,14 @@ def recalibrate(
                     if wanted:
                         _require_same_device(source, health.calibration, wanted)
                         message = message._replace(payload=encode(msgspec.structs.replace(health, calibration=wanted)))
-            writer.add(message)
+            yield message
         for topic, count in again.items():
             if not count:
                 raise RecordingError(
                     f"{source}: {topic} has no raw values: its device was simulated, or recorded before they were kept"
                 )
-    return Recalibrated(path=str(target), messages=writer.messages, read_again=again)
+
+    return Recalibrated.of(target, [recording], messages(), read_again=again)
 
 
 def _require_same_device(source: Path, recorded: str, wanted: str) -> None:

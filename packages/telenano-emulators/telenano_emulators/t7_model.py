@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
-from telenano.afm import AfmConfig, SimulatedInstrument, simulated_afm
-from telenano.devices import FeedbackRequest
+from telenano.afm import AfmConfig, simulated_afm
+from telenano.devices import FeedbackRequest, driver_of
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.samples import AfmSample
 from telenano.wire import ConfigError
@@ -115,7 +115,8 @@ def instrument_of(config: AfmConfig) -> Bridged:
         afm.open()
         return afm
     if config.environment == "spring":
-        spring = SimulatedInstrument(config.to_spring_params())
+        quiet = {"driver": "simulated", "disturbances": AfmConfig().disturbances}
+        spring = driver_of(config.model_copy(update=quiet))
         spring.open()
         return BridgedSpring(spring, plant.volts_per_m / plant.stiffness_n_per_m)
     raise ConfigError(

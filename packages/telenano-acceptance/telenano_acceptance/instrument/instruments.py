@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from telenano.afm import AfmConfig
-from telenano.devices import AfmCapabilities, calibration_of_file, driver_of
+from telenano.devices import AfmCapabilities, driver_of
 from telenano.extend.instruments import AfmDriver
-from telenano.settings import merge, validate
+from telenano.settings import merge, read_yaml, validate
 from telenano.wire import ConfigError
 from telenano_acceptance.instrument.take import Facts, press_of, record_take
 from telenano_acceptance.take import MACHINE, PERIOD_S, SILENT, Clock, Guide, Take
@@ -22,7 +22,7 @@ def config_of(calibration: Path | None, options: dict[str, Any]) -> AfmConfig:
     """
     if calibration is None:
         return validate(AfmConfig, options, "--set", "afm_node")
-    kind = getattr(calibration_of_file(calibration), "controller", "modbus")
+    kind = read_yaml(calibration).get("controller", "modbus")
     section = {"driver": kind, kind: {"calibration": str(calibration)}}
     return validate(AfmConfig, merge(section, options), "--set", "afm_node")
 

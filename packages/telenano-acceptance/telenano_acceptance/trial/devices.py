@@ -74,7 +74,7 @@ def tried(
 
 
 def _instrument(name: str, section: dict[str, Any], calibration: Path | None, named: tuple[str, ...]) -> Tried:
-    from telenano.devices import calibration_of_file
+    from telenano.devices import driver_of
     from telenano_acceptance.instrument.instruments import config_of, make_take
 
     if calibration is None:
@@ -82,7 +82,8 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
     config = config_of(calibration, section)
     if config.driver != _INSTRUMENTS[name]:
         raise ConfigError(f"--calibration {calibration}: is that of the driver {config.driver}, not of {name}")
-    host = str(getattr(config, config.driver).host or calibration_of_file(calibration).network.host)
+    driver: Any = driver_of(config)
+    host = str(driver.calibration.network.host)
 
     def record(guide: Guide) -> Take[Any]:
         # a guard takes a pause of this process for its death
