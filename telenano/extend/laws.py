@@ -272,13 +272,15 @@ class Law:
             config: The model of the law's section.
             slave: The module with the steps of the slave half, if that is another one.
             given: What the law says of itself by the fields of `Law` that have defaults, and steps that the module does
-                not write down itself.
+                not write down itself. A law whose module has no `rest_force` loses none of the hand's force;
+                `rest_force=None` is one that is not judged by it.
 
         Raises:
             AttributeError: A step is missing; the message names it.
         """
         own = sys.modules[module]
-        values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
+        values: dict[str, Any] = {"rest_force": the_hands_force}
+        values |= {step: getattr(own, step) for step in _MASTER_STEPS}
         values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
         values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
         values |= {step: getattr(slave or own, step) for step in _OPTIONAL_OF_SLAVE if hasattr(slave or own, step)}

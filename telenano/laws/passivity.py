@@ -76,7 +76,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -550,6 +549,4 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = Law.of(
-    __name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True, rest_force=the_hands_force
-)
+PASSIVITY = Law.of(__name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True)

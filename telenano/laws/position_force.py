@@ -14,7 +14,7 @@ present delay, with the last force and position held.
 from typing import NamedTuple
 
 from telenano.extend import pass_through
-from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal, the_hands_force
+from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
 from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
@@ -88,4 +88,4 @@ def retune(old: PositionForceParams, new: PositionForceParams, state: Mass) -> M
     return rescaled(old.mass, new.mass, state)
 
 
-POSITION_FORCE = Law.of(__name__, PositionForceConfig, slave=pass_through, rest_force=the_hands_force)
+POSITION_FORCE = Law.of(__name__, PositionForceConfig, slave=pass_through)

@@ -193,4 +193,4 @@ def retune(old: TactileParams, new: TactileParams, state: MasterState) -> Master
     return state
 
 
-TACTILE = Law.of(__name__, TactileConfig, link_loop=False, must_know=("cantilever_stiffness_n_per_m",))
+TACTILE = Law.of(__name__, TactileConfig, link_loop=False, rest_force=None, must_know=("cantilever_stiffness_n_per_m",))

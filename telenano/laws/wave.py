@@ -58,7 +58,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -503,5 +502,4 @@ WAVE = Law.of(
     local_loop=True,
     passive=True,
     fixed_in_contact=("impedance_n_s_per_m",),
-    rest_force=the_hands_force,
 )

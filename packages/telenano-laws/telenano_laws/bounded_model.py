@@ -33,7 +33,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -681,5 +680,4 @@ BOUNDED_MODEL = Law.of(
     local_loop=True,
     link_loop=False,
     passive=True,
-    rest_force=the_hands_force,
 )

@@ -26,7 +26,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -202,4 +201,4 @@ def retune(old: FourChannelParams, new: FourChannelParams, state: MasterState) -
     return MasterState(rescaled(old.mass, new.mass, state.mass))
 
 
-FOUR_CHANNEL = Law.of(__name__, FourChannelConfig, local_loop=True, rest_force=the_hands_force)
+FOUR_CHANNEL = Law.of(__name__, FourChannelConfig, local_loop=True)

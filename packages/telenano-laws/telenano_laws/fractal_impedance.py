@@ -27,7 +27,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -266,5 +265,4 @@ FRACTAL_IMPEDANCE = Law.of(
     FractalImpedanceConfig,
     local_loop=True,
     fixed_in_contact=("stiffness_n_per_m", "greatest_force_n"),
-    rest_force=the_hands_force,
 )

@@ -46,7 +46,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -491,5 +490,4 @@ MODEL_MEDIATED = Law.of(
     link_loop=False,
     must_know=("cantilever_stiffness_n_per_m",),
     fixed_in_contact=("adhesion_range_m", "cantilever_stiffness_n_per_m"),
-    rest_force=the_hands_force,
 )

@@ -34,7 +34,6 @@ from telenano.extend.laws import (
     SlaveReference,
     TipMeasurement,
     port_signal,
-    the_hands_force,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -314,4 +313,4 @@ def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount
     return account_of(state.store)
 
 
-TDPA = Law.of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)
+TDPA = Law.of(__name__, TdpaConfig, uses_energy=True, passive=True)

@@ -26,7 +26,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    the_hands_force,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import MassParams, is_coupled, let_go, moved, periods_in
@@ -182,4 +181,4 @@ def slave_receive(
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
-TWO_LAYER = Law.of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)
+TWO_LAYER = Law.of(__name__, TwoLayerConfig, uses_energy=True, passive=True)
