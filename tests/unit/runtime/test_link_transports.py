@@ -2,6 +2,7 @@
 
 import json
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_ma
 from stranger_package import describe
 
 from telenano.launcher.plan import UpRequest, make_plan
+from telenano.launcher.run import line_check_of
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.bus import transports
@@ -243,14 +245,14 @@ def plan_of(folder: Path, *settings: str) -> Any:
     return make_plan(request, folder / "out")
 
 
-def test_a_session_of_two_sites_fetches_where_it_can_and_else_has_everything_cross(
+def test_a_session_of_two_sites_fetches_and_measures_where_it_can_and_else_has_everything_cross(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert plan_of(tmp_path).fetches
+    assert plan_of(tmp_path).fetches and line_check_of(plan_of(tmp_path))(time.monotonic_ns) is not None
     monkeypatch.setenv("TELENANO_WITHOUT_PACKAGES", "1")
     plugins._installed.cache_clear()
     try:
-        assert not plan_of(tmp_path).fetches
+        assert not plan_of(tmp_path).fetches and line_check_of(plan_of(tmp_path))(time.monotonic_ns) is None
         with pytest.raises(ConfigError, match=f"recorder.far: .*{PACKAGE}"):
             plan_of(tmp_path, "recorder.far=fetch")
     finally:
