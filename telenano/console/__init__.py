@@ -7,7 +7,6 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.console.bridges import hand_on as hand_on
     from telenano.console.bridges import live_rig as live_rig
-    from telenano.console.command_client import parse_parameters as parse_parameters
     from telenano.console.command_client import send_control as send_control
     from telenano.console.coupling import recouple as recouple
     from telenano.console.lease_register import holding as holding

@@ -177,7 +177,7 @@ def _exchange(
         require_rig(book, site_file)
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(participant.key, ["session/event", "node/health"]))
-        client = participant.commands(commands, publisher.publish, retry_ns=retry_ns, issued_ns=issued_ns)
+        client = participant.command_client(commands, publisher.publish, retry_ns=retry_ns, issued_ns=issued_ns)
         attention = Attention(time.monotonic())
         while not (given_up := not is_wanted()) and not client.advance():
             if _new_subscriptions(publisher):

@@ -29,7 +29,7 @@ from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import shallow_idle
 from telenano.runtime.wiring import beside as beside_process
-from telenano.runtime.wiring.link_transports import fetching_transport
+from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
@@ -178,7 +178,16 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
         recording=ExternalRecording(context.clock, RECORDER) if plan.attach else None,
         far=ExternalRecording(context.clock, FAR_RECORDER) if plan.fetches else None,
         on_far=SessionFolder(plan.out).note_far,
+        line_check=line_check_of(plan),
     )
+
+
+def line_check_of(plan: Plan) -> Callable[[Callable[[], int]], LineCheck | None]:
+    """Return what the transport of the link judges the line by; without one nothing is measured over TCP."""
+    if plan.site == "master" and not plan.attach and plan.book.spans_machines:
+        with contextlib.suppress(ConfigError):
+            return link_transport(plan.book.link.transport).line_check
+    return lambda monotonic_ns: None
 
 
 def _shown_watch(plan: Plan, participant: Participant) -> ShownWatch | None:

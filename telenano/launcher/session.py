@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 from telenano.launcher.external_recording import ExternalRecording
-from telenano.launcher.line_check import LineCheck
 from telenano.launcher.liveness import LivenessMonitor
 from telenano.launcher.readiness import READY_DEADLINE_S, ReadinessGate
 from telenano.launcher.recorder_wait import LastMessages, RecorderWait
@@ -13,6 +12,7 @@ from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.wiring.link_transports import LineCheck
 from telenano.wire.messages import NodeHealth, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 from telenano.wire.received import Received
@@ -45,6 +45,7 @@ class SessionNode(RigNode):
         recording: ExternalRecording | None = None,
         far: ExternalRecording | None = None,
         on_far: Callable[[Sequence[str]], None] = lambda files: None,
+        line_check: Callable[[Callable[[], int]], LineCheck | None] = lambda monotonic_ns: None,
     ) -> None:
         """Prepare a session of `duration_s` [s].
 
@@ -59,6 +60,7 @@ class SessionNode(RigNode):
             recording: The recording of a recorder that runs elsewhere; None where the own one records.
             far: The recording of the other site's recorder, beside the own one; None where there is none.
             on_far: Called with the files of the session there whenever they are known again.
+            line_check: Returns what judges the line between the sites; None where nothing does.
         """
         optional = (recording.recorder,) if recording is not None else ()
         seen = (*optional, *others)
@@ -80,7 +82,7 @@ class SessionNode(RigNode):
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
-        self._line = LineCheck(context.clock) if other_site else None
+        self._line = line_check(context.clock.monotonic_ns)
         beyond = () if self.attached or not other_site else others
         self._last_messages = LastMessages(context.clock, RECORDER, beyond, self._publishes, self.reports.append)
         # Commands for a remote recorder, sent once it has caught up.

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
-    from telenano.wire.topics import LOOP_DEADLINE_S as LOOP_DEADLINE_S
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

@@ -63,16 +63,16 @@ def udp(
     Ctrl-C ends it. The exit code is 3 where the recording could not be kept.
     """
     with report_errors(as_json):
-        from telenano.console import parse_parameters
         from telenano.link import LinkSettings
         from telenano.runtime import AddressBook, ByteLinkProcess
-        from telenano.settings import nested
+        from telenano.settings import flag_overrides
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
 
         here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
-        flat = {key: None if value == "none" else value for key, value in parse_parameters(keys or ()).items()}
-        settings = LinkSettings.of({"profile": profile, **nested(flat, "--set")}, "the network")
+        # The text `none` is a missing value, as for `telenano link set`.
+        flags = [f"{flag.removesuffix('none')}null" if flag.endswith("=none") else flag for flag in keys or ()]
+        settings = LinkSettings.of({"profile": profile, **flag_overrides(flags)}, "the network")
         with contextlib.ExitStack() as stack:
             link = stack.enter_context(ByteLinkProcess.open(AddressBook.load(site_file)))
             ports = UdpPorts(here, there, clients)

@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -54,11 +53,9 @@ class Line:
     def __init__(self, bounds: Bounds | None = None, **settings: Any) -> None:
         self.bench = NodeBench("delay_node@master")
         self.ports = RecordedPorts(self.bench)
-        link = LinkSettings().changed(settings)
-        outlet: Any = self.bench
         # The node stands for its process, which hands on what it is called with.
         self.udp = UdpLink(self, self.ports, bounds or Bounds())  # type: ignore[arg-type]
-        self.node = ByteLink(self.bench.context, link, (outlet, outlet), self.udp)
+        self.node = ByteLink(self.bench.context, LinkSettings().changed(settings), (self.bench,) * 2, self.udp)
         self.clock, self.arrive, self.event = self.bench.clock, self.node.arrive, self.node.event
 
     def send(self, payload: bytes, direction: Direction = "forward", client: str = "a:1") -> None:
@@ -248,15 +245,10 @@ def echo(request: pytest.FixtureRequest) -> Iterator[Echo]:
         yield service
 
 
-def ports_of(
-    target: tuple[Any, ...],
-    host: str = "127.0.0.1",
-    clients: int = 64,
-    monotonic_ns: Callable[[], int] = time.monotonic_ns,
-) -> UdpPorts:
+def ports_of(target: tuple[Any, ...], host: str = "127.0.0.1", clients: int = 64, *clock: Any) -> UdpPorts:
     with closing(opened(host)) as free:
         place = Place(host, free.getsockname()[1])
-    return UdpPorts(place, Place(target[0], target[1]), clients, monotonic_ns)
+    return UdpPorts(place, Place(target[0], target[1]), clients, *clock)
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -280,7 +272,7 @@ def test_each_client_gets_its_own_answers_over_either_family(host: str, echo: Ec
 
 def test_a_client_beyond_the_most_is_refused_until_another_has_been_silent(echo: Echo) -> None:
     bench = NodeBench("delay_node@master")
-    with closing(ports_of(echo.address, clients=2, monotonic_ns=bench.clock.monotonic_ns)) as ports:
+    with closing(ports_of(echo.address, "127.0.0.1", 2, bench.clock.monotonic_ns)) as ports:
         ports.take = ports.send
         clients = [opened("127.0.0.1") for _ in range(3)]
         for client in clients:

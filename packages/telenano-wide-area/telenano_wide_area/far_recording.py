@@ -183,7 +183,7 @@ def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progr
         begin, asked_ns = part.offset, clock.monotonic_ns()
         wanted: dict[str, Scalar] = {FILE: part.name, OFFSET: begin, BYTES: _WINDOW_BYTES, RATE: rate}
         command = Command("set", SENDER, (SENDER,), wanted, deadline_ns=_ASK_AGAIN_NS)
-        client = asking.participant.commands([command], asking.publish)
+        client = asking.participant.command_client([command], asking.publish)
         is_answered = False
         newest_ns = asked_ns
         while part.offset < begin + _WINDOW_BYTES and not part.is_whole:

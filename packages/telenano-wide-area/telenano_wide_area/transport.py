@@ -9,6 +9,7 @@ from telenano.runtime import AddressBook, LinkSide, LinkTransport, StructuredLog
 from telenano_wide_area.settings import DatagramSettings
 
 if TYPE_CHECKING:
+    from telenano_wide_area.line_check import LineCheck
     from telenano_wide_area.piece_sender import PieceSender
 
 
@@ -30,6 +31,12 @@ class DatagramTransport(LinkTransport):
         from telenano_wide_area.relay.site_end import site_end, until_stopped
 
         until_stopped(site_end(book, site, log).run())
+
+    def line_check(self, monotonic_ns: Callable[[], int]) -> "LineCheck":
+        """Return what judges the line by the reports of both ends."""
+        from telenano_wide_area.line_check import LineCheck
+
+        return LineCheck(monotonic_ns)
 
     def sender(self, folder: Path, publish: Callable[..., Any]) -> "PieceSender":
         """Return what sends the files of a folder in pieces."""

@@ -77,21 +77,13 @@ class Side:
         place = Place(
             family, (host, master_port if is_master else 0), None if is_master else (host, master_port), master_port
         )
-        self.allowed = self.connected = True
+        self.is_allowed = self.is_connected = True
         self.received: list[Received] = []
         self.seq = 0
         self.events: list[Any] = []
         self.is_master, self.machine, self.reader = is_master, "slave" if is_master else "master", self.subscriber
         self.publish = self.report = self.outlet.publish
         self.end = DatagramEnd(self, place, DatagramSettings(**link))  # type: ignore[arg-type]
-
-    @property
-    def is_allowed(self) -> bool:
-        return self.allowed
-
-    @property
-    def is_connected(self) -> bool:
-        return self.connected
 
     def tell(self, level: str, text: str, data: Any) -> None:
         self.events.append(ConnectionEvent(level, text, data))
@@ -114,7 +106,7 @@ class Side:
 
     def hears_key_of(self, other: "Side") -> None:
         keys = [message for topic, message in other.outlet.sent if topic == "link/key"]
-        if keys and self.allowed:
+        if keys and self.is_allowed:
             self.end._hear_offer(keys[-1])
 
     @property

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from network_bench import payload
 from telenano_wide_area.datagram.agreement import REKEY_NS, Agreement
-from telenano_wide_area.datagram.arrivals import ArrivalRecord
+from telenano_wide_area.datagram.arrivals import ArrivalRecord, LinkNetwork
 from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPORT, packed, parse, short_report
 from telenano_wide_area.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
 from telenano_wide_area.datagram.reception import FIRST_NS
@@ -27,8 +27,6 @@ from telenano_wide_area.datagram.sealing import (
 )
 from telenano_wide_area.datagram.touch import Touch
 from telenano_wide_area.sealed import RejectedError
-
-from telenano.wire import LinkNetwork
 
 KEYS = DirectionKeys(bytes(range(32)), b"abcd")
 
@@ -551,14 +549,14 @@ def test_a_key_that_is_in_use_is_hardly_ever_offered_and_at_once_where_it_is_lac
 
 def test_a_revoked_machine_can_neither_send_nor_is_it_sent_anything(ends: Pair) -> None:
     ends.joined()
-    ends.master.allowed = False
+    ends.master.is_allowed = False
     ends.master.end.apply_permissions()
     received, sent = len(ends.master.received), ends.master.end.outgoing.bytes
     ends.turns(100)
     assert len(ends.master.received) == received
     assert ends.master.end.outgoing.bytes == sent
     assert ends.master.end.receiving == "stream"
-    ends.master.allowed = True
+    ends.master.is_allowed = True
     ends.turns(150)
     assert ends.master.end.receiving == "datagram"
 
@@ -610,7 +608,7 @@ def test_no_sample_counts_while_no_command_could_cross(ends: Pair, relayed: bool
     ends.turns(10)
     assert len(ends.slave.seqs) - before == 10
     for side in ends.sides:
-        side.connected = False
+        side.is_connected = False
     ends.turns(120)
     before = [len(side.seqs) for side in ends.sides]
     ends.turns(50)
@@ -618,7 +616,7 @@ def test_no_sample_counts_while_no_command_could_cross(ends: Pair, relayed: bool
     # signs of life go on, so that nothing has to be found again
     assert [side.end.receiving for side in ends.sides] == ["datagram", "datagram"]
     for side in ends.sides:
-        side.connected = True
+        side.is_connected = True
     # Turns of 10 ms look like a queue to signs of life alone, so that fewer samples are sent at first.
     ends.turns(60)
     assert min(len(side.seqs) - count for side, count in zip(ends.sides, before, strict=True)) >= 10
@@ -630,7 +628,7 @@ def test_no_sample_counts_while_no_command_could_cross(ends: Pair, relayed: bool
 @pytest.mark.parametrize("lost", ["master", "slave"])
 def test_one_end_that_no_command_could_reach_is_enough(ends: Pair, lost: str) -> None:
     ends.joined()
-    getattr(ends, lost).connected = False
+    getattr(ends, lost).is_connected = False
     ends.turns(120)
     before = [len(side.seqs) for side in ends.sides]
     ends.turns(50)
@@ -658,7 +656,7 @@ def test_a_connection_that_is_made_again_at_once_costs_no_sample_and_no_word(end
     before = len(ends.slave.seqs)
     for turn in range(300):
         for side in ends.sides:
-            side.connected = turn % 100 >= 90
+            side.is_connected = turn % 100 >= 90
         ends.turn()
     assert len(ends.slave.seqs) - before == 300
     assert [event.text for side in ends.sides for event in side.events if "command" in event.text] == []

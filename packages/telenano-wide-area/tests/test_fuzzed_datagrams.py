@@ -6,13 +6,12 @@ import random
 import pytest
 from datagram_bench import Pair, Side, pair
 from fuzz_datagrams import CAUSES, Datagrams
-from telenano_wide_area.datagram.arrivals import MOST_ROWS, ArrivalRecord
+from telenano_wide_area.datagram.arrivals import MOST_ROWS, ArrivalRecord, LinkNetwork
 from telenano_wide_area.datagram.body import BOUND, DATAGRAMS_OF, REPORT
 from telenano_wide_area.datagram.end import DatagramEnd
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 
 from telenano.timing.clock_offset import OffsetFilter
-from telenano.wire import LinkNetwork
 
 # TELENANO_FUZZ_DATAGRAMS in the environment replaces it, for a longer search
 COUNT = int(os.environ.get("TELENANO_FUZZ_DATAGRAMS", 1500))

@@ -13,16 +13,15 @@ from telenano_wide_area.datagram.rate import FULL_NS, Delivery, RateControl, See
 MBIT = 125_000.0
 FIXED_NS = 20 * MS
 SECOND_NS = 1_000_000_000
+AHEAD_NS = 37 * SECOND_NS
 
 
-def exchange(
-    t_ns: int, there_ms: float, back_ms: float, drift: float = 0.0, ahead_ns: int = 37 * SECOND_NS
-) -> tuple[int, int, int, int]:
+def exchange(t_ns: int, there_ms: float, back_ms: float, drift: float = 0.0, ahead_ns: int = AHEAD_NS) -> list[int]:
     """Return an exchange that ends at a time, over a line of 20 ms and queues each way, with a clock that drifts."""
     back_ns, there_ns = FIXED_NS + round(back_ms * MS), FIXED_NS + round(there_ms * MS)
     there_at = t_ns - back_ns
     stamp = there_at + ahead_ns + round(drift * there_at)
-    return there_at - there_ns, stamp, stamp, t_ns
+    return [there_at - there_ns, stamp, stamp, t_ns]
 
 
 def queues(line: Line) -> tuple[float, float]:
@@ -90,7 +89,7 @@ def test_a_clock_that_is_set_makes_no_queue_for_longer_than_the_line_needs_to_be
     for tick in range(2000):
         line.record(*exchange((tick + 100) * 10 * MS, 0.0, 0.0))
     for tick in range(2000, 4000):
-        line.record(*exchange((tick + 100) * 10 * MS, 0.0, 0.0, ahead_ns=37 * SECOND_NS + round(step_s * 1e9)))
+        line.record(*exchange((tick + 100) * 10 * MS, 0.0, 0.0, ahead_ns=AHEAD_NS + round(step_s * 1e9)))
         # the round trip is as short as ever, and so is every queue
         assert max(queues(line)) < 0.5
 

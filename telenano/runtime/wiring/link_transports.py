@@ -208,6 +208,22 @@ class PieceSender(Protocol):
         """End what is being sent."""
 
 
+class LineCheck(Protocol):
+    """What `LinkTransport.line_check` returns: whether the line between the sites carries a session."""
+
+    def record(self, message: Message) -> None:
+        """Take note of a message, a link/network or another one."""
+
+    def settled(self) -> bool:
+        """Return whether the line is known, or nothing more is to be expected."""
+
+    def refusal(self) -> str:
+        """Return why there can be no session; empty where there can, or where that is in doubt."""
+
+    def advice(self) -> list[str]:
+        """Return what becomes of a session on a line that is narrow, in sentences."""
+
+
 class LinkTransport(SiteFileTransport, ABC):
     """What an entry of the kind `transports` is an object of.
 
@@ -228,6 +244,10 @@ class LinkTransport(SiteFileTransport, ABC):
         Raises:
             OSError, ValueError, ConfigError: There can be no end; the log has the reason, and TCP carries everything.
         """
+
+    def line_check(self, monotonic_ns: Callable[[], int]) -> LineCheck | None:
+        """Return what judges the line at the start of a session, by a monotonic clock [ns]; None where nothing does."""
+        return None
 
     def run_beside(self, book: AddressBook, site: str, log: StructuredLog) -> None:
         """Reach the relay of the site file for the nodes of a site, in a process of its own, until SIGTERM or SIGINT.

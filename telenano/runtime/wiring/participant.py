@@ -207,7 +207,7 @@ class Participant:
         with cls.open(here[0], book) as participant:
             yield participant
 
-    def commands(
+    def command_client(
         self,
         commands: Sequence[Command],
         publish: Callable[..., Any],
@@ -218,7 +218,7 @@ class Participant:
         """Return what sends commands one after the other and collects their answers.
 
         Example:
-            client = participant.commands([Command("stop", "afm_node")], publisher.publish)
+            client = participant.command_client([Command("stop", "afm_node")], publisher.publish)
             while not client.advance(): ...
 
         Args:

@@ -6,22 +6,20 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 ROOMS = ("services", "telenano", "packages", "benchmarks")
 # What makes a command or a force: a client on the bus, the client that holds the hand for a command, and a page's hand.
-MAKERS = ("CommandClient", "send_control", "send_controls", "arm_devices", "RigHand")
+MAKERS = ("CommandClient", "command_client", "send_control", "send_controls", "arm_devices", "RigHand")
 
 # Without a name of its page `send_control` takes the hand for the command, or looks whether the process still has it.
 HOLDS = "send_control"
 WAYS = {
-    ("telenano/console/command_client.py", "CommandClient"): "send_controls, which holds the hand around it",
+    ("telenano/runtime/wiring/participant.py", "CommandClient"): "what calls command_client, and is listed here",
+    ("telenano/console/command_client.py", "command_client"): "send_controls, which holds the hand around it",
     ("telenano/console/command_client.py", "send_controls by"): "the same, with the hand held",
     ("telenano/console/coupling.py", "send_control by"): "the hub's desk for a page; without a name send_control",
     ("packages/telenano-microscopy/telenano_microscopy/live_program.py", "send_control"): HOLDS,
-    (
-        "telenano/launcher/session.py",
-        "CommandClient",
-    ): "the session itself: it arms at its beginning and stops at its end",
+    ("telenano/launcher/session.py", "CommandClient"): "the session: it arms at its beginning and stops at its end",
     (
         "packages/telenano-wide-area/telenano_wide_area/far_recording.py",
-        "CommandClient",
+        "command_client",
     ): "a recorder that is asked for its file, and nothing moves",
     ("services/viz_node/commander.py", "send_control by"): "the hub's desk",
     ("services/viz_node/commander.py", "arm_devices by"): "the hub's desk",

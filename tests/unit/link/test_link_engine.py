@@ -137,9 +137,8 @@ def test_reordered_share_follows_from_probability_and_gap(probability, gap):
 @pytest.mark.parametrize("forward", [{}, {"order": "topic"}, {"loss": {"probability": 1e-9}}])
 def test_messages_released_together_have_not_overtaken_each_other(forward):
     fates = stream(5, period_ns=1, delay_s=0.01, **forward)
-    together = DirectionEngine.fates(
-        LinkSettings.of({"forward": {"delay_s": 0.01, **forward}}), "forward", TOPIC, [START] * 5, 9
-    )
+    settings = LinkSettings.of({"forward": {"delay_s": 0.01, **forward}})
+    together = DirectionEngine.fates(settings, "forward", TOPIC, [START] * 5, 9)
     assert not any(fate.reordered for fate in (*fates, *together))
 
 

@@ -148,9 +148,8 @@ def test_a_stall_holds_the_reliable_beyond_its_limit_and_no_line_that_moves_has_
         engine.submit(400 * MS, "session/control", bytes(100), seq)
     assert len([release for release in ended(engine) if release.topic == "session/control"]) == 20
     moving = LinkSettings.of({"forward": {"outage": STALL, "queue": {"limit_messages": 0}, "delay_s": 0.05}})
-    assert not any(
-        fate.dropped for fate in DirectionEngine.fates(moving, "forward", "a", range(0, 9 * MS, MS // 100), 100)
-    )
+    fates = DirectionEngine.fates(moving, "forward", "a", range(0, 9 * MS, MS // 100), 100)
+    assert not any(fate.dropped for fate in fates)
 
 
 @pytest.mark.parametrize(
@@ -216,9 +215,8 @@ def test_settings_that_are_stamped_before_the_newest_message_count_from_that_mes
 
 def test_an_overtaking_message_waits_in_a_stall_as_the_others_do() -> None:
     settings = {"outage": STALL, "reordering": {"probability": 1.0}, "delay_s": 0.02, "queue": {"limit_messages": 7}}
-    fates = DirectionEngine.fates(
-        LinkSettings.of({"forward": settings}), "forward", "a", range(11 * MS, 400 * MS, MS), 100
-    )
+    link = LinkSettings.of({"forward": settings})
+    fates = DirectionEngine.fates(link, "forward", "a", range(11 * MS, 400 * MS, MS), 100)
     assert all(fate.delay_ns == 0 for fate in fates[:10])
     assert [fate.dropped for fate in fates[10:17]] == [""] * 7
     assert {fate.dropped for fate in fates[17:]} == {"queue"}

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_ma
 from stranger_package import describe
 
 from telenano.launcher.plan import UpRequest, make_plan
+from telenano.launcher.run import line_check_of
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.bus import transports
@@ -183,20 +185,14 @@ def test_a_transport_of_a_stranger_carries_the_samples_both_ways(tmp_path: Path)
 
 def test_each_side_knows_the_other_machine_and_the_endpoint_of_the_link(tmp_path: Path) -> None:
     book = two_machine_book(tmp_path)
-    master, slave = joined(book, tmp_path / "keys")
-    try:
-        sides = []
-        for machine, key in ((master, "delay_node@master"), (slave, CONTROLLER)):
-            publisher = next(iter(machine.publishers.values()))
-            side = LinkSide.of(key, machine.network, publisher, publisher, machine.subscribers)
-            assert side is not None and side.is_allowed and side.reader in machine.subscribers
-            sides.append((side.is_master, side.machine, side.endpoint))
-        bound, reached = book.bind_endpoint(LINK), book.connect_endpoint(LINK, "slave")
-        assert sides == [(True, "slave", bound), (False, "master", reached)]
-        assert str(reached).startswith("tcp://")
-    finally:
-        master.close()
-        slave.close()
+    found = []
+    for machine in joined(book, tmp_path / "keys"):
+        key, publisher = next(iter(machine.publishers.items()))
+        side: Any = LinkSide.of(key, machine.network, publisher, publisher, machine.subscribers)
+        found.append((side.is_master, side.machine, side.endpoint, side.is_allowed))
+        machine.close()
+    master, slave = book.bind_endpoint(LINK), book.connect_endpoint(LINK, "slave")
+    assert found == [(True, "slave", master, True), (False, "master", slave, True)]
 
 
 @pytest.mark.usefixtures("radio")
@@ -249,14 +245,14 @@ def plan_of(folder: Path, *settings: str) -> Any:
     return make_plan(request, folder / "out")
 
 
-def test_a_session_of_two_sites_fetches_where_it_can_and_else_has_everything_cross(
+def test_a_session_of_two_sites_fetches_and_measures_where_it_can_and_else_has_everything_cross(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert plan_of(tmp_path).fetches
+    assert plan_of(tmp_path).fetches and line_check_of(plan_of(tmp_path))(time.monotonic_ns) is not None
     monkeypatch.setenv("TELENANO_WITHOUT_PACKAGES", "1")
     plugins._installed.cache_clear()
     try:
-        assert not plan_of(tmp_path).fetches
+        assert not plan_of(tmp_path).fetches and line_check_of(plan_of(tmp_path))(time.monotonic_ns) is None
         with pytest.raises(ConfigError, match=f"recorder.far: .*{PACKAGE}"):
             plan_of(tmp_path, "recorder.far=fetch")
     finally:

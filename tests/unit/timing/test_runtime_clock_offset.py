@@ -8,11 +8,9 @@ import pytest
 from telenano.timing.clock_offset import OffsetFilter
 
 
-def exchange(
-    offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000
-) -> tuple[int, int, int, int]:
+def exchange(offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000) -> list[int]:
     received = sent_ns + there_ns + offset_ns
-    return sent_ns, received, received + spent_ns, sent_ns + there_ns + spent_ns + back_ns
+    return [sent_ns, received, received + spent_ns, sent_ns + there_ns + spent_ns + back_ns]
 
 
 @pytest.mark.parametrize("offset_ns", [0, 1, -3_000_000_000, 7 * 10**15])

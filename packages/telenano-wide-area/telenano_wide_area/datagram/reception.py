@@ -13,15 +13,16 @@ import zmq
 
 from telenano.runtime import LinkSide
 from telenano.timing import NEVER_NS
-from telenano.wire import LOOP_DEADLINE_S
+from telenano.wire import TOPICS
+from telenano_wide_area.datagram.body import DATAGRAM_TOPICS
 from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 
 # After a silence of this length the other way is used, and datagrams have to come for this time before they are relied
 # upon.
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
-# The deadline of a sample.
-DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
+# The deadline of a sample, the shortest of those that cross.
+DEADLINE_NS = round(1e9 * min(row.deadline_s for row in map(TOPICS.__getitem__, DATAGRAM_TOPICS) if row.deadline_s))
 # TCP is subscribed to after a silence of half the deadline and this number of mean times between datagrams.
 _GAPS = 2.0
 # TCP is subscribed to after at most this share of the deadline, before a reader acts on the silence.

@@ -1,8 +1,8 @@
 """Whether the line between two sites carries a session, by what the ends of its datagrams measured at the start."""
 
-from telenano.timing.clock import Clock
-from telenano.wire.messages import Message
-from telenano.wire.network_messages import LinkNetwork
+from collections.abc import Callable
+
+from telenano.wire import LinkNetwork, Message
 
 # What the loop sends each way at 1 kHz, with room for commands and reports [bit/s].
 FULL_BIT_PER_S = 2_000_000
@@ -20,8 +20,8 @@ _WAYS = {"forward": "from the master to the slave", "backward": "from the slave 
 class LineCheck:
     """The capacity of each way [bit/s], as far as it is known."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, monotonic_ns: Callable[[], int]) -> None:
+        self._monotonic_ns = monotonic_ns
         self._capacity: dict[str, int] = {}
         self._limit: dict[str, int | None] = {}
         # Since when all else is ready, and since when the line seems too narrow.
@@ -43,7 +43,7 @@ class LineCheck:
 
     def settled(self) -> bool:
         """Return whether both ways are known, or nothing more is to be expected; begins to wait at the first call."""
-        now = self._clock.monotonic_ns()
+        now = self._monotonic_ns()
         if self._since_ns is None:
             self._since_ns = now
         waited_ns = now - self._since_ns
@@ -63,7 +63,7 @@ class LineCheck:
 
     def refusal(self) -> str:
         """Return why there can be no session, with the numbers; empty where there can, or where that is in doubt."""
-        now, text = self._clock.monotonic_ns(), self._refusal()
+        now, text = self._monotonic_ns(), self._refusal()
         if not text:
             self._narrow_ns = None
         elif self._narrow_ns is None:
