@@ -12,6 +12,5 @@ if TYPE_CHECKING:
     from telenano.analysis.intervals import wilson as wilson
     from telenano.analysis.mean_interval import mean_half_width as mean_half_width
     from telenano.analysis.report import Session as Session
-    from telenano.analysis.report import scenario_in as scenario_in
 else:
     __getattr__, __dir__ = face(__name__)

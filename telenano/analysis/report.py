@@ -48,12 +48,12 @@ from telenano.files.atomic_files import whole_results
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.recording.arrays import columns, last_session
+from telenano.recording.arrays import last_session
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.site_clock import Timeline
-from telenano.settings.config import parse_yaml, validate
+from telenano.settings.config import validate
 from telenano.settings.package_topics import row_of
 from telenano.settings.scenario import Scenario
 from telenano.timing import loop_age
@@ -209,7 +209,7 @@ class Session:
             "intervals": _intervals(samples, ages_ms),
             "overruns": overruns,
             "rate_hz": {name: round(count / self.duration_s, 3) for name, count in sent.items()},
-            "completeness": _completeness(sent, self.duration_s, 1.0 / scenario_in(recording).period_s),
+            "completeness": _completeness(sent, self.duration_s, 1.0 / recording.scenario().period_s),
             "seq_gaps": _gaps(info),
             "contact_known": self.knows_contact,
             "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
@@ -235,10 +235,10 @@ class Session:
         topics = [topic for topic in loop_age.STAGES if topic in channel_of]
         if not topics or "link/delay" not in channel_of:
             return {}
-        hand = columns(recording, "haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
+        hand = recording.columns("haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
         ways = []
         for topic in topics:
-            sent = columns(recording, channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
+            sent = recording.columns(channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
             at_ns = self.timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
             ways.append(_first(sent["hand_t_ns"], at_ns))
         ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
@@ -247,7 +247,7 @@ class Session:
         if keys.size < _LEAST_FOLLOWED:
             return {}
         passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
-        series = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+        series = recording.columns("link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
         delays, datagrams = {}, _datagrams(recording, self.timeline)
         for way in loop_age.WAYS:
             # The newest delay that was said of a sample counts from that sample on.
@@ -340,7 +340,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         raise RecordingError(f"{recording.path}: the operator's force profile never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
-    document = scenario_in(recording)
+    document = recording.scenario()
     facts = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         facts["lines"] = lines
@@ -803,7 +803,7 @@ def _series(
     src = next((channel.src for channel in recording.channels if channel.channel_topic == channel_topic), None)
     if src is None and channel_topic != "haptic/state":
         return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}
-    series = columns(recording, channel_topic, ("t_ns", *fields))
+    series = recording.columns(channel_topic, ("t_ns", *fields))
     series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64))
     return series
 
@@ -821,14 +821,6 @@ def _launchers_on_sessions(recording: RecordingSource) -> list[tuple[int, dict[s
 def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:
     inside = (series["t_ns"] >= start_ns) & (series["t_ns"] <= end_ns)
     return {name: values[inside] for name, values in series.items()}
-
-
-def scenario_in(recording: RecordingSource) -> Scenario:
-    """Return the scenario that is attached to a recording; RecordingError where there is none."""
-    origin = f"{recording.path}: scenario.yaml"
-    if (content := recording.attachments.get("scenario.yaml")) is None:
-        raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown")
-    return validate(Scenario, parse_yaml(content, origin), origin)
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:

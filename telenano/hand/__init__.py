@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from telenano.hand.impedance_config import bounds_of as bounds_of
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.motor import MotorState as MotorState
-    from telenano.hand.operator_config import ARMS as ARMS
     from telenano.hand.operator_models import operator_at_rest as operator_at_rest
     from telenano.hand.operator_models import operator_step as operator_step
     from telenano.hand.step import initial_plant as initial_plant

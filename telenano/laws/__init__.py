@@ -9,6 +9,5 @@ if TYPE_CHECKING:
     from telenano.laws.config import OWN_LAWS as OWN_LAWS
     from telenano.laws.config import ControllerConfig as ControllerConfig
     from telenano.laws.law_rules import known_law as known_law
-    from telenano.laws.tactile import impedance_scaled as impedance_scaled
 else:
     __getattr__, __dir__ = face(__name__)

@@ -2,13 +2,17 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from telenano.recording.indexed import IndexedRecording
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
 from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
+from telenano.recording.recorded_fields import RecordedFields
 from telenano.wire.errors import RecordingError
+
+if TYPE_CHECKING:
+    from telenano.recording.columns import Column
+    from telenano.settings.scenario import Scenario
 
 
 class RecordingSource(Protocol):
@@ -59,8 +63,17 @@ class RecordingSource(Protocol):
     ) -> dict[RecordedChannel, RecordedMessage]:
         """Return the newest message of each wanted channel received before a time [ns]."""
 
+    def columns(self, channel_topic: str, fields: Sequence[str]) -> "dict[str, Column]":
+        """Return fields of every message of a channel as arrays."""
 
-class MultiFileRecording:
+    def column_pieces(self, channel_topic: str, fields: Sequence[str]) -> "Iterator[dict[str, Column]]":
+        """Yield the same in pieces."""
+
+    def scenario(self) -> "Scenario":
+        """Return the scenario that is attached."""
+
+
+class MultiFileRecording(RecordedFields):
     """The files of a recording that was split, read as one."""
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
@@ -130,5 +143,11 @@ def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> R
     """
     if not paths:
         raise RecordingError("no recording was given")
-    recordings = [(IndexedRecording if by_index else Recording)(path) for path in paths]
+    kind = Recording
+    if by_index:
+        # it needs NumPy, and the others do not
+        from telenano.recording.indexed import IndexedRecording
+
+        kind = IndexedRecording
+    recordings = [kind(path) for path in paths]
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from telenano.analysis import FigureOptions, Session, scenario_in
+from telenano.analysis import FigureOptions, Session
 from telenano.recording import open_recordings
 from telenano.wire import ConfigError
 from telenano_studies.figure_colours import LINES, ON_SCREEN
@@ -89,7 +89,7 @@ def compare(paths: Sequence[Path]) -> list[Compared]:
     for name, path in zip(names_of(paths), paths, strict=True):
         recording = open_recordings(recordings_of(path))
         session = Session.of(recording)
-        scenario = scenario_in(recording).model_dump(mode="json")
+        scenario = recording.scenario().model_dump(mode="json")
         rows.append(Compared(name, session, session.summary(recording), scenario))
     return rows
 
