@@ -32,23 +32,14 @@ _UNKNOWN = frozenset(("topic", "newer_version"))
 
 
 class Source(Protocol):
-    """What columns and scenario are read from: a recording, or several files of one."""
+    """What columns are read from: the part of `telenano.recording.recorded_fields.RecordedFields` that it takes."""
 
-    @property
-    def path(self) -> Path:
-        """File, or the first of several."""
-
-    @property
-    def left_out(self) -> LeftOut:
-        """What its readers could not take."""
+    path: Path
+    left_out: LeftOut
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
         """Channels in the order of their first appearance."""
-
-    @property
-    def attachments(self) -> Mapping[str, bytes]:
-        """Files within it, by name."""
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[RecordedMessage]:
         """Yield the messages of channels by name."""

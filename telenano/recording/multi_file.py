@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
@@ -10,33 +10,13 @@ from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
 from telenano.recording.recorded_fields import RecordedFields
 from telenano.wire.errors import RecordingError
 
-if TYPE_CHECKING:
-    from telenano.recording.columns import Column
-    from telenano.settings.scenario import Scenario
 
-
-class RecordingSource(Protocol):
+class RecordingSource(RecordedFields, Protocol):
     """What can be played, searched and reported: a recording, or several files of one."""
-
-    @property
-    def path(self) -> Path:
-        """File, or the first of several."""
-
-    @property
-    def left_out(self) -> LeftOut:
-        """What its readers could not take."""
-
-    @property
-    def channels(self) -> tuple[RecordedChannel, ...]:
-        """Channels in the order of their first appearance."""
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time of reception [ns]."""
-
-    @property
-    def attachments(self) -> Mapping[str, bytes]:
-        """Files within the recording, by name."""
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
@@ -44,11 +24,6 @@ class RecordingSource(Protocol):
 
     def info(self, see: SeeMessage | None = None) -> RecordingInfo:
         """Read everything, showing each message to `see`, and return its summary."""
-
-    def messages(
-        self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
-    ) -> Iterator[RecordedMessage]:
-        """Yield messages of channels by name within bounds [ns]."""
 
     def select(
         self, wanted: ChannelFilter | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -62,15 +37,6 @@ class RecordingSource(Protocol):
         self, time_ns: int, wanted: ChannelFilter | None = None
     ) -> dict[RecordedChannel, RecordedMessage]:
         """Return the newest message of each wanted channel received before a time [ns]."""
-
-    def columns(self, channel_topic: str, fields: Sequence[str]) -> "dict[str, Column]":
-        """Return fields of every message of a channel as arrays."""
-
-    def column_pieces(self, channel_topic: str, fields: Sequence[str]) -> "Iterator[dict[str, Column]]":
-        """Yield the same in pieces."""
-
-    def scenario(self) -> "Scenario":
-        """Return the scenario that is attached."""
 
 
 class MultiFileRecording(RecordedFields):

@@ -1,19 +1,41 @@
 """What a recording, and several files of one, have besides messages: fields as arrays, and the scenario."""
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
+from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage
 from telenano.wire.errors import RecordingError
 
 if TYPE_CHECKING:
-    from telenano.recording.columns import Column, Source
+    import numpy.typing as npt
+
     from telenano.settings.scenario import Scenario
 
 
-class RecordedFields:
-    """The part of a recording that reads its messages through; what it needs is imported when it is asked for."""
+class RecordedFields(Protocol):
+    """What is read through a recording; what that needs is imported when it is asked for.
 
-    def columns(self: "Source", channel_topic: str, fields: Sequence[str]) -> "dict[str, Column]":
+    path: the file, or the first of several. left_out: what its readers could not take.
+    """
+
+    path: Path
+    left_out: LeftOut
+
+    @property
+    def channels(self) -> tuple[RecordedChannel, ...]:
+        """Channels in the order of their first appearance."""
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Files within the recording, by name."""
+
+    def messages(
+        self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Yield messages of channels by name within bounds [ns]."""
+
+    def columns(self, channel_topic: str, fields: Sequence[str]) -> "dict[str, npt.NDArray[Any]]":
         """Return fields of every message of a channel as arrays; see `telenano.recording.columns.columns`.
 
         Example:
@@ -23,13 +45,13 @@ class RecordedFields:
 
         return columns(self, channel_topic, fields)
 
-    def column_pieces(self: "Source", channel_topic: str, fields: Sequence[str]) -> "Iterator[dict[str, Column]]":
+    def column_pieces(self, channel_topic: str, fields: Sequence[str]) -> "Iterator[dict[str, npt.NDArray[Any]]]":
         """Yield what `columns` returns in pieces of some thousand messages, so that no recording is too long."""
         from telenano.recording.columns import column_pieces
 
         return column_pieces(self, channel_topic, fields)
 
-    def scenario(self: "Source") -> "Scenario":
+    def scenario(self) -> "Scenario":
         """Return the scenario that is attached; RecordingError where there is none, ConfigError for a wrong key.
 
         Example:
