@@ -55,7 +55,7 @@ from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.site_clock import Timeline
 from telenano.settings.config import validate
 from telenano.settings.package_topics import row_of
-from telenano.settings.scenario import Scenario
+from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.timing import loop_age
 from telenano.wire import extras
 from telenano.wire.errors import RecordingError, ReportError
@@ -209,7 +209,11 @@ class Session:
             "intervals": _intervals(samples, ages_ms),
             "overruns": overruns,
             "rate_hz": {name: round(count / self.duration_s, 3) for name, count in sent.items()},
-            "completeness": _completeness(sent, self.duration_s, 1.0 / recording.scenario().period_s),
+            "completeness": _completeness(
+                sent,
+                self.duration_s,
+                1.0 / LoadedScenario.attached(recording.path, recording.attachments).scenario.period_s,
+            ),
             "seq_gaps": _gaps(info),
             "contact_known": self.knows_contact,
             "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
@@ -340,7 +344,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         raise RecordingError(f"{recording.path}: the operator's force profile never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
-    document = recording.scenario()
+    document = LoadedScenario.attached(recording.path, recording.attachments).scenario
     facts = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         facts["lines"] = lines

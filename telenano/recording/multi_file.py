@@ -19,6 +19,10 @@ class RecordingSource(RecordedFields, Protocol):
         """First and last time of reception [ns]."""
 
     @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Files within the recording, by name."""
+
+    @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name."""
 

@@ -1,16 +1,13 @@
-"""What a recording, and several files of one, have besides messages: fields as arrays, and the scenario."""
+"""What a recording, and several files of one, have besides messages: fields as arrays."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage
-from telenano.wire.errors import RecordingError
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from telenano.settings.scenario import Scenario
 
 
 class RecordedFields(Protocol):
@@ -25,10 +22,6 @@ class RecordedFields(Protocol):
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
         """Channels in the order of their first appearance."""
-
-    @property
-    def attachments(self) -> Mapping[str, bytes]:
-        """Files within the recording, by name."""
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -50,17 +43,3 @@ class RecordedFields(Protocol):
         from telenano.recording.columns import column_pieces
 
         return column_pieces(self, channel_topic, fields)
-
-    def scenario(self) -> "Scenario":
-        """Return the scenario that is attached; RecordingError where there is none, ConfigError for a wrong key.
-
-        Example:
-            period_s = Recording(path).scenario().period_s
-        """
-        from telenano.settings.config import parse_yaml, validate
-        from telenano.settings.scenario import Scenario
-
-        origin = f"{self.path}: scenario.yaml"
-        if (content := self.attachments.get("scenario.yaml")) is None:
-            raise RecordingError(f"{self.path}: has no scenario attached, so its scales are unknown")
-        return validate(Scenario, parse_yaml(content, origin), origin)

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal, Self, TypeGuard, TypeVar
 
 from pydantic import BaseModel, Field, model_validator
 
-from telenano.settings.config import Settings, layered, validate
+from telenano.settings.config import Settings, layered, parse_yaml, validate
 from telenano.settings.named_instruments import IDEAL, on_instrument
+from telenano.wire.errors import RecordingError
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -160,6 +161,26 @@ class LoadedScenario:
         """
         whole = dict(document) if is_whole else on_instrument(document)
         return cls(validate(Scenario, whole, origin), origin, whole)
+
+    @classmethod
+    def attached(cls, path: Path, attachments: Mapping[str, bytes]) -> "LoadedScenario":
+        """Return the scenario that is attached to a recording.
+
+        Args:
+            path: The recording, which an error names.
+            attachments: What is attached to it, by the names of the files.
+
+        Raises:
+            RecordingError: No scenario is attached.
+            ConfigError: A key of it is wrong.
+
+        Example:
+            >>> LoadedScenario.attached(recording.path, recording.attachments).scenario.name
+        """
+        if (content := attachments.get("scenario.yaml")) is None:
+            raise RecordingError(f"{path}: has no scenario attached, so its scales are unknown")
+        origin = f"{path}: scenario.yaml"
+        return cls.of(parse_yaml(content, origin), origin, is_whole=True)
 
     @classmethod
     def load(cls, path: Path, flags: Sequence[str] = ()) -> "LoadedScenario":

@@ -19,7 +19,7 @@ from telenano_microscopy.image_files import Image, ImageFacts, LiveImage, images
 from telenano.afm import AfmConfig
 from telenano.files import atomic_file
 from telenano.recording import CopyResult, Recording, Selection, Timeline, last_force_profile
-from telenano.settings import validate
+from telenano.settings import LoadedScenario, validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 
 # The version of the definitions that are followed.
@@ -271,7 +271,7 @@ def _facts_of(recording: Recording, mode: str) -> Facts:
         f"{recording.path.stem}: a session of remote touch", mode, _UNKNOWN, version, began=began, ended=ended
     )
     try:
-        scenario = recording.scenario()
+        scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario
         afm = validate(AfmConfig, scenario.afm_node, str(recording.path), "afm_node")
     except (ConfigError, RecordingError):
         # a recording without its scenario, or of a package that is not here, has its values all the same

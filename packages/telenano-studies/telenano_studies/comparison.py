@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano.analysis import FigureOptions, Session
 from telenano.recording import open_recordings
+from telenano.settings import LoadedScenario
 from telenano.wire import ConfigError
 from telenano_studies.figure_colours import LINES, ON_SCREEN
 from telenano_studies.published import PANELS, Published, nearest
@@ -89,7 +90,7 @@ def compare(paths: Sequence[Path]) -> list[Compared]:
     for name, path in zip(names_of(paths), paths, strict=True):
         recording = open_recordings(recordings_of(path))
         session = Session.of(recording)
-        scenario = recording.scenario().model_dump(mode="json")
+        scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario.model_dump(mode="json")
         rows.append(Compared(name, session, session.summary(recording), scenario))
     return rows
 
