@@ -9,7 +9,6 @@ from telenano.afm.disturbances import instrument_name
 from telenano.analysis.plugins import recorded_plugins, require_installed
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import EVEN, LinkSettings
-from telenano.recording.arrays import columns
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import Timeline
@@ -113,7 +112,7 @@ def described(scenario: str, conditions: dict[str, Any]) -> str:
 def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple[list[str], float | None]:
     if not any(channel.channel_topic == "law/status" for channel in recording.channels):
         return [], None
-    status = columns(recording, "law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
+    status = recording.columns("law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
     inside = (status["src"] == _MASTER) & (status["t_ns"] >= start_ns) & (status["t_ns"] <= end_ns)
     laws = [str(law) for law in status["law"][inside]]
     in_turn = [law for before, law in zip(["", *laws], laws, strict=False) if law != before]
@@ -126,7 +125,7 @@ def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int)
     if not any(channel.channel_topic == "link/status" for channel in recording.channels):
         return None
     ways = [(f"{way}.delay_mean_s", f"{way}.delay_valid") for way in ("forward", "backward")]
-    status = columns(recording, "link/status", ("t_ns", *(name for way in ways for name in way)))
+    status = recording.columns("link/status", ("t_ns", *(name for way in ways for name in way)))
     inside = (status["t_ns"] >= start_ns) & (status["t_ns"] <= end_ns)
     for _, valid in ways:
         inside &= status[valid].astype(bool)

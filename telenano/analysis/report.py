@@ -48,7 +48,7 @@ from telenano.files.atomic_files import whole_results
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.recording.arrays import columns, last_session
+from telenano.recording.arrays import last_session
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
@@ -244,10 +244,10 @@ class Session:
         topics = [topic for topic in loop_age.STAGES if topic in channel_of]
         if not topics or "link/delay" not in channel_of:
             return {}
-        hand = columns(recording, "haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
+        hand = recording.columns("haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
         ways = []
         for topic in topics:
-            sent = columns(recording, channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
+            sent = recording.columns(channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
             at_ns = self.timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
             ways.append(_first(sent["hand_t_ns"], at_ns))
         ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
@@ -256,7 +256,7 @@ class Session:
         if keys.size < _LEAST_FOLLOWED:
             return {}
         passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
-        series = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+        series = recording.columns("link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
         delays, datagrams = {}, _datagrams(recording, self.timeline)
         for way in loop_age.WAYS:
             # The newest delay that was said of a sample counts from that sample on.
@@ -812,7 +812,7 @@ def _series(
     src = next((channel.src for channel in recording.channels if channel.channel_topic == channel_topic), None)
     if src is None and channel_topic != "haptic/state":
         return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}
-    series = columns(recording, channel_topic, ("t_ns", *fields))
+    series = recording.columns(channel_topic, ("t_ns", *fields))
     series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64))
     return series
 

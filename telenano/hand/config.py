@@ -12,7 +12,7 @@ from telenano.hand import sim, step
 from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, disturbed_plant_params
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.hand.motor import SUBSTEP_S, MotorParams
-from telenano.hand.operator_config import ForceProfileConfig, OperatorConfig
+from telenano.hand.operator_config import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.hand.safety import SafetyParams
 from telenano.settings.config import Settings, filled, validate
 from telenano.settings.device_drivers import Drivers
@@ -182,6 +182,16 @@ class _OwnSections(Settings):
         """Whether a session without a rig can run the device."""
         driver = DRIVERS.find(self.driver)
         return self.driver == "simulated" if driver is None else driver.in_lockstep
+
+    @property
+    def arm(self) -> ArmConstants | None:
+        """The constants of the arm of the hand, None for a hand without one.
+
+        >>> path = ({"time_s": 0.0, "position_m": 0.0},)
+        >>> HapticConfig.model_validate({"operator": {"kind": "impedance", "arm": "soft", "path": path}}).arm
+        ArmConstants(stiffness_n_per_m=50.0, damping_n_s_per_m=5.0, mass_kg=0.15)
+        """
+        return self.operator.constants if isinstance(self.operator, ImpedanceConfig) else None
 
     @property
     def lateral_in_force(self) -> LateralHandConfig:

@@ -109,18 +109,24 @@ class ImpedanceConfig(Settings):
     )
     max_force_n: MaxForce = 10.0
 
+    @property
+    def constants(self) -> ArmConstants:
+        """The constants of the arm: those of its name, and what is given here instead."""
+        arm, k, b, m = ARMS[self.arm], self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
+        return ArmConstants(
+            arm.stiffness_n_per_m if k is None else k,
+            arm.damping_n_s_per_m if b is None else b,
+            arm.mass_kg if m is None else m,
+        )
+
     def to_params(self) -> OperatorParams:
-        arm = ARMS[self.arm]
-        k, b, m = self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
         return filled(
             OperatorParams,
             self,
             kind=IMPEDANCE,
             times_s=np.array([point.time_s for point in self.path]),
             values=np.array([point.position_m for point in self.path]),
-            stiffness_n_per_m=arm.stiffness_n_per_m if k is None else k,
-            damping_n_s_per_m=arm.damping_n_s_per_m if b is None else b,
-            mass_kg=arm.mass_kg if m is None else m,
+            **self.constants._asdict(),
         )
 
 

@@ -8,6 +8,5 @@ if TYPE_CHECKING:
     from telenano.laws.config import LAWS as LAWS
     from telenano.laws.config import OWN_LAWS as OWN_LAWS
     from telenano.laws.config import ControllerConfig as ControllerConfig
-    from telenano.laws.tactile import impedance_scaled as impedance_scaled
 else:
     __getattr__, __dir__ = face(__name__)

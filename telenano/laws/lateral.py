@@ -89,6 +89,50 @@ class MotionParams(NamedTuple):
     dead_zone_m: float
     speed_m_per_s: float
 
+    def steering_force_n(
+        self,
+        stiffness_n_per_m: float,
+        place_m: tuple[float, float],
+        neutral_m: tuple[float, float],
+        shown_n: tuple[float, float],
+        speed_m_per_s: tuple[float, float],
+    ) -> tuple[float, float]:
+        """Return the force of a person [N] who steers, as the function of this module.
+
+        Example:
+            force_n = motion.steering_force_n(200.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (1e-7, 0.0))
+        """
+        return steering_force_n(self, stiffness_n_per_m, place_m, neutral_m, shown_n, speed_m_per_s)
+
+
+@compiled
+def steering_force_n(
+    motion: MotionParams,
+    stiffness_n_per_m: float,
+    place_m: tuple[float, float],
+    neutral_m: tuple[float, float],
+    shown_n: tuple[float, float],
+    speed_m_per_s: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the force of a person [N] who brings the stylus to where mode rate gives the tip a speed [m/s].
+
+    An arm pulls it there like a spring, and holds against the force that the stylus shows. At a speed of 0 that is
+    where it took hold.
+
+    Args:
+        motion: The constants of the motion of the tip.
+        stiffness_n_per_m: The spring of the arm [N/m].
+        place_m: Where the stylus is [m].
+        neutral_m: Where it took hold [m].
+        shown_n: The force that it shows [N].
+        speed_m_per_s: The speed of the tip [m/s].
+    """
+    v_x, v_y = speed_m_per_s
+    speed = math.sqrt(v_x * v_x + v_y * v_y)
+    share = 1.0 / motion.gain + motion.dead_zone_m / speed if speed > 0.0 else 0.0
+    x_m, y_m = neutral_m[0] + share * v_x, neutral_m[1] + share * v_y
+    return stiffness_n_per_m * (x_m - place_m[0]) - shown_n[0], stiffness_n_per_m * (y_m - place_m[1]) - shown_n[1]
+
 
 class FeelParams(NamedTuple):
     """What the hand feels across, and how much energy may leave (`LateralConfig`)."""

@@ -6,8 +6,8 @@ import msgspec
 
 from telenano.link.fate import Release
 from telenano.timing.clock_offset import Offset
-from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire.codec import WireError, decode_header
+from telenano.wire.messages import LinkDelay
 
 # the messages that descend from a sample of the hand, and whose age is therefore judged at the other side
 DECLARED = {"forward": "teleop/forward", "backward": "teleop/backward"}
@@ -36,7 +36,7 @@ class DeclaredDelay(msgspec.Struct, array_like=True):
         if release.topic != self.topic or fate.arrived_ns <= self.newest_arrival_ns:
             return False
         self.newest_arrival_ns = fate.arrived_ns
-        delay_ns = fate.delay_ns - fate.delay_ns % DELAY_STEP_NS
+        delay_ns = LinkDelay.reported_ns(fate.delay_ns)
         if delay_ns == self.current.delay_ns:
             return False
         try:

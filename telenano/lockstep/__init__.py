@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.lockstep.across import steering_force_n as steering_force_n
     from telenano.lockstep.link import Schedule as Schedule
     from telenano.lockstep.lockstep import Rig as Rig
     from telenano.lockstep.steering import HandSteps as HandSteps

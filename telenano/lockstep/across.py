@@ -5,7 +5,6 @@ law, and place of the stage and force on the tip come with the answers. So delay
 of the law.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,14 +19,14 @@ from telenano.laws.lateral import (
     LateralMasterState,
     LateralParams,
     LateralSlaveState,
-    MotionParams,
     lateral_at_rest,
     lateral_master_step,
     lateral_slave_at_rest,
     lateral_slave_step,
+    steering_force_n,
 )
 from telenano.lockstep.link import Schedule
-from telenano.numerics.compiler import compiled, inlined
+from telenano.numerics.compiler import inlined
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]
@@ -86,35 +85,6 @@ def across_at_rest() -> AcrossState:
     far = LateralFar(0.0, 0.0, 0.0, 0.0, False)
     hand = LateralHandState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return AcrossState(hand, lateral_at_rest(), lateral_slave_at_rest(), far, 0.0)
-
-
-@compiled
-def steering_force_n(
-    motion: MotionParams,
-    stiffness_n_per_m: float,
-    place_m: Pair,
-    neutral_m: Pair,
-    shown_n: Pair,
-    speed_m_per_s: Pair,
-) -> Pair:
-    """Return the force of a person [N] who brings the stylus to where mode rate gives the tip a speed [m/s].
-
-    An arm pulls it there like a spring, and holds against the force that the stylus shows. At a speed of 0 that is
-    where it took hold.
-
-    Args:
-        motion: The constants of the motion of the tip.
-        stiffness_n_per_m: The spring of the arm [N/m].
-        place_m: Where the stylus is [m].
-        neutral_m: Where it took hold [m].
-        shown_n: The force that it shows [N].
-        speed_m_per_s: The speed of the tip [m/s].
-    """
-    v_x, v_y = speed_m_per_s
-    speed = math.sqrt(v_x * v_x + v_y * v_y)
-    share = 1.0 / motion.gain + motion.dead_zone_m / speed if speed > 0.0 else 0.0
-    x_m, y_m = neutral_m[0] + share * v_x, neutral_m[1] + share * v_y
-    return stiffness_n_per_m * (x_m - place_m[0]) - shown_n[0], stiffness_n_per_m * (y_m - place_m[1]) - shown_n[1]
 
 
 @inlined

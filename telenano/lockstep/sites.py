@@ -24,7 +24,7 @@ from telenano.laws.integration import Heard, MasterTiming, Settled, SlaveTiming,
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
 from telenano.numerics.compiler import inlined
-from telenano.timing.freshness import DELAY_STEP_NS
+from telenano.wire.messages import DELAY_STEP_NS
 from telenano.wire.topics import LOOP_DEADLINE_S
 
 # a rate of the hand that is older than the deadline of the loop moves nothing

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.recording.arrays import column_pieces as column_pieces
-    from telenano.recording.arrays import columns as columns
     from telenano.recording.arrays import last_force_profile as last_force_profile
     from telenano.recording.channel_filter import Selection as Selection
     from telenano.recording.column_table import ColumnTable as ColumnTable
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tolerance import Tolerances as Tolerances
-    from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
 else:
     __getattr__, __dir__ = face(__name__)

@@ -4,27 +4,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from telenano.recording.indexed import IndexedRecording
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
 from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
+from telenano.recording.recorded_fields import RecordedFields
 from telenano.wire.errors import RecordingError
 
 
-class RecordingSource(Protocol):
+class RecordingSource(RecordedFields, Protocol):
     """What can be played, searched and reported: a recording, or several files of one."""
-
-    @property
-    def path(self) -> Path:
-        """File, or the first of several."""
-
-    @property
-    def left_out(self) -> LeftOut:
-        """What its readers could not take."""
-
-    @property
-    def channels(self) -> tuple[RecordedChannel, ...]:
-        """Channels in the order of their first appearance."""
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -41,11 +29,6 @@ class RecordingSource(Protocol):
     def info(self, see: SeeMessage | None = None) -> RecordingInfo:
         """Read everything, showing each message to `see`, and return its summary."""
 
-    def messages(
-        self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
-    ) -> Iterator[RecordedMessage]:
-        """Yield messages of channels by name within bounds [ns]."""
-
     def select(
         self, wanted: ChannelFilter | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
@@ -60,7 +43,7 @@ class RecordingSource(Protocol):
         """Return the newest message of each wanted channel received before a time [ns]."""
 
 
-class MultiFileRecording:
+class MultiFileRecording(RecordedFields):
     """The files of a recording that was split, read as one."""
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
@@ -130,5 +113,11 @@ def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> R
     """
     if not paths:
         raise RecordingError("no recording was given")
-    recordings = [(IndexedRecording if by_index else Recording)(path) for path in paths]
+    kind = Recording
+    if by_index:
+        # it needs NumPy, and the others do not
+        from telenano.recording.indexed import IndexedRecording
+
+        kind = IndexedRecording
+    recordings = [kind(path) for path in paths]
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

@@ -42,6 +42,7 @@ from telenano.recording.messages import (
     recorded_channel,
 )
 from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates, odd_text
+from telenano.recording.recorded_fields import RecordedFields
 from telenano.wire.errors import NoRecordingError, RecordingError
 from telenano.wire.nodes import site_of
 
@@ -62,7 +63,7 @@ _ChannelT = TypeVar("_ChannelT")
 _MessageT = TypeVar("_MessageT")
 
 
-class Recording:
+class Recording(RecordedFields):
     """A recording on disk, as far as it had been written when this object was made."""
 
     def __init__(self, path: str | Path) -> None:

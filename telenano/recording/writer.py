@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from telenano.recording.info import END_NAME
 from telenano.recording.mcap_messages import Compression, MessageWriter
 from telenano.recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.settings.config import validate
 from telenano.settings.package_topics import row_of
 from telenano.wire import TOPICS
 from telenano.wire.codec import fields_of
@@ -78,6 +79,23 @@ class RecordingWriter:
             self._mcap.start("telenano")
             # from its first moment on the file is one that opens
             self._stream.flush()
+
+    @classmethod
+    def at(cls, path: Path, node: str, origin: str = "the recording") -> "RecordingWriter":
+        """Create a file at a path, or under the first free name after it.
+
+        Args:
+            path: The path of the file.
+            node: The recorder (node@site).
+            origin: What an error names.
+
+        Raises:
+            ConfigError: The name is not that of a recording.
+
+        Example:
+            writer = RecordingWriter.at(Path("out/session.mcap"), "recorder@slave")
+        """
+        return cls.create(node, validate(FileSettings, {"directory": path.parent, "file_name": path.name}, origin))
 
     @classmethod
     def create(cls, node: str, settings: FileSettings, number: int = 0) -> "RecordingWriter":

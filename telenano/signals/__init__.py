@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from telenano.signals.children import run as run
     from telenano.signals.children import spawning_workers as spawning_workers
     from telenano.signals.children import start as start
-    from telenano.signals.interrupts import exit_code as exit_code
     from telenano.signals.interrupts import finishing as finishing
     from telenano.signals.interrupts import held as held
 else:

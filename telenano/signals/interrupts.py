@@ -78,23 +78,40 @@ def held() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def finishing() -> Iterator[Callable[[], None]]:
-    """Yield a function to call when the work is done and only its results are left to be written in the block.
+def finishing() -> Iterator["Finishing"]:
+    """Yield what is called when the work is done and only its results are left to be written in the block.
 
     The first signal after that call is not raised, and counts as received when the block ends. A second one is raised
     at once, because a disk that does not answer must not keep a person waiting.
     """
     global _finishing, _kept, _received
-
-    def begin() -> None:
-        global _finishing
-        _finishing = True
-
     try:
-        yield begin
+        yield Finishing()
     finally:
         _finishing = False
         _received, _kept = _received or _kept, 0
+
+
+class Finishing:
+    """What `finishing` yields.
+
+    Example:
+        with finishing() as finish:
+            image = take_image()
+            finish()
+            write(image)
+        raise SystemExit(finish.exit_code)
+    """
+
+    def __call__(self) -> None:
+        """Begin with what is left to be written."""
+        global _finishing
+        _finishing = True
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code for the signal that ended the work, or came while its results were written; 0 for none."""
+        return exit_code()
 
 
 def install() -> None:

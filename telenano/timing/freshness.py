@@ -19,8 +19,6 @@ LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
 # oldest sample or signal that a controller may still take for the present, by topic [s]
 _SIGNALS = ("teleop/forward", "teleop/backward")
 DEADLINES_S = {topic: deadline_of(topic) for topic in ("haptic/state", "afm/state", *_SIGNALS)}
-# the link reports its delay in steps of this, rounded down: an age may come out too great by less than one step
-DELAY_STEP_NS = 1_000_000
 # A sample this much older than its reader was never sent to it, and so is played from a recording.
 _OLDER_THAN_READER_NS = 1_000_000_000
 # The buffer holds the changes of the delay in flight: a round trip of four seconds with a change at every sample.

@@ -70,6 +70,8 @@ Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Name = Annotated[str, Meta(max_length=64)]
 LawName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
 _Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+# the link reports its delay in steps of this, rounded down: an age may come out too great by less than one step
+DELAY_STEP_NS = 1_000_000
 Facts = Annotated[dict[str, bool | int | _Finite | str], Meta(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Meta(max_length=MAX_KEYS)]
 # This is the name that a person was given at the rig.
@@ -429,6 +431,15 @@ class LinkDelay(Message):
     clock_ahead_ns: Annotated[
         Stamp, about("What the slave's clock is ahead of the master's [ns]; 0 where no difference is resolved")
     ]
+
+    @staticmethod
+    def reported_ns(delay_ns: int) -> int:
+        """Return the part of a delay that the link reports [ns].
+
+        >>> LinkDelay.reported_ns(20_400_000)
+        20000000
+        """
+        return delay_ns - delay_ns % DELAY_STEP_NS
 
 
 class LinkFate(Record):

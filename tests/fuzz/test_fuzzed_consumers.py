@@ -206,12 +206,12 @@ class Outlets:
 
 # Each bridge, and the topics of which it hands on every valid message.
 BRIDGES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
-    "foxglove": (lambda: FoxgloveBridge(Outlets(), 0.0), tuple(set(TOPICS) - set(LEFT_OUT))),
+    "foxglove": (lambda: FoxgloveBridge(Outlets()), tuple(set(TOPICS) - set(LEFT_OUT))),
     "lsl": (
         lambda: LslBridge(Outlets().lsl, lambda: 1.0, 0),
         tuple(topic for topic in (*STATES, *MARKERS) if topic in TOPICS),
     ),
-    "ros2": (lambda: Ros2Bridge(Outlets().ros2, 0.0), TEXTS),
+    "ros2": (lambda: Ros2Bridge(Outlets().ros2), TEXTS),
 }
 
 

@@ -32,9 +32,8 @@ from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule, last_together, schedule_from
 from telenano.lockstep.trajectory import Trajectory
-from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message
-from telenano.wire.messages import TeleopForward
+from telenano.wire.messages import DELAY_STEP_NS, TeleopForward
 
 TICKS = SETTLE_TICKS + round(SESSION_S / PERIOD_S)
 # the instrument is armed over a link that is still in order

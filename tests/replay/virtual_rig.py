@@ -40,10 +40,9 @@ from telenano.settings.config import flag_overrides, merge
 from telenano.settings.included import SITE_DIRECTORY
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.testing import VirtualClock
-from telenano.timing.freshness import DELAY_STEP_NS
 from telenano.wire import Message, compose, decode, encode
 from telenano.wire.codec import WireError, decode_header
-from telenano.wire.messages import InputHealth
+from telenano.wire.messages import DELAY_STEP_NS, InputHealth
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival

@@ -21,7 +21,6 @@ from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 from telenano.analysis.modes import fitted
 from telenano.devices.afm.modbus_frames import Conversation
 from telenano.laws.config import ControllerConfig
-from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.endurance
@@ -233,7 +232,7 @@ def test_faults_of_a_running_rig_and_back(rig: Rig, devices: Devices) -> None:
     code, _, err = rig.stop()
     assert code == 0, err + rig.logs()
     recording = Recording(rig.out / "session.mcap")
-    hand = columns(recording, "haptic/state", ("t_ns", "position_m.2", "reference_m.2", "mode", "device"))
+    hand = recording.columns("haptic/state", ("t_ns", "position_m.2", "reference_m.2", "mode", "device"))
     driven = (hand["mode"] == "position") & (hand["device"] == "ok")
     both = driven[1:] & driven[:-1]
     # the reference goes on from where the arm is, and no faster than the guard lets it
@@ -295,9 +294,9 @@ def edge_scenario(folder: Path) -> Path:
 
 def growth_per_s(recording: Recording) -> float:
     """Return the growth rate of what is left of the step, in the tip's force [1/s]: of its largest swing."""
-    hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
+    hand = recording.columns("haptic/state", ("t_ns", "session_s"))
     begin_ns = hand["t_ns"][np.argmax(hand["session_s"] >= 0.0)]
-    tip = columns(recording, "afm/state", ("t_ns", "tip_force_n.2"))
+    tip = recording.columns("afm/state", ("t_ns", "tip_force_n.2"))
     time_s = (tip["t_ns"] - begin_ns) * 1e-9
     grid_s = np.arange(0.5, 1.7, 1e-3)
     force_n = np.interp(grid_s, time_s, tip["tip_force_n.2"])

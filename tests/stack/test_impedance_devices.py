@@ -10,7 +10,6 @@ import pytest
 from live_devices import LiveDevice
 from stack_rig import Rig
 
-from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
 
 pytestmark = pytest.mark.endurance
@@ -37,7 +36,7 @@ def test_fig12_is_that_of_theory(kind: str, rate_hz: int, rig: Rig, tmp_path: Pa
         code, summary, err = rig.finish()
     assert code == 0, err + rig.logs()
     recording = Recording(rig.out / "session.mcap")
-    hand = columns(recording, "haptic/state", FIELDS)
+    hand = recording.columns("haptic/state", FIELDS)
     held = (hand["session_s"] > HOLD_S[0]) & (hand["session_s"] < HOLD_S[1])
     force_n, place_m, reference_m = (
         -float(np.mean(hand[name][held])) for name in ("operator_force_n.2", "position_m.2", "reference_m.2")

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.devices import VirtualInstrument
-from telenano.recording import FileSettings, RecordingWriter
+from telenano.recording import RecordingWriter
 from telenano.wire import TOPICS, compose
 from telenano_assembly.layers import PARTICLES
 
@@ -33,7 +33,7 @@ class AssemblyRecorder:
 
     def __init__(self, folder: Path, instrument: VirtualInstrument) -> None:
         self._instrument = instrument
-        self._writer = RecordingWriter.create("recorder@slave", FileSettings(directory=folder, file_name=NAME))
+        self._writer = RecordingWriter.at(folder / NAME, "recorder@slave")
         self._writer.add_metadata("recording", {"node": "recorder@slave"})
         self._channels: dict[str, tuple[int, int]] = {}
         self._due_s = {"afm/state": 0.0, "afm/program": 0.0, "afm/particles": 0.0}

@@ -19,7 +19,6 @@ from telenano.cli import (
     with_options,
 )
 from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
-from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
 from telenano.wire import ConfigError, RigError
 from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
@@ -116,9 +115,9 @@ def curve(
         document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
-    if exit_code_of_signal():
+    if finish.exit_code:
         typer.echo(f"telenano: interrupted; {out} is complete", err=True)
-        raise typer.Exit(exit_code_of_signal())
+        raise typer.Exit(finish.exit_code)
 
 
 def _live(

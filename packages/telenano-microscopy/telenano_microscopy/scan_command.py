@@ -18,7 +18,6 @@ from telenano.cli import (
     with_options,
 )
 from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
-from telenano.signals import exit_code as exit_code_of_signal
 from telenano.signals import finishing
 from telenano.wire import RigError
 from telenano_microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
@@ -101,7 +100,7 @@ def scan(
 
                 image = take_image(config, keys, advanced)
             finish()
-            is_reported = _say_if_interrupted(image.lines.partial)
+            is_reported = _say_if_interrupted(finish.exit_code, image.lines.partial)
             files = write_images(folder, _images(image), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
@@ -116,7 +115,7 @@ def scan(
     if image.lines.partial:
         document["partial"] = image.lines.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted(is_reported, image.lines.partial)
+    _exit_if_interrupted(finish.exit_code, is_reported, image.lines.partial)
 
 
 def _scan_live(
@@ -139,7 +138,7 @@ def _scan_live(
             failure = error
         finish()
         if count := image.finished:
-            is_reported = _say_if_interrupted(image.partial)
+            is_reported = _say_if_interrupted(finish.exit_code, image.partial)
             files = write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
     if failure is not None:
         raise RigError(f"{failure or 'interrupted'}; {out} has {count} lines") if count else failure
@@ -149,24 +148,24 @@ def _scan_live(
         document["partial"] = image.partial
     print_document(document, str(out), as_json=as_json)
     # an image that has not begun does not know how many lines it is to have
-    _exit_if_interrupted(is_reported, image.partial if count else "no lines")
+    _exit_if_interrupted(finish.exit_code, is_reported, image.partial if count else "no lines")
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
 
 
-def _say_if_interrupted(partial: str) -> bool:
+def _say_if_interrupted(code: int, partial: str) -> bool:
     """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
-    if exit_code_of_signal():
+    if code:
         typer.echo(f"telenano: interrupted: {partial or 'all lines'} are kept", err=True)
-    return bool(exit_code_of_signal())
+    return bool(code)
 
 
-def _exit_if_interrupted(is_reported: bool, partial: str) -> None:
+def _exit_if_interrupted(code: int, is_reported: bool, partial: str) -> None:
     """Exit with the code of the signal that ended an image, or came while it was written."""
-    if exit_code_of_signal():
+    if code:
         if not is_reported:
-            _say_if_interrupted(partial)
-        raise typer.Exit(exit_code_of_signal())
+            _say_if_interrupted(code, partial)
+        raise typer.Exit(code)
 
 
 def _images(image: "SimulatedImage") -> "dict[str, Image]":

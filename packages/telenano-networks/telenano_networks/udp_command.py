@@ -149,11 +149,9 @@ class Keeper:
 
 
 def _writer(path: Path) -> "RecordingWriter":
-    from telenano.recording import FileSettings, RecordingWriter
-    from telenano.settings import validate
+    from telenano.recording import RecordingWriter
 
-    place = {"directory": path.absolute().parent, "file_name": path.name}
-    return RecordingWriter.create(_KEY, validate(FileSettings, place, "--record"))
+    return RecordingWriter.at(path.absolute(), _KEY, "--record")
 
 
 def _shown(ports: "UdpPorts") -> str:

@@ -18,7 +18,7 @@ from telenano_microscopy.image_files import Image, ImageFacts, LiveImage, images
 
 from telenano.afm import AfmConfig
 from telenano.files import atomic_file
-from telenano.recording import CopyResult, Recording, Selection, Timeline, columns, last_force_profile
+from telenano.recording import CopyResult, Recording, Selection, Timeline, last_force_profile
 from telenano.settings import LoadedScenario, validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 
@@ -197,7 +197,7 @@ def _plot_of(image: Image) -> Plot:
 def _origin_ns(recording: Recording) -> int:
     """Return when the operator's force profile last began; the beginning of the recording where none ran."""
     if any(channel.channel_topic == "haptic/state" for channel in recording.channels):
-        hand = columns(recording, "haptic/state", ("session_s", "t_ns"))
+        hand = recording.columns("haptic/state", ("session_s", "t_ns"))
         running = last_force_profile(hand["session_s"], hand["t_ns"])
         if running.size > 1:
             first = running[0]
@@ -210,7 +210,7 @@ def _courses(recording: Recording, wanted: Mapping[str, str], origin_ns: int) ->
     timeline = Timeline(recording)
 
     def read(channel: str, *names: str) -> dict[str, Any]:
-        table = columns(recording, channel, ("publish_ns", *names))
+        table = recording.columns(channel, ("publish_ns", *names))
         table["time"] = 1e-9 * (timeline.times_ns(wanted[channel], table["publish_ns"]) - origin_ns)
         return table
 

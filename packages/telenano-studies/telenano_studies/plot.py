@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.files import atomic_file
-from telenano.recording import Timeline, column_pieces, open_recordings
+from telenano.recording import Timeline, open_recordings
 from telenano.wire import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]
@@ -77,7 +77,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     timeline = Timeline(recording, quick=True)
     courses = {name: _Course() for name in names}
     for topic, fields in fields_of.items():
-        for piece in column_pieces(recording, topic, ("publish_ns", "src", *fields)):
+        for piece in recording.column_pieces(topic, ("publish_ns", "src", *fields)):
             sent_ns = piece["publish_ns"].astype(np.int64)
             for src in set(piece["src"]):
                 own = piece["src"] == src

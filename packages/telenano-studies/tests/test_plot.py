@@ -91,7 +91,7 @@ def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
 def test_a_trace_of_any_length_is_kept_in_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = _hand(tmp_path, 3000)
     (whole,) = read_traces(path, ["haptic/state.position_m.2"])
-    monkeypatch.setattr("telenano.recording.arrays._AT_ONCE", 100)
+    monkeypatch.setattr("telenano.recording.columns._AT_ONCE", 100)
     monkeypatch.setattr(plot, "_MOST_KEPT", 400)
     (bounded,) = read_traces(path, ["haptic/state.position_m.2"])
     assert len(whole.values) == 3000

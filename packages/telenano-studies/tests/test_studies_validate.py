@@ -17,7 +17,6 @@ from telenano_studies.loops.validate import (
     bus_edges,
     compare,
     draws_of,
-    run_on_bus,
     scenario_of,
 )
 
@@ -197,26 +196,11 @@ def test_spring_needs_an_instrument_that_can_be_one(monkeypatch: pytest.MonkeyPa
         scenario_of(cell(environment="spring"))
 
 
-def test_rig_that_does_not_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[list[str]] = []
-
-    def run(command: list[str], most_s: float) -> dict[str, Any]:
-        asked.append(command)
-        raise RigError("afm_node@slave died")
-
-    monkeypatch.setattr(study, "run_session", run)
-    with pytest.raises(StudyError, match="afm_node@slave died"):
-        run_on_bus(cell(), Bus(tmp_path / "site.yaml", tmp_path))
-    assert asked[0][asked[0].index("--site-file") + 1] == str(tmp_path / "site.yaml")
-    scenario = Path(asked[0][asked[0].index("--scenario") + 1])
-    assert "virtual_impedance" in scenario.read_text()
-
-
 @pytest.mark.parametrize("leaves_a_part", [False, True])
 def test_why_a_rig_did_not_start_is_said_whatever_an_earlier_study_or_the_rig_has_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leaves_a_part: bool
 ) -> None:
-    bus = Bus(None, tmp_path)
+    bus = Bus(tmp_path / "site.yaml", tmp_path)
     recording = bus.recording_of(cell())
     recording.parent.mkdir()
     recording.write_bytes(b"of an earlier study")
@@ -233,7 +217,9 @@ def test_why_a_rig_did_not_start_is_said_whatever_an_earlier_study_or_the_rig_ha
     monkeypatch.setattr(study, "draws_of", lambda one: [])
     with pytest.raises(StudyError, match="port 7400 is in use"):
         study.validate_cells([cell()], bus)
-    assert len(done) == 1
+    (words,) = done
+    assert words[words.index("--site-file") + 1] == str(bus.site_file)
+    assert "virtual_impedance" in Path(words[words.index("--scenario") + 1]).read_text()
 
 
 @pytest.mark.parametrize(("late_runs", "runs", "agrees"), [(0, 1, False), (1, 2, True), (5, 3, False)])

@@ -115,13 +115,12 @@ def hold_on_bus(loop: Loop, outage_s: float, at_s: float, folder: Path) -> tuple
     scenario = folder / "cell.yaml"
     scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     command = [sys.executable, "-m", "telenano", "up", "--scenario", str(scenario), "--out", str(folder)]
+    command += ["--overwrite", "--headless", "--json"]
     found: dict[str, Any] | None = None
     stalled_s, failure = 0.0, "it has recorded no hold"
     for _ in range(TRIES):
         try:
-            summary = run_session(
-                [*command, "--overwrite", "--headless", "--json"], document["duration_s"] + OVERHEAD_S
-            )
+            summary = run_session(command, document["duration_s"] + OVERHEAD_S)
         except RigError as error:
             failure = str(error)
             continue

@@ -17,7 +17,6 @@ from PIL import Image
 from telenano.analysis.fig12 import draw_fig12
 from telenano.analysis.missing import cut_off, gaps
 from telenano.analysis.report import Session, _title, write_files, write_report
-from telenano.recording.arrays import columns
 from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
@@ -140,7 +139,7 @@ def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_
     session: Path, tmp_path: Path
 ) -> None:
     recording = Recording(session)
-    session_s = columns(recording, "haptic/state", ["session_s"])["session_s"]
+    session_s = recording.columns("haptic/state", ["session_s"])["session_s"]
     running = np.flatnonzero(session_s >= 0.0)
     if running[-1] == session_s.size - 1:
         session_s = np.append(session_s, -1.0)

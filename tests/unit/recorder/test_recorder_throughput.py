@@ -7,7 +7,6 @@ from processor_time import ratio_of_costs
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from services.recorder.intake import Intake, Listener
-from telenano.recording.arrays import columns
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
@@ -55,7 +54,7 @@ def test_recording_keeps_up_and_costs_a_small_multiple_of_a_plain_writer(
     found = {}
     # about 1.3 when measured
     ratio = ratio_of_costs(
-        lambda: found.update(columns(recording, "haptic/state", fields)),
+        lambda: found.update(recording.columns("haptic/state", fields)),
         lambda: [message.fields() for message in recording.messages(["haptic/state"])],
         below=5.0,
     )

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
-from telenano.recording import arrays
-from telenano.recording.arrays import columns
+from telenano.recording import columns
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
@@ -21,7 +20,7 @@ MakeFile = Callable[..., Path]
 def test_columns_have_the_values_in_the_kinds_of_the_fields(make_file: MakeFile) -> None:
     recording = Recording(make_file(40))
     fields = ["position_m.2", "operator_force_n.0", "t_ns", "log_ns", "publish_ns", "seq", "limited", "src"]
-    found = columns(recording, "haptic/state", fields)
+    found = recording.columns("haptic/state", fields)
     number = np.arange(40)
     assert list(found) == fields
     np.testing.assert_array_equal(found["position_m.2"], -1e-3 * number)
@@ -40,7 +39,7 @@ def test_nil_becomes_nan(config: RecorderConfig) -> None:
     for seq, wave in enumerate((None, (1e-9, 2e-9, 3e-9))):
         writer.write(channel, seq, seq, seq, encode(teleop_forward(seq, wave_sqrt_w=wave)))
     writer.finish()
-    found = columns(Recording(writer.path), "teleop/forward", ["wave_sqrt_w.2"])["wave_sqrt_w.2"]
+    found = Recording(writer.path).columns("teleop/forward", ["wave_sqrt_w.2"])["wave_sqrt_w.2"]
     assert math.isnan(found[0])
     assert found[1] == 3e-9
 
@@ -65,7 +64,7 @@ def test_nil_becomes_nan(config: RecorderConfig) -> None:
 )
 def test_what_is_not_there_is_named(make_file: MakeFile, channel: str, field: str, text: str) -> None:
     with pytest.raises(RecordingError, match=rf"session\.mcap.*{text}"):
-        columns(Recording(make_file(2)), channel, [field])
+        Recording(make_file(2)).columns(channel, [field])
 
 
 @pytest.mark.parametrize(
@@ -91,12 +90,12 @@ def test_a_column_does_not_depend_on_how_much_is_packed_at_once(
     writer.finish()
     recording = Recording(writer.path)
     for at_once in (1, 2, 3, 1000):
-        monkeypatch.setattr(arrays, "_AT_ONCE", at_once)
+        monkeypatch.setattr(columns, "_AT_ONCE", at_once)
         if kind is None:
             with pytest.raises(RecordingError, match="value is a "):
-                columns(recording, "teleop/forward", ["value"])
+                recording.columns("teleop/forward", ["value"])
             continue
-        found = columns(recording, "teleop/forward", ["value"])["value"]
+        found = recording.columns("teleop/forward", ["value"])["value"]
         assert found.dtype.kind == kind
         expected = [math.nan if value is None and kind == "f" else value for value in values]
         np.testing.assert_array_equal(found, np.array(expected, dtype=found.dtype))
@@ -107,7 +106,7 @@ def test_a_column_does_not_depend_on_how_much_is_packed_at_once(
 def test_a_message_that_is_not_valid_is_counted_and_left_out(
     config: RecorderConfig, monkeypatch: pytest.MonkeyPatch, wrong: object, at_once: int
 ) -> None:
-    monkeypatch.setattr(arrays, "_AT_ONCE", at_once)
+    monkeypatch.setattr(columns, "_AT_ONCE", at_once)
     writer = RecordingWriter.create(NODE, config)
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     for seq in range(12):
@@ -115,7 +114,7 @@ def test_a_message_that_is_not_valid_is_counted_and_left_out(
         writer.write(channel, seq, seq, seq, msgpack.packb(fields | ({"step_s": wrong} if seq in (5, 9) else {})))
     writer.finish()
     recording = Recording(writer.path)
-    found = columns(recording, "haptic/state", ("step_s", "seq", "log_ns"))
+    found = recording.columns("haptic/state", ("step_s", "seq", "log_ns"))
     assert found["seq"].tolist() == found["log_ns"].tolist() == [seq for seq in range(12) if seq not in (5, 9)]
     assert np.isfinite(found["step_s"]).all()
     assert sum(recording.left_out.rejected.values()) == 2

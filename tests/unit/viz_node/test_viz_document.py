@@ -18,7 +18,6 @@ from services.viz_node.document import RecordingDocument
 from services.viz_node.level_cache import LevelCache
 from services.viz_node.levels import Levels
 from services.viz_node.streams import STREAMS
-from telenano.recording.arrays import columns
 from telenano.recording.indexed import IndexedRecording
 from telenano.recording.reader import Recording
 from telenano.wire.errors import RefusedError
@@ -43,7 +42,7 @@ def document(whole: Recording) -> RecordingDocument:
 
 @pytest.fixture(scope="module")
 def forces_n(whole: Recording) -> Any:
-    return columns(whole, "afm/state", ("tip_force_n.2",))["tip_force_n.2"].astype(np.float64)
+    return whole.columns("afm/state", ("tip_force_n.2",))["tip_force_n.2"].astype(np.float64)
 
 
 def samples(part: Any, name: str) -> tuple[Any, Any]:

@@ -11,7 +11,6 @@ from telenano_assembly import Hand, hand_moves
 
 from telenano.console import RigHand
 from telenano.laws import ControllerConfig
-from telenano.lockstep import steering_force_n
 from telenano.runtime import AddressBook, Participant
 from telenano.wire import LINK, HapticState, RigError, TeleopBackward
 from telenano_experiments.nodes import HAND
@@ -93,7 +92,7 @@ class PageHand:
             for tick in range(ticks, newest + 1):
                 speed = hand_moves(hand, tick)
             ticks = max(ticks, newest + 1)
-            across_n = steering_force_n(motion, arm_n_per_m, place_m, neutral_m, shown_n, speed)
+            across_n = motion.steering_force_n(arm_n_per_m, place_m, neutral_m, shown_n, speed)
             self._hand.push(float(np.interp(state.session_s, *PRESSES)), across_n)
         self._hand.push(0.0)
 

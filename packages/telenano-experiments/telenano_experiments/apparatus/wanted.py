@@ -8,8 +8,7 @@ from telenano.afm import AfmConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
 from telenano.settings import LoadedScenario, flatten
-from telenano.timing import DELAY_STEP_NS
-from telenano.wire import Scalar
+from telenano.wire import LinkDelay, Scalar
 from telenano_experiments.plan import changes_while_running
 
 NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}
@@ -88,6 +87,5 @@ def constant_delays_ns(link: Mapping[str, Scalar]) -> dict[str, int]:
     for way in ("forward", "backward"):
         keys = {key for key, value in of_way(link, way).items() if value not in ("none", 0, 0.0, False)}
         if all(key in ("delay_s", "reliable") or key.startswith(("loss.", "corruption.")) for key in keys):
-            delay_ns = round(1e9 * float(link.get(f"{way}.delay_s", 0.0)))
-            delays_ns[way] = delay_ns - delay_ns % DELAY_STEP_NS
+            delays_ns[way] = LinkDelay.reported_ns(round(1e9 * float(link.get(f"{way}.delay_s", 0.0))))
     return delays_ns

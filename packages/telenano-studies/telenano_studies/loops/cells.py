@@ -19,7 +19,7 @@ from pydantic import Field
 
 from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
-from telenano.hand import ARMS, HapticConfig, LimitsConfig
+from telenano.hand import HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.link import LinkSettings
 from telenano.lockstep import Rig, Schedule, Trajectory
@@ -29,6 +29,7 @@ from telenano.wire import ConfigError, RigError, known_names
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
+from telenano_studies.loops.linear_loop import arm_of
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
 from telenano_studies.loops.theory import Series
 
@@ -228,7 +229,8 @@ class Cell(Conditions):
 
         An arm goes where it would press with that force if hand and sample were one.
         """
-        if self.hand == "force":
+        arm = arm_of(self.hand)
+        if arm is None:
             return {"kind": "force_profile", "points": [{"time_s": time, "force_n": force} for time, force in points]}
         scales = scales_of(self.controller())
         first_m, per_newton_m = 0.0, 1.0 / (scales.force_scale * self.stiffness_n_per_m)
@@ -240,7 +242,7 @@ class Cell(Conditions):
             first_m, per_newton_m = _CONTACT_M, _CONTACT_M_PER_N
         if self.environment in SAMPLES.found:
             first_m = getattr(SAMPLES.found[self.environment].config(), "rest_distance_m", 0.0)
-        arm_m_per_n = 1.0 / ARMS[self.hand].stiffness_n_per_m
+        arm_m_per_n = 1.0 / arm.stiffness_n_per_m
         path = []
         for time, force in points:
             tip_m = first_m + force * per_newton_m if force > 0.0 else 0.0

@@ -10,6 +10,7 @@ and the closed loop has its roots where 1 + L(s) = 0. For the laws that send pos
 G e^(-sT) / (Z_v + g Z_a D) with the whole delay in one place; between wave variables it is in both directions.
 """
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from telenano.hand import ARMS, HapticConfig
+from telenano.hand import HapticConfig
 from telenano.laws import LAWS, ControllerConfig
 from telenano.settings import Settings, merge, nested, validate
 from telenano.wire import ConfigError, known_names
@@ -39,7 +40,7 @@ from telenano_studies.loops.theory import (
     transfer_function,
 )
 
-# a hand of constant force, or one of the arms of `telenano.hand.operator_config.ARMS`
+# a hand of constant force, or one of the arms of `haptic_node.operator.arm`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
 # Newton's method begins on a grid of the region with this number of growth rates, and of frequencies.
@@ -238,6 +239,17 @@ def _device() -> Device:
     return Device(*HapticConfig().device.to_params().closed_loop_coefficients())
 
 
+@functools.lru_cache(maxsize=8)
+def arm_of(hand: Hand) -> Arm | None:
+    """Return the arm of a hand, None for a constant force: `arm_of("soft").stiffness_n_per_m`."""
+    if hand == "force":
+        return None
+    operator = {"kind": "impedance", "arm": hand, "path": ({"time_s": 0.0, "position_m": 0.0},)}
+    arm = HapticConfig.model_validate({"operator": operator}).arm
+    assert arm is not None
+    return Arm(*arm)
+
+
 def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_trip_s: float, hand: Hand) -> LinearLoop:
     """Return the linear loop of the law in force against a spring.
 
@@ -252,10 +264,8 @@ def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_tr
     """
     if reason := not_linear(controller):
         raise ConfigError(reason)
-    arm = None if hand == "force" else Arm(*ARMS[hand])
-    return LinearLoop(
-        controller.law, controller.law_config(), stiffness_n_per_m, round_trip_s, controller.period_s, arm
-    )
+    law = controller.law_config()
+    return LinearLoop(controller.law, law, stiffness_n_per_m, round_trip_s, controller.period_s, arm_of(hand))
 
 
 def not_linear(controller: ControllerConfig) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from telenano.lockstep import Schedule
-from telenano.recording import Recording, columns, last_force_profile
+from telenano.recording import Recording, last_force_profile
 from telenano.wire import RecordingError
 from telenano_studies.loops.links import Times
 
@@ -29,7 +29,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     """
     recording = Recording(path)
     period_ns = round(period_s * 1e9)
-    hand = columns(recording, "haptic/state", ("t_ns", "session_s", "step_s"))
+    hand = recording.columns("haptic/state", ("t_ns", "session_s", "step_s"))
     running = last_force_profile(hand["session_s"], hand["t_ns"])
     if not running.size:
         raise RecordingError(f"{path}: the operator's force profile never ran in it")
@@ -83,7 +83,7 @@ def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, T
         ]
     if not crossings:
         raise RecordingError(f"{recording.path}: link/fates has no {topic} that crossed the link")
-    sent = columns(recording, topic, ("seq", "hand_t_ns"))
+    sent = recording.columns(topic, ("seq", "hand_t_ns"))
     order = np.argsort(sent["seq"], kind="stable")
     seqs, hand_ns = sent["seq"][order], sent["hand_t_ns"][order]
     released = np.array(sorted(crossings), dtype=np.int64)

@@ -35,7 +35,7 @@ from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import Session
 from telenano.cli import run_session
 from telenano.lockstep import Trajectory
-from telenano.recording import Recording, Timeline, columns, last_force_profile
+from telenano.recording import Recording, Timeline, last_force_profile
 from telenano.wire import ConfigError, RecordingError, RigError, TelenanoError
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
@@ -218,7 +218,7 @@ def longest_stall_s(path: Path) -> float:
     """Return the longest time that a process of a recorded session was held up while the force profile ran [s]."""
     recording = Recording(path)
     events = [event.fields() for event in recording.messages(("session/event",))]
-    hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
+    hand = recording.columns("haptic/state", ("t_ns", "session_s"))
     running = hand["t_ns"][last_force_profile(hand["session_s"], hand["t_ns"])]
     # A rig that could not be started has no force profile, and all of its time counts.
     start_ns = int(running[0]) if running.size else 0
@@ -275,15 +275,16 @@ def read_course(path: Path) -> Trajectory:
         StudyError: The operator's force profile never ran in the recording.
     """
     recording = Recording(path)
-    hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
+    hand = recording.columns("haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
     running = last_force_profile(hand["session_s"], hand["t_ns"])
     if running.size < 2:
         raise StudyError(f"{path}: the operator's force profile never ran in it")
     hand = {name: values[running] for name, values in hand.items()}
-    tip = columns(
-        recording, "afm/state", ("t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode")
-    )
-    command = columns(recording, "haptic/command", ("t_ns", "position_m.2", "force_n.2"))
+    tip = recording.columns(
+        "afm/state", (
+        "t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode",
+    ))  # fmt: skip
+    command = recording.columns("haptic/command", ("t_ns", "position_m.2", "force_n.2"))
     # The value of a tick is the last message before the next one.
     timeline = Timeline(recording)
     tip["t_ns"] = timeline.times_ns("afm_node@slave", tip["t_ns"].astype(np.int64))

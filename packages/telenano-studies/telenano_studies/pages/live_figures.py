@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from telenano.afm import AfmConfig
 from telenano.cli import run_session
-from telenano.recording import Recording, columns
+from telenano.recording import Recording
 from telenano.settings import LoadedScenario, find_scenario
 from telenano.wire import RigError
 
@@ -85,8 +85,8 @@ def tactile_path(recording_file: Path) -> TactilePath:
     loaded = LoadedScenario.load(find_scenario("fig10"))
     config = loaded.section("afm_node", AfmConfig)
     controller: dict[str, Any] = loaded.scenario.controller
-    tip = columns(recording, "afm/state", ("t_ns", "base_position_m.0", "base_position_m.1", "in_contact", "mode"))
-    hand = columns(recording, "haptic/state", ("t_ns", "position_m.2"))
+    tip = recording.columns("afm/state", ("t_ns", "base_position_m.0", "base_position_m.1", "in_contact", "mode"))
+    hand = recording.columns("haptic/state", ("t_ns", "position_m.2"))
     x, y = tip["base_position_m.0"].astype(float), tip["base_position_m.1"].astype(float)
     assert config.begin is not None
     path = config.begin.settings_of("tactile")

@@ -12,7 +12,7 @@ import numpy as np
 from telenano import SimulatedSession, simulate
 from telenano.afm import AfmConfig, MaugisDugdale, damping_at
 from telenano.hand import HapticConfig
-from telenano.laws import LAWS, impedance_scaled
+from telenano.laws import LAWS, ControllerConfig
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 
@@ -91,6 +91,13 @@ def _felt_m_per_s(feature_m: float, bandwidth_hz: float) -> float:
     return float(begin.settings_of("tactile").felt_speed_m_per_s)
 
 
+def _scaled_n_per_m(scale: float, stiffness_n_per_m: float) -> float:
+    """Return the stiffness that the hand feels of a cantilever at an impedance scale (Eq. 13)."""
+    tactile = {"scaling": "impedance", "impedance_scale": scale, "cantilever_stiffness_n_per_m": stiffness_n_per_m}
+    controller = ControllerConfig.model_validate({"law": "tactile", "tactile": tactile})
+    return float(controller.params().spring_n_per_m)
+
+
 def control_rows() -> list[Row]:
     """Return scaling, scan speed, and the bilateral loop: its delay margins, and Fig. 12 in lockstep."""
     law = LAWS["virtual_impedance"].config()
@@ -101,7 +108,7 @@ def control_rows() -> list[Row]:
           for hz, expected in ((3, 0.66356), (10, 0.63417), (30, 0.47131), (100, 0.15272))),
         Row("force at the hand for 10 nN", "Eq. 12", 10e-9 * force, 1.0, "N"),
         Row("stiffness at the hand of 40 N/m, for alpha_p = 1e4", "Eq. 13",
-            impedance_scaled(1e4, 0.0, 0.0, 40.0)[2] * 1e-9, 4.0, "GN/m"),
+            _scaled_n_per_m(1e4, 40.0) * 1e-9, 4.0, "GN/m"),
         Row("scan speed for 1 nm and 30 Hz", "Eq. 14", _felt_m_per_s(1e-9, 30.0) * 1e9, 30.0, "nm/s"),
         Row("way of the hand for the gap of 10 nm", "Eq. 12, E8", 10e-9 / scale * 1e3, 6.667, "mm"),
         Row("the same with the printed alpha_p in m/m", "Eq. 12, E8", 10e-9 / 15e-9 * 1e3, 666.7, "mm"),
