@@ -64,6 +64,10 @@ class DirectionEngine:
 
     Times given to it should not decrease from call to call: a message stamped earlier than the one before it counts as
     arriving together with that one.
+
+    Example:
+        engine = DirectionEngine("forward", LinkSettings.of({"forward": {"delay_s": 0.02}}), start_ns)
+        releases = engine.submit(now_ns, "teleop/forward", payload, seq=0)
     """
 
     def __init__(self, direction: Direction, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:

@@ -33,6 +33,11 @@ class Trajectory:
     instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10)
     or wider, the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long
     the rig ran before the session [s].
+
+    Example:
+        columns = {field.name: getattr(course, field.name) for field in dataclasses.fields(course)}
+        columns |= {name: part[:1000] for name, part in columns.items() if isinstance(part, np.ndarray)}
+        first = Trajectory(**columns)
     """
 
     time_s: Series
