@@ -22,7 +22,11 @@ def inputs_at(base_m: float, x_m: float, y_m: float) -> PlantInputs:
 
 @compiled
 def inputs_over(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInputs:
-    """Return inputs over a surface that is higher by raised_m [m], with the base further away by away_m [m]."""
+    """Return inputs over a surface that is higher by raised_m [m], with the base further away by away_m [m].
+
+    Example:
+        within, sample = part_step(dust.within, state.within, inputs_over(inputs, dust.height_m, 0.0), dt)
+    """
     return PlantInputs(
         base_m=inputs.base_m - away_m,
         x_m=inputs.x_m,
@@ -73,7 +77,11 @@ _PARTS: dict[type, Part] = {}
 
 
 def register_part(kind: type, part: Part) -> None:
-    """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already."""
+    """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already.
+
+    Example:
+        register_part(Dust, Part(start, step, truths=lambda dust, state: {"dust": state.left_m}))
+    """
     if _PARTS.get(kind, part) != part:
         raise TypeError(f"another part has the parameters {kind.__module__}.{kind.__name__} already")
     _PARTS[kind] = part
@@ -85,7 +93,11 @@ def part_of(params: Any) -> Part:
 
 
 def part_start(params: Any, inputs: PlantInputs) -> Any:
-    """Return the state in which the part with these parameters starts."""
+    """Return the state in which the part with these parameters starts.
+
+    Example:
+        state = DustState(part_start(dust.within, inputs_over(inputs, dust.height_m, 0.0)), dust.height_m)
+    """
     return part_of(params).start(params, inputs)
 
 

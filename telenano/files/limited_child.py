@@ -46,7 +46,11 @@ _LONGEST_TEXT = 500
 
 
 class Limits(NamedTuple):
-    """What a child may take: address space [bytes], processor time [s] and time [s]."""
+    """What a child may take: address space [bytes], processor time [s] and time [s].
+
+    Example:
+        limits = Limits.of_size(path.stat().st_size)
+    """
 
     memory_bytes: int
     cpu_s: int
@@ -87,6 +91,9 @@ def read_in_child(
         ImportError: A package is missing; the message names it.
         OSError: The child got this error when it read the file.
         ValueError: The function raised any other error, or reached a limit; the message says which.
+
+    Example:
+        facts, (table,) = read_in_child("telenano_afm_files.nanonis:load_table", Path("curve.dat"))
     """
     size = path.stat().st_size
     if size > LARGEST_FILE_BYTES:

@@ -35,8 +35,9 @@ class Unit(NamedTuple):
 def unit_of(text: str) -> Unit | None:
     """Return the unit that a text is, None if it is none that is known, or could be two, such as `mhz`.
 
-    >>> unit_of("kHz")
-    Unit(factor=1000.0, powers=(('Hz', 1.0),))
+    Example:
+        >>> unit_of("kHz")
+        Unit(factor=1000.0, powers=(('Hz', 1.0),))
     """
     if not text or len(text) > 60 or text.count("(") != text.count(")"):
         return None

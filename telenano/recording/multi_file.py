@@ -12,7 +12,11 @@ from telenano.wire.errors import RecordingError
 
 
 class RecordingSource(RecordedFields, Protocol):
-    """What can be played, searched and reported: a recording, or several files of one."""
+    """What can be played, searched and reported: a recording, or several files of one.
+
+    Example:
+        class MyRecording(RecordingSource): ...
+    """
 
     @property
     def span_ns(self) -> tuple[int, int]:

@@ -23,7 +23,8 @@ class SessionFolder:
     """The folder that `telenano up` records to.
 
     Example:
-        parts, faults = SessionFolder(Path("sessions/fig12")).own()
+        folder = SessionFolder(Path("sessions/fig12"))
+        parts, faults = folder.own()
     """
 
     def __init__(self, path: Path) -> None:

@@ -77,7 +77,8 @@ def columns_of(messages: Sequence[RecordedMessage]) -> dict[str, TypedColumn]:
     """Return the rows of messages as columns of equal length, with values as they came; None where there is none.
 
     Example:
-        >>> forces_n = columns_of(list(recording.messages(["afm/state"])))["tip_force_n.2"].uniform()
+        >>> columns = columns_of(list(recording.messages(["afm/state"])))
+        >>> forces_n = columns["tip_force_n.2"].uniform()
     """
     if not messages:
         return {}

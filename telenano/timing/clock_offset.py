@@ -65,7 +65,13 @@ class OffsetState(NamedTuple):
 
 
 class OffsetFilter:
-    """The line through the exchanges of the last seconds."""
+    """The line through the exchanges of the last seconds.
+
+    Example:
+        offsets = OffsetFilter(64)
+        offsets.record(sent_ns, there_ns, back_ns, received_ns)
+        offset = offsets.estimate()
+    """
 
     def __init__(self, window: int) -> None:
         """Keep the last `window` seconds that had exchanges; ValueError if fewer than one."""

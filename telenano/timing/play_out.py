@@ -20,7 +20,12 @@ _RECOVERY_NS = 1_000
 
 
 class PlayOut:
-    """The buffer of one direction."""
+    """The buffer of one direction.
+
+    Example:
+        buffer = PlayOut()
+        release_ns = buffer.release_ns(sent_ns, arrived_ns)
+    """
 
     def __init__(self) -> None:
         self._least_ns: int | None = None

@@ -35,7 +35,12 @@ _MOST_NEWTON_STEPS = 50
 
 
 class MaugisDugdale(NamedTuple):
-    """Transition parameter and units of one contact; make it with `maugis_dugdale`."""
+    """Transition parameter and units of one contact; make it with `maugis_dugdale`.
+
+    Example:
+        contact = MaugisDugdale.of(1e-8, 0.072, 4.312e9, cohesive_stress_pa(0.072, 1.98e-10))
+        pull_off_n, indentation_m = contact.pull_off()
+    """
 
     transition: float  # lambda
     force_unit_n: float  # pi w R
@@ -97,8 +102,9 @@ def reduced_modulus_pa(
     Raises:
         ValueError: A modulus is not positive, or a Poisson ratio lies outside (-1, 0.5].
 
-    >>> round(reduced_modulus_pa(170e9, 0.5, 4e9, 0.3) / 1e9, 5)
-    4.31198
+    Example:
+        >>> round(reduced_modulus_pa(170e9, 0.5, 4e9, 0.3) / 1e9, 5)
+        4.31198
     """
     for name, modulus, poisson in (("tip", tip_modulus_pa, tip_poisson), ("sample", sample_modulus_pa, sample_poisson)):
         if not (math.isfinite(modulus) and modulus > 0.0):
@@ -109,7 +115,11 @@ def reduced_modulus_pa(
 
 
 def cohesive_stress_pa(work_of_adhesion_j_per_m2: float, contact_distance_m: float) -> float:
-    """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the print lost the w)."""
+    """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the print lost the w).
+
+    Example:
+        stress_pa = cohesive_stress_pa(0.072, 1.98e-10)
+    """
     return 1.03 * work_of_adhesion_j_per_m2 / contact_distance_m
 
 
@@ -293,7 +303,12 @@ def angle_between(transition: float, indentation: float, ended: float, low: floa
 
 @compiled
 def force_n(contact: MaugisDugdale, indentation_m: float) -> float:
-    """Contact force F [N] at the indentation delta = a0 - h [m]; 0 where the surfaces are apart."""
+    """Contact force F [N] at the indentation delta = a0 - h [m]; 0 where the surfaces are apart.
+
+    Example:
+        contact = MaugisDugdale.of(1e-8, 0.072, 4.312e9, cohesive_stress_pa(0.072, 1.98e-10))
+        pressed_n = force_n(contact, 1e-9)
+    """
     return contact.force_unit_n * force_at(contact.transition, indentation_m / contact.indentation_unit_m)[0]
 
 
