@@ -37,6 +37,10 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
     Args:
         as_json: Whether the error is printed as JSON.
         interrupted: The text for Ctrl-C and SIGTERM.
+
+    Example:
+        with report_errors(as_json):
+            config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
     """
     try:
         yield
@@ -132,7 +136,11 @@ def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
 
 
 def print_json(document: Any) -> None:
-    """Print one JSON document on a line."""
+    """Print one JSON document on a line.
+
+    Example:
+        print_json({"conforms": True, "rules": []})
+    """
     typer.echo(json.dumps(document))
 
 
@@ -152,7 +160,11 @@ class PrintableConsole(Console):
 
 
 def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
-    """Print a result as JSON, or else what a person reads of it: a sentence, or rows that have the same keys."""
+    """Print a result as JSON, or else what a person reads of it: a sentence, or rows that have the same keys.
+
+    Example:
+        print_answer({"topic": "afm/state", "sent": 3}, "sent 3 messages on afm/state", as_json=as_json)
+    """
     if as_json:
         print_json(document)
     elif isinstance(shown, str):
@@ -162,7 +174,11 @@ def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_
 
 
 def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> None:
-    """Print a result as JSON or as tables."""
+    """Print a result as JSON or as tables.
+
+    Example:
+        print_document({"steps": 5, "error_m": 2e-9}, "push", as_json=as_json)
+    """
     if as_json:
         print_json(document)
     else:
@@ -254,7 +270,11 @@ def clock_warning(summary: Mapping[str, Any]) -> str:
 
 
 def fail_incomplete(missing: Sequence[str]) -> NoReturn:
-    """Print on stderr what a recording lacks, and exit."""
+    """Print on stderr what a recording lacks, and exit.
+
+    Example:
+        fail_incomplete(["12 messages are missing"])
+    """
     typer.echo(f"telenano: the recording is not whole: {'; '.join(missing)}", err=True)
     raise typer.Exit(EXIT_INCOMPLETE)
 
@@ -269,5 +289,9 @@ def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoRet
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> None:
-    """Print rows that have the same keys as a table."""
+    """Print rows that have the same keys as a table.
+
+    Example:
+        print_rows([{"law": "wave", "delay_ms": 20.0}, {"law": "smith", "delay_ms": 35.0}], title="limits")
+    """
     console().print(rows_table(rows, title=title))

@@ -48,6 +48,10 @@ class TokenSocket:
     Raises:
         ConfigError: A file of the certificate is missing, or a token or an address cannot be used.
         EndpointError: The address cannot be bound.
+
+    Example:
+        with contextlib.closing(TokenSocket(ViewConfig(port=0), serve, ["my.protocol.v1"])) as server:
+            print(server.address)
     """
 
     def __init__(

@@ -134,7 +134,12 @@ def _at(document: Any, path: Sequence[str]) -> Any:
 
 @dataclass(frozen=True)
 class LoadedScenario:
-    """A scenario, where it was read from, and the merged document."""
+    """A scenario, where it was read from, and the merged document.
+
+    Example:
+        loaded = LoadedScenario.load(find_scenario("fig12"), ["controller.law=wave"])
+        controller = loaded.section("controller", ControllerConfig)
+    """
 
     scenario: Scenario
     origin: str

@@ -26,16 +26,17 @@ def start(
 ) -> "subprocess.Popen[Any]":
     """Start a command; the options are those of `subprocess.Popen`.
 
-    >>> with start([sys.executable, "-c", "pass"], ends_with_command=True) as process:
-    ...     process.wait()
-    0
-
     Args:
         command: The command and its arguments.
         dies_with_parent: The process gets SIGTERM when this one ends, however it ends; on Linux only.
         ends_with_command: Whether this process ends the other one in order itself. SIGINT is then kept from it, which
             a terminal sends to both.
         **options: Further options.
+
+    Example:
+        >>> with start([sys.executable, "-c", "pass"], ends_with_command=True) as process:
+        ...     process.wait()
+        0
     """
     if dies_with_parent:
         options["preexec_fn"] = partial(_tie_to, os.getpid())
@@ -44,7 +45,11 @@ def start(
 
 
 def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[Any]":
-    """Run a command to its end; the options are those of `subprocess.run`."""
+    """Run a command to its end; the options are those of `subprocess.run`.
+
+    Example:
+        done = run([sys.executable, "-m", "telenano", "--version"], capture_output=True, text=True, check=True)
+    """
     return subprocess.run(_safe(command), **options | {"env": _environment(options.get("env"))})
 
 

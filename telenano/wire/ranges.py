@@ -12,7 +12,11 @@ from msgspec import Meta
 
 @dataclass(frozen=True)
 class Range:
-    """Bounds of a quantity, both included, and the case that needs them."""
+    """Bounds of a quantity, both included, and the case that needs them.
+
+    Example:
+        SPEED = Range("speed", 0.0, 100.0, "m/s", "the strongest wind that was measured is slower")
+    """
 
     quantity: str
     low: float

@@ -31,6 +31,9 @@ class Topic:
     before it counts as stale, None where no deadline applies. `latest`: a reader acts on the newest message only;
     `lossless`: a reader handles every one, and a gap is counted and reported. `bridged` is the direction in which the
     link carries it: `forward` to the slave, `backward` to the master, `both`, or None.
+
+    Example:
+        SPEED = Topic("wind/speed", WindSpeed, ("wind",), "latest", rate_hz=10.0, deadline_s=0.5, bridged=None)
     """
 
     name: str

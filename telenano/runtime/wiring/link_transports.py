@@ -56,6 +56,7 @@ class LinkSide:
     """One of the two processes that the link ends in, as a transport has it for its end.
 
     Example:
+        side = LinkSide.of("controller@slave", network, outgoing, reports, readers)
         radio = Radio(side.book.link.read(RadioSettings).channel, side.reader)
         side.opened(radio, carry=radio.carry, close=radio.close)
 

@@ -39,6 +39,10 @@ class Participant:
     """A process on the bus: its name there, its clock, and the sockets that it opens.
 
     `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus; `period_s` is that of the loop.
+
+    Example:
+        with Participant.open("view@master", AddressBook.load(Path("sites.yaml"))) as participant:
+            publisher = participant.bind("view@master", ends=True)
     """
 
     key: str
