@@ -93,7 +93,7 @@ def read_in_child(
         ValueError: The function raised any other error, or reached a limit; the message says which.
 
     Example:
-        facts, (table,) = read_in_child("telenano_afm_files.nanonis:load_table", Path("curve.dat"))
+        facts, (table,) = read_in_child("my_package.curves:load_table", Path("curve.dat"))
     """
     size = path.stat().st_size
     if size > LARGEST_FILE_BYTES:

@@ -26,8 +26,8 @@ SOURCES = (
         "telenano/lockstep",
     ),
     *("telenano/analysis/modes.py", "telenano/analysis/verdict.py"),
-    # deadlines, which are compiled into the loop
-    *("telenano/wire/topics.py", "telenano/timing/freshness.py"),
+    # deadlines and the step of a reported delay, which are compiled into the loop
+    *("telenano/wire/topics.py", "telenano/wire/messages.py", "telenano/timing/freshness.py"),
 )
 # Each edit begins a folder of a few megabytes; as many are kept as were used last.
 KEPT_FOLDERS = 8

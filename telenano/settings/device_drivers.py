@@ -90,7 +90,7 @@ class DeviceDriver:
     def why_missing(name: str) -> str:
         """Return why no package gives a driver: what is wrong with it, or which package to install; else empty.
 
-        DeviceDriver.why_missing("haply")    # "the driver haply is in the package telenano-haptic-devices: …"
+        DeviceDriver.why_missing(config.driver)    # "the driver … is in the package …: pip install …"
         """
         return DeviceDriver.all().problems.get(name) or where_it_is(f"driver {name}")
 

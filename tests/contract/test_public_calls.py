@@ -51,7 +51,7 @@ def calls_in(documentation: str, name: str) -> list[ast.Call]:
 def is_inherited_in(documentation: str, name: str) -> bool:
     """Return whether an example has a class of a name, as that of a protocol has."""
     classes = [part for part in examples_in(documentation) if isinstance(part, ast.ClassDef)]
-    return any(ast.unparse(base) == name for part in classes for base in part.bases)
+    return any(ast.unparse(base).partition("[")[0] == name for part in classes for base in part.bases)
 
 
 def refused(made: Any, name: str, call: ast.Call) -> str:
