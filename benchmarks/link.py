@@ -124,7 +124,7 @@ def run(delay_s: float, duration_s: float) -> tuple[dict[str, np.ndarray], dict[
         pipes = [context.Pipe() for _ in range(3)]
         sender = context.Process(target=source, args=(book, round(duration_s * 1000), pipes[0][1]))
         receiver = context.Process(target=sink, args=(book, pipes[1][0], pipes[2][1]))
-        with children.safe_path():
+        with children.spawning_workers():
             sender.start()
             receiver.start()
         pipes[1][1].recv()

@@ -145,7 +145,7 @@ def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
         for (node, peer), (_, end) in zip(pairs, pipes, strict=True)
     ]
     relay = [spawn.Process(target=carry, args=(book,), daemon=True)] if book.relay else []
-    with children.safe_path():
+    with children.spawning_workers():
         for process in (*relay, *processes):
             process.start()
     for mine, _ in pipes:

@@ -215,7 +215,7 @@ def replayed(path: Path, site_file: Path, rate: float, expected: int, sender: Se
     ours, theirs = context.Pipe()
     reader = context.Process(target=listen, args=(site_file, expected, theirs))
     player = context.Process(target=sender, args=(path, site_file, rate))
-    with children.safe_path():
+    with children.spawning_workers():
         reader.start()
         player.start()
     found: tuple[Any, list[bytes]] = ours.recv()

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from telenano.recording.reader import Recording
-from telenano.recording.site_merge import merge_sites
 from telenano.wire.errors import RecordingError
 
 RECORDING_NAME = "session.mcap"
@@ -32,6 +30,9 @@ class SessionFolder:
 
     def own(self) -> tuple[tuple[Path, ...], list[str]]:
         """Return the parts of the recording, in the order of their numbers, and a sentence for each unreadable one."""
+        # An image without a recorder has no library that reads recordings, and plans with the name of the file.
+        from telenano.recording.reader import Recording
+
         numbered = {
             int(match[1] or 0): path
             for path in self.path.glob("session*.mcap")
@@ -95,6 +96,8 @@ class SessionFolder:
 
     def merge(self, far: Sequence[Path]) -> Path:
         """Merge the recording with the parts of the other site's, and return the new file; RecordingError as there."""
+        from telenano.recording.site_merge import merge_sites
+
         target = self.path / _MERGED_NAME
         unfinished = target.with_suffix(".part")
         unfinished.unlink(missing_ok=True)

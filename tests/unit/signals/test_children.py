@@ -121,7 +121,7 @@ def test_one_function_starts_every_process() -> None:
     assert not found, f"start it by telenano.signals.children: {sorted(found)}"
 
 
-def test_shells_images_and_units_start_python_with_a_spawning_workers() -> None:
+def test_shells_images_and_units_start_python_with_a_safe_path() -> None:
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     names = [name for name in listed.splitlines() if name.startswith("deploy/") or name in ("Makefile", "compose.yaml")]
     names = [name for name in names if not name.endswith((".py", ".lock", ".md"))]
@@ -331,7 +331,7 @@ def test_what_a_start_runs_imports_nothing_of_the_folder(
     assert bool(were_run(foreign)) is not safe
 
 
-def test_a_process_takes_the_place_of_this_one_with_a_spawning_workers() -> None:
+def test_a_process_takes_the_place_of_this_one_with_a_safe_path() -> None:
     code = f"import sys; from telenano.signals import children; children.become([sys.executable, '-c', {SHOWS_PATH!r}])"
     assert children.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split()[1:] == [
         "1",
