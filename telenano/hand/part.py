@@ -62,5 +62,5 @@ def pushed_across(params: Any, force_n: Pair) -> Any:
 
 # The parameters choose the step of their device, in plain Python and in compiled code.
 plant_step = chosen_step(lambda kind: _PARTS[kind].step)
-# where the device is [m], and whether it gives no force for a reason of its own
+# The parameters choose as well what says where the device is [m] and whether it gives no force for a reason of its own.
 place_of = chosen_step(lambda kind: _PARTS[kind].place)
