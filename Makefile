@@ -30,9 +30,9 @@ LINT = ! git grep -nE '^(<{7}|>{7}) ' && \
   $(BIN)/ruff format --check . && \
   $(BIN)/mypy && \
   $(BIN)/lint-imports --no-cache && \
-  $(BIN)/python tests/contract/wire_contract.py --check
+  $(BIN)/python tests/contract/regenerate.py --check
 
-.PHONY: help firmware setup page demo test check endurance mutation lint bench reliability schemas site pictures dist lock \
+.PHONY: help firmware setup page demo test check endurance mutation lint bench reliability regenerate site pictures dist lock \
   image-locks images clean
 .DEFAULT_GOAL := help
 
@@ -141,14 +141,9 @@ reliability: setup ## Inject faults into real rigs and renew the table of docs/r
 	  "tests/stack/test_faulty_packages.py::test_code_of_a_package_that_fails_leaves_hand_and_tip_safe[never returns-law]"
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
 
-# what editors complete scenario and site files by, the schema of summary.json, and the pages of keys and commands
-schemas: setup ## Write the schemas of scenarios, sites and summary.json, and the pages of their keys and of the commands.
-	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/telenano scenario schema >telenano/settings/schemas/scenario.json
-	$(BIN)/telenano scenario schema --site >telenano/settings/schemas/site.json
-	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/python tests/doubles/scenario_page.py
-	$(BIN)/python tests/doubles/command_page.py
-	$(BIN)/python -P -m telenano.analysis.summary >telenano/settings/schemas/summary.json
-	$(BIN)/python -P -m telenano.analysis.summary --markdown >docs/summary.md
+# schemas of messages, scenarios, sites and summaries, golden vectors, the tables of SPEC.md, the pages of keys and commands
+regenerate: setup ## Write every committed file that is made from the code, and print which ones changed.
+	@$(BIN)/python tests/contract/regenerate.py
 
 # the documents with their reference, the notebooks and the examples, in out/site
 site: setup ## Build the documents as a site in out/site.

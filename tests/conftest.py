@@ -5,7 +5,6 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from case_durations import MARKS, CaseDurations, listed
 from closed_loops import loop, plain_loop
 from hypothesis import HealthCheck, settings
 from recorded_sessions import recording_of
@@ -22,17 +21,10 @@ settings.register_profile(
 settings.load_profile("telenano")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.pluginmanager.register(CaseDurations(config))
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave slow cases to `make check`, and those of a grid but for the one law that stands for it in `make test`."""
+    """Leave the cases of a grid to `make check`, but for the one law that stands for it in `make test`."""
     for item in items:
-        spent_s, marked = listed().get(item.nodeid), any(item.get_closest_marker(name) for name in MARKS)
-        if spent_s and not marked:
-            item.add_marker(pytest.mark.check(f"took {spent_s} s of processor time"))
         if (grid := item.get_closest_marker("grid")) and item.get_closest_marker("endurance") is None:
             values = item.callspec.params  # type: ignore[attr-defined]
             if any(values[name] != chosen for name, chosen in grid.kwargs.items()):

@@ -1,12 +1,8 @@
 """The summary of a session as a model: every key of `summary.json` with its type and its meaning.
 
-    python -m telenano.analysis.summary [--markdown]
-
-prints its JSON Schema, or the page docs/summary.md. `make schemas` writes both.
+`make regenerate` writes its JSON Schema and the page docs/summary.md.
 """
 
-import json
-import sys
 from collections.abc import Iterator
 from typing import Any, Literal
 
@@ -25,7 +21,7 @@ _PAGE = """# The keys of `summary.json`
 `telenano.open(FILE).summary` returns it as a dictionary.
 Everything in it is read from the recording. What the session does not show is `null`.
 `telenano/settings/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
-`telenano/analysis/summary.py`, which every summary has to fit, by `make schemas`.
+`telenano/analysis/summary.py`, which every summary has to fit, by `make regenerate`.
 
 `[]` stands for each item of a list, `<name>` for any key of a map.
 A channel has the name of its topic, followed by `@` and the site where its messages were received behind the link.
@@ -349,7 +345,3 @@ def _type_of(value: dict[str, Any]) -> str:
     if value.get("type") == "array":
         return f"list of {_type_of(value['items'])}"
     return _TYPES.get(value.get("type", "object"), "object")
-
-
-if __name__ == "__main__":
-    sys.stdout.write(markdown() if "--markdown" in sys.argv[1:] else json.dumps(summary_schema(), indent=2) + "\n")

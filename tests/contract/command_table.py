@@ -1,4 +1,4 @@
-"""The table of commands in SPEC.md, from the nodes themselves: `python tests/contract/command_table.py` rewrites it."""
+"""The table of commands in SPEC.md, from the nodes themselves."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +19,7 @@ from telenano.runtime.loop.node import Node
 from telenano.settings.config import flatten, nested
 
 SPEC = Path(__file__).parents[2] / "proto" / "SPEC.md"
-START, END = "<!-- commands: written by tests/contract/command_table.py -->", "<!-- end of commands -->"
+START, END = "<!-- commands: written by make regenerate -->", "<!-- end of commands -->"
 NODES: dict[str, type[Node]] = {
     "haptic_node": HapticNode,
     "afm_node": AfmNode,
@@ -100,7 +100,3 @@ def _path(key: str, below: Mapping[str, Any] | None) -> str:
     if below is None:
         return key
     return f"{key}.{{{', '.join(_path(inner, leaf) for inner, leaf in below.items())}}}"
-
-
-if __name__ == "__main__":
-    SPEC.write_text(with_table(SPEC.read_text(encoding="utf-8")), encoding="utf-8")

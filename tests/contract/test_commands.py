@@ -87,10 +87,6 @@ def answered(outside: Outside, node: Node, control: Message) -> SessionEvent:
     return event
 
 
-def test_the_table_is_that_of_the_nodes() -> None:
-    assert command_table.with_table(_SPEC) == _SPEC, "run python tests/contract/command_table.py"
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("name", command_table.NODES)
 def test_a_node_knows_the_commands_of_the_table_and_no_other(name: str, command: str) -> None:

@@ -2,9 +2,7 @@
 
 import json
 import math
-import shutil
 import typing
-from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -14,14 +12,10 @@ import spec_client
 from wire_contract import (
     CASES,
     FOLDER,
-    ROOT,
     WITH_OPTIONAL,
     artefacts,
-    drifted,
     has_optional_keys,
-    main,
     present_fields,
-    rewrite,
 )
 
 from telenano.wire import decode, encode
@@ -52,46 +46,8 @@ def _same(a: Any, b: Any) -> bool:
     return type(a) is type(b) and a == b and signs_agree
 
 
-@pytest.fixture
-def copy(tmp_path: Path) -> Path:
-    shutil.copytree(FOLDER, tmp_path / "proto")
-    (tmp_path / "telenano" / "wire").mkdir(parents=True)
-    shutil.copy(ROOT / "telenano" / "wire" / "examples.json", tmp_path / "telenano" / "wire")
-    return tmp_path
-
-
-def test_nothing_has_drifted() -> None:
-    assert drifted() == [], "run python tests/contract/wire_contract.py and read the difference"
-
-
 def test_making_the_files_twice_gives_the_same() -> None:
     assert artefacts() == artefacts()
-
-
-@pytest.mark.parametrize("name", ["proto/schemas/HapticState.json", "proto/golden/vectors.json", "proto/SPEC.md"])
-def test_a_changed_file_is_named_and_rewritten(copy: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    path = copy / name
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("haptic/state", "haptic/stale").replace("1000 Hz", "999 Hz"), encoding="utf-8")
-    assert main(["--check"], copy) == 1
-    assert name in capsys.readouterr().err
-    assert main([], copy) == 0
-    assert capsys.readouterr().out == f"wrote {name}\n"
-    assert main(["--check"], copy) == 0
-
-
-def test_a_missing_and_a_left_over_schema_are_named(copy: Path) -> None:
-    (copy / "proto" / "schemas" / "AfmState.json").unlink()
-    (copy / "proto" / "schemas" / "Telegram.json").write_text("{}")
-    assert drifted(copy) == ["proto/schemas/AfmState.json", "proto/schemas/Telegram.json"]
-    assert rewrite(copy) == ["proto/schemas/AfmState.json", "proto/schemas/Telegram.json"]
-    assert drifted(copy) == []
-
-
-def test_a_spec_without_its_table_is_refused(copy: Path) -> None:
-    (copy / "proto" / "SPEC.md").write_text("# The wire\n")
-    with pytest.raises(ValueError, match="needs the lines"):
-        drifted(copy)
 
 
 def test_every_message_has_every_case() -> None:

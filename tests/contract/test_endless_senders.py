@@ -1,4 +1,4 @@
-"""The other side never stops sending: each loop of `reader_loops.md` ends by its own bound, and says so where it must.
+"""The other side never stops sending: each loop that reads ends by its own bound, and says so where it must.
 
 A loop whose bound is undone takes more than its bound here, or goes on beyond a time that none of them needs.
 """
@@ -21,7 +21,6 @@ from telenano_experiments.bus import ExperimentBus
 from telenano_haptic_devices import servo_process, vendor_service
 from telenano_networks import udp_ports
 from telenano_wide_area.relay import forwarder
-from test_files_and_loops import ROOT, TABLES
 
 from services.player import node as player
 from services.viz_node import live
@@ -253,35 +252,6 @@ LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     "telenano/runtime/wiring/observer.py: Observer.listen": messages_of_a_rig,
     "services/viz_node/hub.py: Hub.tick": messages_for_pages,
 }
-# Loops with a test of their own, in a file of tests, and those that end whatever the other side does.
-ELSEWHERE = {
-    f"{KIT}: _run": (
-        "packages/telenano-conformance/tests/test_conformance.py", "test_a_flood_ends_with_the_examination_and_is_named"
-    ),
-    "telenano/console/emergency_stop.py: emergency_stop": (
-        "tests/unit/console/test_emergency_stop.py",
-        "test_events_that_come_faster_than_they_are_read_do_not_keep_a_stop_from_being_sent_again",
-    ),
-    "telenano/runtime/bus/bus.py: Subscriber.receive_raw": (
-        "tests/unit/runtime/test_runtime_bus.py", "test_a_flood_is_taken_a_bounded_part_at_a_time"
-    ),
-    "packages/telenano-wide-area/telenano_wide_area/datagram/end.py: DatagramEnd._take": (
-        "packages/telenano-wide-area/tests/test_datagram_ends.py",
-        "test_a_flood_of_what_no_key_fits_is_counted_and_ends_no_datagrams",
-    ),
-    "packages/telenano-laws/telenano_laws/live_sessions.py: emulated_inverse3": (
-        "packages/telenano-laws/tests/test_live_sessions.py", "test_a_device_that_never_answers_ends_with_its_reason"
-    ),
-    "telenano/runtime/loop/healthcheck.py: receive_health": (
-        "tests/unit/runtime/test_runtime_healthcheck.py", "test_a_flood_of_other_messages_ends_in_time"
-    ),
-}  # fmt: skip
-END_BY_THEMSELVES = {
-    "deploy/handover.py: hand_over": "each file of the session is answered once, and the files are a list",
-    f"{UDP}: UdpPorts.receive": "what one call of epoll has returned is a list",
-    "telenano/runtime/bus/bus.py: without_superseded": "a batch is a list",
-    "telenano/console/command_client.py: _exchange": "it takes a batch of each reader a turn, as Observer.listen",
-}
 
 
 @pytest.mark.parametrize("take", LOOPS.values(), ids=LOOPS)
@@ -289,11 +259,3 @@ def test_a_loop_ends_where_the_other_side_never_does(
     take: Callable[[Patch, Path], None], monkeypatch: Patch, tmp_path: Path
 ) -> None:
     take(monkeypatch, tmp_path)
-
-
-def test_every_loop_of_the_table_is_tried_with_a_sender_that_does_not_stop() -> None:
-    table = (TABLES / "reader_loops.md").read_text()
-    places = {line.split("`")[1] for line in table.splitlines() if line.startswith("| `")}
-    assert places == {*LOOPS, *ELSEWHERE, *END_BY_THEMSELVES}
-    for path, name in ELSEWHERE.values():
-        assert f"def {name}(" in (ROOT / path).read_text(), (path, name)

@@ -1,6 +1,5 @@
-"""`telenano` is the library and `services` are the processes: what one may name of the other, and what works alone."""
+"""`telenano` is the library: it works alone, without a process of the rig."""
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +7,6 @@ from pathlib import Path
 import pytest
 
 from telenano.settings import DEMO_RECORDING
-
-ROOT = Path(__file__).resolve().parents[2]
-# The table of nodes; the table of commands finds its modules by it.
-TABLES = {"telenano/wire/nodes.py"}
 
 WITHOUT_LINUX = """
 import os, select, signal, socket, sys
@@ -46,25 +41,6 @@ for words in (
 assert (out / "report" / "fig12.png").stat().st_size > 10_000 < (out / "plot.png").stat().st_size
 print("imported:", sorted(name for name in sys.modules if name.partition(".")[0] == "services"))
 """
-
-
-def texts_of_processes(path: Path) -> list[str]:
-    """Return the texts of a module, parts of f-strings among them, that begin as the name of a process does."""
-    values = [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
-    return [value for value in values if isinstance(value, str) and value.startswith("services.")]
-
-
-def test_only_the_table_of_nodes_names_a_process() -> None:
-    naming = {str(path.relative_to(ROOT)) for path in (ROOT / "telenano").rglob("*.py") if texts_of_processes(path)}
-    assert naming == TABLES
-
-
-@pytest.mark.parametrize(
-    ("line", "names"), [('f"services.{name}"', True), ('"services.recorder.command"', True), ('"the services"', False)]
-)
-def test_a_name_of_a_process_is_found(line: str, names: bool, tmp_path: Path) -> None:
-    (tmp_path / "module.py").write_text(f"A = {line}\n")
-    assert bool(texts_of_processes(tmp_path / "module.py")) is names
 
 
 @pytest.mark.check("simulates, reads and draws in a process of its own, three times")

@@ -7,7 +7,7 @@ from typing import Any
 import msgpack
 import pytest
 import zmq
-from frozen_formats import write_sample
+from sample_recording import write_sample
 from typer.testing import CliRunner
 from wire_contract import examples
 

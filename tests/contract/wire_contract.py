@@ -1,11 +1,8 @@
 """The committed form of the contract: a JSON Schema a message, golden bytes, and the topic table of SPEC.md.
 
-`python tests/contract/wire_contract.py` rewrites them from the models; with `--check` it changes nothing and exits 1
-naming the files that differ. The examples behind the golden bytes are made from the schemas, so that a new field gets
-its own.
+The examples behind the golden bytes are made from the schemas, so that a new field gets its own.
 """
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -177,44 +174,6 @@ def artefacts(root: Path = ROOT) -> dict[Path, str]:
     return files
 
 
-def drifted(root: Path = ROOT) -> list[str]:
-    """Return the files that differ from the models, are missing, or describe a message that no longer exists."""
-    files = artefacts(root)
-    wrong = [path for path, text in files.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
-    left_over = sorted(set((root / "proto" / "schemas").glob("*")) - set(files))
-    return [str(path.relative_to(root)) for path in (*wrong, *left_over)]
-
-
-def rewrite(root: Path = ROOT) -> list[str]:
-    """Rewrite every file that differs and return the names of those that changed."""
-    changed = drifted(root)
-    files = artefacts(root)
-    for name in changed:
-        path = root / name
-        if path in files:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(files[path], encoding="utf-8")
-        else:
-            path.unlink()
-    return changed
-
-
-def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
-    """Rewrite or check the files; return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python tests/contract/wire_contract.py", description="Write or check the wire contract."
-    )
-    parser.add_argument("--check", action="store_true", help="change nothing, exit 1 if a file has drifted")
-    if parser.parse_args(arguments).check:
-        names = drifted(root)
-        for name in names:
-            sys.stderr.write(f"{name} differs from the models: run python tests/contract/wire_contract.py\n")
-        return 1 if names else 0
-    for name in rewrite(root):
-        sys.stdout.write(f"wrote {name}\n")
-    return 0
-
-
 class _Filler:
     """Makes the fields of one example from a JSON Schema."""
 
@@ -301,13 +260,9 @@ def _json_text(data: Any) -> str:
 
 
 def _with_table(spec: str, part: str, table: str) -> str:
-    first, last = f"<!-- {part}: written by tests/contract/wire_contract.py -->", f"<!-- end of {part} -->"
+    first, last = f"<!-- {part}: written by make regenerate -->", f"<!-- end of {part} -->"
     head, start, rest = spec.partition(first)
     _, end, tail = rest.partition(last)
     if not (start and end):
         raise ValueError(f"SPEC.md needs the lines {first!r} and {last!r} around its table of {part}")
     return f"{head}{start}\n\n{table}\n\n{end}{tail}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""The list of commands in docs/cli.md, from their options: `python tests/doubles/command_page.py` rewrites it."""
+"""The list of commands in docs/cli.md, from their options."""
 
 import re
 from collections import Counter
@@ -12,7 +12,7 @@ from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app
 
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
-START, END = "<!-- commands: written by tests/doubles/command_page.py -->\n", "<!-- end of commands -->\n"
+START, END = "<!-- commands: written by make regenerate -->\n", "<!-- end of commands -->\n"
 # An option that so many commands have, with the same words but for its default, is described once.
 SHARED = 2
 # A range of an option, which `--help` has.
@@ -125,7 +125,3 @@ def _flag(line: str) -> str:
 
 def _context(command: Any) -> Any:
     return typer.Context(command, info_name=command.name or "telenano")
-
-
-if __name__ == "__main__":
-    PAGE.write_text(with_page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The page docs/scenarios.md, made from the models of the settings; `make schemas` rewrites it."""
+"""The page docs/scenarios.md, made from the models of the settings."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +16,7 @@ A scenario is a YAML file with one section for each node. A key that it does not
 stands in brackets with the range or the choices that are allowed; without a default it has no value. `--set KEY=VALUE`
 changes a key for one session, `telenano scenario check FILE` checks a file, and `telenano param get` prints one
 with everything in it. Quantities are in SI units. A line with `*` holds for the sections that it names at its end.
-`make schemas` makes this page.
+`make regenerate` makes this page.
 """
 
 
@@ -102,7 +102,3 @@ def _default(default: Any) -> str:
         return ""
     text = f"{default:g}" if isinstance(default, float) else str(default)
     return text if len(text) <= _LONGEST_DEFAULT else "a list or section"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")

@@ -101,6 +101,7 @@ def check(name: str, command: str, sound: Path, taken: Callable[[str], dict[str,
     return found
 
 
+@pytest.mark.check("takes 3.4 s")
 @pytest.mark.parametrize(("name", "command"), _CHEAP)
 def test_a_file_asks_for_no_more_than_it_is(
     sound: Path, taken: Callable[[str], dict[str, Any]], tmp_path: Path, name: str, command: str

@@ -122,6 +122,7 @@ SCENARIOS: list[tuple[str, Content, str]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.check("takes 2.1 s")
 @pytest.mark.parametrize("cases", [MAPS, CURVES, SCENARIOS], ids=["maps", "curves", "scenarios"])
 def test_a_file_that_asks_for_more_than_it_has_is_refused_in_a_sentence(
     tmp_path: Path, cases: list[tuple[str, Content, str]]
@@ -139,6 +140,7 @@ def lz4_bomb() -> bytes:
     return files.mcap(files.mcap_chunk("lz4", lz4.compress(bytes(size)), size))
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_a_chunk_of_half_a_gigabyte_is_not_unpacked(tmp_path: Path) -> None:
     """28 s and 1.1 GB for `bag info`, more than 40 s for each of the others."""
     path = tmp_path / "session.mcap"
@@ -188,6 +190,7 @@ def test_a_chunk_of_zeros_is_not_called_sound(tmp_path: Path) -> None:
     assert any("ends with 900 bytes that are no records" in finding.text for finding in found.findings)
 
 
+@pytest.mark.check("takes 2.4 s")
 def test_three_hundred_thousand_channels_are_refused(tmp_path: Path) -> None:
     many = b"".join(files.mcap_channel(number, f"t{number}") for number in range(300_000))
     chunk = files.mcap_chunk("", many, len(many), zlib.crc32(many))
@@ -196,6 +199,7 @@ def test_three_hundred_thousand_channels_are_refused(tmp_path: Path) -> None:
     assert sentences_for(tmp_path, given) == 3 * [said]
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_a_channel_that_is_repeated_counts_once(tmp_path: Path) -> None:
     from telenano.recording.reader import Recording
 
@@ -208,6 +212,7 @@ def test_a_channel_that_is_repeated_counts_once(tmp_path: Path) -> None:
 # --- what is no file ---
 
 
+@pytest.mark.check("takes 1.3 s")
 @pytest.mark.parametrize("kind", sorted(files.READ))
 def test_a_pipe_and_a_device_are_refused_and_not_waited_for(tmp_path: Path, kind: str) -> None:
     paths = []
@@ -220,6 +225,7 @@ def test_a_pipe_and_a_device_are_refused_and_not_waited_for(tmp_path: Path, kind
     assert read_each(kind, paths) == [f"{path}: {said}" for path in paths]
 
 
+@pytest.mark.check("takes 1.5 s")
 @pytest.mark.parametrize(
     "command",
     [
@@ -281,6 +287,7 @@ def outcomes_of_damage(tmp_path: Path, name: str, seed: int, count: int) -> list
     return [outcome for outcome, sound in zip(outcomes, is_sound, strict=True) if not sound]
 
 
+@pytest.mark.check("takes 5.1 s")
 @pytest.mark.parametrize("name", sorted(files.WRITE))
 def test_no_damage_leads_to_a_traceback_or_takes_the_machine(tmp_path: Path, name: str) -> None:
     # a child for each file of these

@@ -232,6 +232,7 @@ def test_no_message_ends_a_bridge(reader: Subscriber, messages: list[tuple[str, 
     assert bridge.sent - before == sum(topic in whole for topic, _ in valid) > 0
 
 
+@pytest.mark.check("takes 2.0 s")
 def test_report_playback_and_document_leave_out_what_is_not_valid(
     messages: list[tuple[str, bytes]], tmp_path: Path
 ) -> None:

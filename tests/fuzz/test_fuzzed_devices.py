@@ -12,6 +12,7 @@ def check(kind: str, first: int, count: int) -> None:
     assert sum(map(bool, told)) > 0.1 * count
 
 
+@pytest.mark.check("takes 2.7 s")
 @pytest.mark.parametrize("kind", fuzzed_devices.SESSIONS)
 def test_no_answer_ends_a_driver(kind: str) -> None:
     check(kind, 0, IN_CHECK)

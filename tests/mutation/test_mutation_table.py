@@ -8,7 +8,6 @@ from mutated_modules import EQUIVALENT, MODULES
 
 
 def test_each_module_has_tests_and_each_equivalent_a_reason() -> None:
-    assert len(MODULES) == 25
     assert all((ROOT / path).is_file() for module, tests in MODULES.items() for path in (module, *tests))
     assert set(EQUIVALENT) <= set(MODULES)
     assert all(reason for entries in EQUIVALENT.values() for reason in entries.values())

@@ -36,6 +36,7 @@ def said(*words: str | Path, code: int = 0) -> str:
     return done.output
 
 
+@pytest.mark.check("takes 1.6 s")
 def test_the_demo_opens_and_is_sound() -> None:
     assert verify([DEMO]).sound
     session = telenano.open(DEMO)
@@ -49,6 +50,7 @@ def test_the_demo_opens_and_is_sound() -> None:
     assert json.loads(said("bag", "info", DEMO, "--json"))["messages"] > 1000
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_the_demo_is_stable_and_has_the_figures_of_the_paper() -> None:
     summary = telenano.open(DEMO).summary
     assert summary["verdict"] == "stable"

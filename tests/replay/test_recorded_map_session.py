@@ -44,6 +44,7 @@ def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return made, shlex.split(up)
 
 
+@pytest.mark.check("takes 2.3 s")
 def test_a_bilateral_session_feels_the_curves_of_the_file(example: Any, tmp_path: Path) -> None:
     made, up = example
     assert up[:4] == ["telenano", "up", "--scenario", "fig12"]
@@ -80,6 +81,7 @@ def test_the_document_says_what_json_says(example: Any) -> None:
     assert sys.float_info.max > found["loop_closed_m"][1] > found["contact_m"][1]
 
 
+@pytest.mark.check("takes 1.8 s")
 def test_a_session_feels_a_frequency_shift_until_it_leaves_the_branch(tmp_path: Path) -> None:
     z = np.linspace(0.0, 12e-9, 601)
     # the minimum of -30 Hz is 2 nm above the bottom

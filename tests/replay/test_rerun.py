@@ -113,6 +113,7 @@ def test_each_kind_of_change_is_told() -> None:
     assert additions(kept, more) == [f"{HAND}: grip_n is new"]
 
 
+@pytest.mark.check("takes 1.9 s")
 def test_the_digests_are_renewed_with_one_command_that_says_what_changed(tmp_path: Path) -> None:
     path = tmp_path / "digests.json"
     _, kept = read_digests()
@@ -157,6 +158,7 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
+@pytest.mark.check("takes 33.6 s")
 @pytest.mark.parametrize("kind", ELSEWHERE)
 def test_another_processor_gives_the_same(recording_of: Callable[[str], Path], kind: str) -> None:
     """Each node there says what it said here, given the same: so do all of them together."""

@@ -32,6 +32,7 @@ def rigs() -> Iterator[list[VirtualRig]]:
         rig.close()
 
 
+@pytest.mark.check("takes 2.7 s")
 @pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S, 1.0, -1.0])
 def test_a_step_of_the_wall_clock_changes_no_message_of_a_session(
     step_s: float, rigs: list[VirtualRig], monkeypatch: pytest.MonkeyPatch

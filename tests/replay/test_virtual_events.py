@@ -154,6 +154,7 @@ def on_bus(cell: Cell, arrivals: Arrivals, folder: Path) -> Trajectory:
     return course_of(rig)
 
 
+@pytest.mark.check("takes 2.4 s")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.grid(law="passivity")

@@ -46,6 +46,7 @@ def run(folder: Path, duration_s: float, *settings: str) -> dict[str, Any]:
     return session.summary(recording)
 
 
+@pytest.mark.check("takes 7.6 s")
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(
     tmp_path: Path,
 ) -> None:
@@ -57,6 +58,7 @@ def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_
     assert found["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
 
 
+@pytest.mark.check("takes 5.9 s")
 def test_sixty_milliseconds_round_trip_are_a_limit_cycle(tmp_path: Path) -> None:
     # beyond the last hold of the hand
     found = run(tmp_path, 4.7, *settings_of("--round-trip-ms 60"))
@@ -66,6 +68,7 @@ def test_sixty_milliseconds_round_trip_are_a_limit_cycle(tmp_path: Path) -> None
     assert max(swings) == pytest.approx(7.3 + 0.06 * (found["loop_age_ms"]["p50"] - 62.0), abs=1.0)
 
 
+@pytest.mark.check("takes 2.0 s")
 def test_the_satellite_of_the_page_is_as_far_away_as_it_is(tmp_path: Path) -> None:
     found = run(tmp_path, 1.5, *settings_of("delay_node.profile=satellite"))
     round_trip_s = sum(PROFILES["satellite"].settings[way]["delay_s"] for way in ("forward", "backward"))

@@ -17,6 +17,7 @@ def test_every_kind_of_impairment_that_the_link_has_is_among_them() -> None:
     assert {kind["outage"]["mode"] for kind in KINDS.values() if "outage" in kind} == {"drop", "hold"}
 
 
+@pytest.mark.check("takes 4.1 s")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_virtual_rig_and_lockstep_agree(tmp_path: Path, kind: str) -> None:
     write_traces(tmp_path)

@@ -58,6 +58,7 @@ def cell_of(law: str, stiffness: float, round_trip_ms: float = 20.0) -> Cell:
     return Cell(law=law, environment="spring", round_trip_ms=round_trip_ms, stiffness_n_per_m=stiffness, seed=SEED)
 
 
+@pytest.mark.check("takes 1.6 s")
 @pytest.mark.parametrize("law", ["wave", "passivity"])
 @pytest.mark.parametrize("late_ms", [2, 4])
 def test_a_late_instrument_does_not_slow_a_fast_hand(tmp_path: Path, law: str, late_ms: int) -> None:
@@ -71,6 +72,7 @@ def test_a_late_instrument_does_not_slow_a_fast_hand(tmp_path: Path, law: str, l
     assert ways[1] == pytest.approx(ways[0], rel=0.03, abs=0.0)
 
 
+@pytest.mark.check("takes 2.3 s")
 @pytest.mark.parametrize(
     ("law", "least_j", "most_n"), [("wave", -1e-6, 1.2), ("passivity", -1e-6, 1.02), ("model_mediated", -1e-4, 1.2)]
 )
@@ -100,6 +102,7 @@ def stated_j(law: str, late: int, tip_j: Any) -> float:
     return float(granted_j + (tip_j[late + 1 :] - tip_j[: -late - 1]).max())
 
 
+@pytest.mark.check("takes 1.5 s")
 @pytest.mark.parametrize("law", ["passivity", "model_mediated"])
 def test_beyond_the_limit_of_a_late_instrument_energy_comes_out_and_below_it_none(tmp_path: Path, law: str) -> None:
     late, points = 4, ((0.02, 0.0), (0.2, 1.0))

@@ -202,6 +202,7 @@ def differences(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
     return found
 
 
+@pytest.mark.check("takes 1.7 s")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("tip_sample", 4.0)])
 @pytest.mark.grid(law="passivity")
@@ -220,6 +221,7 @@ def test_the_nodes_and_lockstep_agree(
     assert set(expected.instrument_mode) == {MODE_FOLLOW}
 
 
+@pytest.mark.check("takes 1.1 s")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", TRIED_LAWS)
@@ -237,6 +239,7 @@ def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
     assert (held_s > (SECOND_PAUSE - SETTLE_TICKS) * PERIOD_S).all()
 
 
+@pytest.mark.check("takes 1.6 s")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", TRIED_LAWS)
@@ -251,6 +254,7 @@ def test_a_changed_gain_is_seen(undisturbed: Callable[[Cell], Trajectory], law: 
     assert found["tip_force_n"] > 1e-4
 
 
+@pytest.mark.check("takes 1.1 s")
 @pytest.mark.usefixtures("plain_loop")
 def test_a_changed_longest_pause_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the slave half has a memory: one that starts anew at every signal begins without energy to press."""
@@ -262,6 +266,7 @@ def test_a_changed_longest_pause_is_seen(tmp_path: Path, monkeypatch: pytest.Mon
     assert differences(on_bus(cell, tmp_path, pause), expected)
 
 
+@pytest.mark.check("takes 1.9 s")
 def test_a_changed_wait_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its own steps half a period later, the instrument finds the silence too long one tick later."""
     cell, lost = cell_of("virtual_impedance", "spring", 4.0), ((FIRST_PAUSE, LONGEST_BRIDGED_PERIODS + 1),)

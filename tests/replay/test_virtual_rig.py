@@ -75,6 +75,7 @@ def edited(recording: Recording, folder: Path, edit: Callable[[RawMessage], byte
     return writer.path
 
 
+@pytest.mark.check("takes 3.5 s")
 @pytest.mark.parametrize("node", (LINK_NODE, *NODES))
 @pytest.mark.parametrize("name", REFERENCES)
 def test_a_rerun_gives_the_same_bits(sessions: Callable[[str], Recording], name: str, node: str) -> None:
@@ -143,6 +144,7 @@ def test_the_hand_touches_the_sample(sessions: Callable[[str], Recording]) -> No
         assert any(state["in_contact"] for state in states), law
 
 
+@pytest.mark.check("takes 0.9 s")
 @pytest.mark.parametrize("node", (LINK_NODE, *NODES))
 def test_a_rerun_begins_in_the_middle(ends: dict[str, Recording], node: str) -> None:
     """The state in the journal is all that a node needs: here it begins while the tip is pressed down."""
@@ -155,6 +157,7 @@ def test_a_rerun_begins_in_the_middle(ends: dict[str, Recording], node: str) -> 
         assert sum(result.compared.values()) > 400
 
 
+@pytest.mark.check("takes 2.6 s")
 def test_a_changed_law_is_rerun(tmp_path: Path) -> None:
     rig = VirtualRig(tmp_path, seed=3)
     rig.run_until(0.15)
@@ -173,6 +176,7 @@ def test_a_changed_law_is_rerun(tmp_path: Path) -> None:
         assert all(result.identical for result in results), [result.verdict() for result in results]
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_the_deadband_and_its_statistics_are_rerun(tmp_path: Path) -> None:
     path = record_session(tmp_path, 5, ["controller.deadband.enabled=true"], duration_s=1.0)
     recording = InMemory(path)
@@ -180,6 +184,7 @@ def test_the_deadband_and_its_statistics_are_rerun(tmp_path: Path) -> None:
     assert all(result.identical for result in results), [result.verdict() for result in results]
 
 
+@pytest.mark.check("takes 8.5 s")
 def test_the_motion_of_a_cantilever_between_commands_is_rerun_over_batches_of_the_journal(tmp_path: Path) -> None:
     path = record_session(tmp_path, 5, ["afm_node.model=dynamic"], duration_s=1.3)
     recording = InMemory(path)
@@ -379,6 +384,7 @@ def test_a_forwarded_message_that_is_another_is_found(sessions: Callable[[str], 
     assert "against 1.0 recorded" in result.difference
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_what_only_the_recorder_missed_of_the_link_is_passed_over(
     sessions: Callable[[str], Recording], tmp_path: Path
 ) -> None:
@@ -420,6 +426,7 @@ def test_a_message_too_much_in_the_journal_of_the_link_is_found(
     assert "messages up to here, its journal counts" in result.difference
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_the_same_seed_gives_the_same_session(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     first, second = (record_session(tmp_path / name, 11, duration_s=0.4) for name in ("a", "b"))
     results: list[list[bytes]] = [

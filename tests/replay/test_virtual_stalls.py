@@ -153,6 +153,7 @@ def run(law: str, link_ms: float, duration_s: float, nodes: Sequence[str] = STAL
         session.rig.close()
 
 
+@pytest.mark.check("takes 5.2 s")
 @pytest.mark.parametrize(
     ("law", "link_ms", "duration_s", "nodes"),
     [

@@ -99,6 +99,7 @@ def pieces(recording: Recording) -> list[tuple[int, int, int]]:
     return [(seq, fields["first_turn"], len(fields["state"]["data"])) for seq, fields in found]
 
 
+@pytest.mark.check("takes 2.8 s")
 @pytest.mark.usefixtures("layer")
 def test_a_sample_with_a_large_state_is_run_again_from_the_middle(tmp_path: Path) -> None:
     path = record_session(tmp_path, 5)
@@ -130,6 +131,7 @@ def test_a_sample_with_a_large_state_is_run_again_from_the_middle(tmp_path: Path
     assert 400 < after.first_seq["afm/state"] < late.first_seq["afm/state"] + 600
 
 
+@pytest.mark.check("takes 0.8 s")
 @pytest.mark.usefixtures("layer")
 def test_the_state_of_another_sample_is_refused_with_the_names_of_its_fields(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

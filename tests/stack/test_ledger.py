@@ -1,7 +1,6 @@
 """The table of faults: a run replaces what it measured, and enters no fault that nothing is promised for."""
 
 import json
-import re
 from datetime import date
 from pathlib import Path
 
@@ -32,16 +31,3 @@ def test_a_run_replaces_what_it_entered_and_keeps_the_rest(tmp_path: Path, monke
 def test_a_fault_without_a_promise_is_refused() -> None:
     with pytest.raises(KeyError, match="a meteorite is not among"):
         record("a meteorite", "crater")
-
-
-def test_every_file_that_enters_faults_is_in_the_run_that_makes_the_table() -> None:
-    folder = Path(__file__).parent
-    entering = {
-        path.name
-        for path in folder.glob("test_*.py")
-        if re.search(r"^from ledger import .*record", path.read_text(), re.M)
-    }
-    makefile = (folder.parents[1] / "Makefile").read_text()
-    recipe = makefile.partition("\nreliability:")[2].partition("\n\n")[0]
-    named = set(re.findall(r"tests/stack/(test_\w+\.py)", recipe))
-    assert entering - {Path(__file__).name} == named

@@ -15,6 +15,7 @@ def shares(seeds: range) -> dict[str, confusion.Share]:
     return {one.name: one for one in confusion.limited_shares(answers)}
 
 
+@pytest.mark.check("takes 2.0 s")
 def test_no_course_of_a_part_is_said_to_do_what_it_does_not() -> None:
     found = shares(PART)
     assert not found["settling called a cycle or growth"].such

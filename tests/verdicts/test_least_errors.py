@@ -18,6 +18,7 @@ def alone_in_white_noise() -> Plan:
     raise AssertionError("no such plan")
 
 
+@pytest.mark.check("takes 2.4 s")
 def test_the_bound_is_that_of_a_swing_in_white_noise() -> None:
     drawn = alone_in_white_noise()
     samples = drawn.length_s * drawn.sample_rate_hz

@@ -49,7 +49,6 @@ def test_a_line_is_what_the_newest_answer_of_a_loop_is_late_by() -> None:
     assert line_of("verizon_driving_no_memory")["round_trip_ms"] < 0.6 * 100.7
 
 
-@pytest.mark.slow("compiles the loop of a contact")
 def test_a_sample_is_what_the_base_meets() -> None:
     assert (stiffness_of("touch"), stiffness_of("track"), stiffness_of("stiff")) == (38.0, 20.0, 80.0)
     # The cantilever of 40 N/m is in series with its contact, which is softer than mica.

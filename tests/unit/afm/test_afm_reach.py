@@ -187,6 +187,7 @@ def far_away(bench_of: Any) -> Imager:
     return afm
 
 
+@pytest.mark.check("takes 1.2 s")
 @pytest.mark.parametrize("program", ["scan", "tactile"])
 def test_an_approach_that_finds_no_surface_ends_in_the_stated_time_with_the_tip_away(
     bench_of: Any, program: str

@@ -145,6 +145,7 @@ def test_the_folding_contact_has_hysteresis_of_its_own():
     assert abs(loop_area(plant(1e4, meniscus=False), 9e-9, 11e-9)) < 1e-9
 
 
+@pytest.mark.check("takes 1.0 s")
 def test_the_meniscus_forms_and_breaks_where_it_should():
     p = plant(40.0)
     bases = there_and_back(0.0, 12e-9, 24001)

@@ -170,6 +170,7 @@ def test_a_stage_without_a_lag_is_where_it_is_sent() -> None:
     assert fast == pytest.approx(bases, rel=0.0, abs=1e-15)
 
 
+@pytest.mark.check("takes 0.6 s")
 def test_creep_goes_on_after_a_step_by_its_share_a_decade() -> None:
     found = displacements(only("creep", share_per_decade=0.02), np.full(110_000, 10e-9))
     at = [found[round(t / DT) - 1] for t in (0.1, 1.0, 10.0, 100.0)]
@@ -191,6 +192,7 @@ def test_thermal_noise_is_equipartition(stiffness: float) -> None:
     assert quarters == pytest.approx([1.0] * 4, abs=0.08)
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_flicker_falls_with_the_frequency_and_has_its_rms() -> None:
     config = only("readout", white_v=0.0, flicker_v=1e-3, converter_bits=32)
     volts = readings(config, 0.0, 100_000) * VOLTS_PER_M
@@ -204,6 +206,7 @@ def test_flicker_falls_with_the_frequency_and_has_its_rms() -> None:
     assert slopes == pytest.approx([-1.0, -1.0], abs=0.15)
 
 
+@pytest.mark.check("takes 2.2 s")
 def test_the_read_out_has_the_density_that_its_keys_say() -> None:
     """White noise of rms s has 2 s^2 / rate; the 1/f noise is the sum of its first-order parts."""
     white_v, flicker_v, rate_hz = 4.5e-5, 6.5e-5, 1.0 / DT
@@ -319,6 +322,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_the_vibration_has_the_same_bits_whatever_instructions_numpy_takes() -> None:
     other = {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"}
     found = {

@@ -33,6 +33,7 @@ def tapping(dynamic, gap_m, amplitude_m, periods=1500):
     return state, reading, drive_m
 
 
+@pytest.mark.check("takes 2.1 s")
 @pytest.mark.parametrize("detuning", [0.98, 1.0, 1.003])
 def test_free_amplitude_and_phase_are_those_of_the_resonance_curve(detuning):
     dynamic = CONFIG.to_dynamic(drive_hz=detuning * 150e3)
@@ -106,6 +107,7 @@ def config_of(radius_m, stiffness, resonance_hz, quality, *, meniscus=False, vis
     )
 
 
+@pytest.mark.check("takes 2.0 s")
 @pytest.mark.parametrize(
     ("config", "amplitude_m"),
     [
@@ -165,6 +167,7 @@ def thermal_motion(dynamic, state, normals, out):
         out[i] = state.deflection_m
 
 
+@pytest.mark.check("takes 1.1 s")
 @pytest.mark.parametrize(("quality", "steps"), [(2.0, 16), (30.0, 96)])
 def test_thermal_noise_has_the_density_of_a_damped_spring_from_zero_to_three_times_the_resonance(quality, steps):
     dynamic = build_dynamic(PLANT, 150e3, quality, 150e3, Damping(0, 1e-9, 0, 1e-9), steps, 300.0)

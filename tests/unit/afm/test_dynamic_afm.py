@@ -156,6 +156,7 @@ def test_a_tip_taps_until_it_is_away_however_its_image_ends(bench_of: Any, ends:
     assert afm.driver.state.inputs.amplitude_m == 0.0
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_a_proportional_gain_follows_an_edge_more_closely_in_tapping_mode_too(bench_of: Any) -> None:
     errors, apart = [], []
     for proportional in (0.0, 0.4):

@@ -71,6 +71,7 @@ def both(bench_of: Any) -> Both:
     return Both(bench_of("afm_node@slave"))
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_the_controller_approaches_and_the_rig_feels_the_sample_through_the_t7(both: Both) -> None:
     both.rig.tick(30)
     z_m = both.approach()

@@ -65,6 +65,7 @@ def felt(path: Path, **environment: str) -> Any:
     return said(PROGRAM, path.parent, str(path), **environment)
 
 
+@pytest.mark.check("takes 0.7 s")
 def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
     path = tmp_path / "one.wall"
     path.write_text("2.0")
@@ -76,6 +77,7 @@ def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
     assert found["about"].startswith("recorded map one.wall: a wall; the tip stays within x ± 1e-07 m")
 
 
+@pytest.mark.check("takes 0.6 s")
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -97,6 +97,7 @@ def lockstep(params: Any, state: Any, rows: np.ndarray, found: np.ndarray) -> An
     return state
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_the_tip_pushes_a_particle_in_the_driver_of_a_node_and_in_lockstep_alike() -> None:
     rows, found = course(), np.zeros((400, 3))
     state = lockstep(AFM, initial_afm_state(AFM), rows, found)

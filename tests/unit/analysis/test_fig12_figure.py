@@ -123,6 +123,7 @@ def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_
     assert not any(one.overlaps(other) for place, one in enumerate(boxes) for other in boxes[place + 1 :])
 
 
+@pytest.mark.check("takes 0.5 s")
 def test_the_recorded_demonstration_has_its_meniscus_at_2_4_nm_and_both_ways() -> None:
     series = Session.of(open_recordings([DEMO])).series()
     figure = draw_fig12(series, "title")
@@ -139,6 +140,7 @@ def test_the_recorded_demonstration_has_its_meniscus_at_2_4_nm_and_both_ways() -
     assert faults(figure) == []
 
 
+@pytest.mark.check("takes 0.6 s")
 def test_the_force_jumps_by_5_nn_where_the_meniscus_forms_and_the_tip_goes_an_eighth_of_a_nanometre() -> None:
     """README, the gallery and the tutorial say so."""
     import telenano

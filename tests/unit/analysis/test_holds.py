@@ -76,6 +76,7 @@ def test_a_swing_that_dies_out_grows_or_goes_on() -> None:
     assert verdicts(HAND_N + swing(5.0, 9.0, 0.0, 0.3)) == ["stable", "limit_cycle"]
 
 
+@pytest.mark.check("takes 0.7 s")
 @pytest.mark.parametrize(("forces", "is_struck"), [(1.9, False), (2.1, True)])
 def test_a_blow_belongs_to_the_hold_that_it_is_in_or_that_follows(forces: float, is_struck: bool) -> None:
     for at_s, pressed_n, blown in ((4.7, 2.0, 1), (5.1, 2.0, 1), (1.2, 1.0, 0), (1.7, 1.0, 0)):

@@ -45,6 +45,7 @@ def test_a_hand_that_does_nothing_has_no_phases_but_one() -> None:
     assert [span.kind for span in phases_of(TIME_S, np.zeros(TIME_S.size), [], [], 8.0)] == ["apart"]
 
 
+@pytest.mark.check("takes 0.5 s")
 def test_a_recording_is_judged_as_its_report_is(tmp_path: Path) -> None:
     found = judged_recording(open_recordings([Made().write(tmp_path)]))
     assert found["summary"]["verdict"]

@@ -49,6 +49,7 @@ def parts(session: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
     return paths
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_a_part_of_a_session_is_not_called_whole(parts: list[Path], tmp_path: Path) -> None:
     known = "recorder@master: the disk was full"
     summary = write_report(parts[0], tmp_path, [known])["recording"]
@@ -59,6 +60,7 @@ def test_a_part_of_a_session_is_not_called_whole(parts: list[Path], tmp_path: Pa
     assert rest == [known]
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_parts_are_joined_and_the_gap_is_stated(
     whole: tuple[dict[str, Any], bytes], parts: list[Path], tmp_path: Path
 ) -> None:
@@ -99,6 +101,7 @@ def test_the_file_of_the_figure_has_the_conditions_in_it(whole: tuple[dict[str, 
         assert part in words
 
 
+@pytest.mark.check("takes 0.8 s")
 @pytest.mark.usefixtures("full_disk")
 def test_a_disk_that_fills_up_leaves_the_summary_and_no_half_file(parts: list[Path], tmp_path: Path) -> None:
     with pytest.raises(ReportError, match=r"fig12.png: cannot be written: No space left on device") as caught:

@@ -62,6 +62,7 @@ def with_one_clock(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return summary
 
 
+@pytest.mark.check("takes 0.6 s")
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_session_with_another_clock_at_the_slave_has_the_figures_of_one_without(
     tmp_path: Path, with_one_clock: dict[str, Any], clock: str
@@ -88,6 +89,7 @@ def test_a_drift_is_seen_within_the_bound_that_the_round_trip_sets(tmp_path: Pat
     assert np.abs(clock.ahead_ns(stamps) - truth_ns).max() < 1e-4 * NS
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_ways_that_differ_are_not_taken_for_clocks_and_both_readings_are_given(
     tmp_path: Path, with_one_clock: dict[str, Any]
 ) -> None:
@@ -144,6 +146,7 @@ def _truth_s(made: Made, stamp_ns: int) -> float:
     return ((stamp_ns - BEGAN_NS) / NS - made.ahead_s) / (1.0 + made.drift)
 
 
+@pytest.mark.check("takes 1.5 s")
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_recordings_of_both_sites_together_are_reported_as_one(
     tmp_path: Path, with_one_clock: dict[str, Any], clock: str
@@ -175,6 +178,7 @@ def test_a_hold_without_samples_of_the_tip_is_one_without_data(tmp_path: Path) -
     assert missing == "afm/state: nothing from 2.000 s to 8.000 s of the session"
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_a_session_without_any_sample_of_the_tip_has_a_summary_and_a_figure(tmp_path: Path) -> None:
     for lost in (("afm/state",), ("afm/state", "haptic/command"), ("afm/state", "haptic/command", "link/status")):
         summary = write_report(
@@ -240,6 +244,7 @@ def test_a_network_that_was_away_is_named_and_the_law_is_not_blamed(tmp_path: Pa
     assert "network" in summary["reason"]
 
 
+@pytest.mark.check("takes 0.5 s")
 def test_the_kill_of_a_node_is_named_in_the_holds_that_it_touched_and_in_no_other(tmp_path: Path) -> None:
     killed = (3.1, "afm_node@slave ended by SIGKILL: it is started again")
     summary = report(
@@ -286,6 +291,7 @@ def test_a_session_after_a_kill_of_the_hand_is_told_to_its_end_with_the_kill_and
     assert len(presses) == (0 if anew_s is None else 2)
 
 
+@pytest.mark.check("takes 1.0 s")
 def test_every_hold_of_the_tip_and_every_time_that_the_hand_was_let_go_is_counted_and_named(tmp_path: Path) -> None:
     """The network is away for 60 ms in a hold of 1 N, and the force swings from then on until the hold ends."""
     swings = lambda time_s: hand_force_n(time_s - 0.02) + (0.2 if 1.6 < time_s < 2.6 and time_s % 0.2 < 0.1 else 0.0)  # noqa: E731
@@ -330,6 +336,7 @@ def test_a_law_that_swung_before_the_network_was_away_is_blamed_for_it(tmp_path:
     assert "the tip was held once because no command came" in summary["reason"]
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_what_was_set_at_the_slave_is_in_the_session_by_its_own_clock(tmp_path: Path) -> None:
     for folder, ahead_s in (("one", 0.0), ("other", 37.0)):
         summary = report(tmp_path / folder, ahead_s=ahead_s, set_s=3.0)
@@ -351,6 +358,7 @@ def test_the_clock_of_one_machine_is_left_alone(tmp_path: Path, way_s: float) ->
     assert abs(clock.offset_s) < 1e-4
 
 
+@pytest.mark.check("takes 1.0 s")
 @pytest.mark.parametrize(("at_s", "by_s"), [(2.0, 0.3), (5.0, 3.0), (3.5, 3600.0)])
 def test_a_clock_that_steps_back_inside_a_file_is_not_blamed_on_the_sites(
     tmp_path: Path, at_s: float, by_s: float

@@ -16,12 +16,11 @@ from pydantic import ValidationError
 from telenano.analysis import report
 from telenano.analysis.holds import Hold
 from telenano.analysis.report import Session, write_report
-from telenano.analysis.summary import Package, Summary, markdown, rows_of, summary_schema
+from telenano.analysis.summary import Package, Summary, rows_of, summary_schema
 from telenano.analysis.verdict import Kind
 from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.rewrite import filter_recording
-from telenano.settings.included import SCHEMA_DIRECTORY
 
 ROOT = Path(__file__).resolve().parents[3]
 # a session in its whole length, and what may happen to one
@@ -91,6 +90,7 @@ def test_every_summary_has_the_keys_of_the_page_and_each_of_them_is_met(summarie
     assert met | packages | {"intervals.contact_x_cm"} == set(rows)
 
 
+@pytest.mark.check("takes 1.1 s")
 def test_every_summary_is_what_the_model_and_the_file_hold(
     summaries: dict[str, dict[str, Any]], recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -153,6 +153,7 @@ def stable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Recording
     return Session.of(recording), recording
 
 
+@pytest.mark.check("takes 0.6 s")
 def test_the_traffic_of_a_session_is_what_was_sent_in_it_by_index_and_as_a_whole(
     stable: tuple[Session, RecordingSource],
 ) -> None:
@@ -225,12 +226,6 @@ def test_a_key_that_is_left_out_is_named(
     monkeypatch.delitem(session.conditions, "link_seed")
     with pytest.raises(ValidationError, match="link_seed"):
         session.summary(recording)
-
-
-def test_schema_and_page_in_the_repository_are_those_of_the_model() -> None:
-    schema = json.loads((SCHEMA_DIRECTORY / "summary.json").read_text(encoding="utf-8"))
-    assert schema == summary_schema(), "renew it: make schemas"
-    assert (ROOT / "docs" / "summary.md").read_text(encoding="utf-8") == markdown(), "renew it: make schemas"
 
 
 def test_every_key_has_a_meaning_and_a_unit_where_its_name_has_one() -> None:

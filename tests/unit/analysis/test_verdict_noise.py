@@ -35,6 +35,7 @@ def read(seed: int, flicker_n: float, cycle_n: float = 0.0, cycle_hz: float = 3.
     return judge(time_s, np.round(force / 0.02) * 0.02, FORCE_N, FORCE_N)
 
 
+@pytest.mark.check("takes 0.6 s")
 @pytest.mark.parametrize("flicker_n", [0.02, 0.04, 0.1, 0.2, 0.4])
 def test_noise_and_drift_are_no_cycle_and_no_growth(flicker_n: float) -> None:
     kinds = Counter(read(seed, flicker_n).kind for seed in SEEDS)
@@ -58,6 +59,7 @@ def test_few_draws_of_other_seeds_are_judged_wrongly_and_few_are_not_judged() ->
         assert kinds["cannot_say"] <= unsaid * 170, (flicker_n, kinds)
 
 
+@pytest.mark.check("takes 0.9 s")
 @pytest.mark.parametrize("flicker_n", [0.02, 0.04, 0.1])
 def test_a_cycle_is_one_under_noise(flicker_n: float) -> None:
     """A cycle that is ten times the noise from peak to peak is not rest, and is seen where it turns often."""

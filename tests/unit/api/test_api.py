@@ -131,6 +131,7 @@ def test_every_public_class_shows_in_a_line_what_it_is(session: telenano.Recorde
     assert (str(statistic([1.0, 2.0, 3.0])), str(share(3, 4))) == ("2 ± 1 [-0.484, 4.48]", "0.75 [0.301, 0.954]")
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_a_table_becomes_a_labelled_data_set(session: telenano.RecordedSession) -> None:
     pytest.importorskip("xarray")
     tip = session.table("afm/state")

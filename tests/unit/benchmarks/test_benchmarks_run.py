@@ -81,6 +81,7 @@ for name in sys.argv[2:]:
 """
 
 
+@pytest.mark.check("takes 1.5 s")
 def test_every_script_explains_itself() -> None:
     done = subprocess.run([sys.executable, "-c", ASK, str(FOLDER), *SCRIPTS], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

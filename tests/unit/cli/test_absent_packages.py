@@ -77,12 +77,14 @@ def plan(site: str | None, folder: Path) -> Plan:
     return make_plan(request, folder)
 
 
+@pytest.mark.check("takes 2.1 s")
 def test_no_node_imports_a_package_that_its_section_does_not_name() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
     # Every law and program that is installed has a section, and a rig can change to it while it runs.
     assert json.loads(done.stdout) == ["telenano_assembly", "telenano_laws"]
 
 
+@pytest.mark.check("takes 2.3 s")
 def test_a_session_is_reported_with_what_its_image_and_the_demo_have(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[3]
     words = (root / "deploy/locks/rig.lock", root / "telenano/settings/demo.mcap", tmp_path)

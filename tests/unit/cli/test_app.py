@@ -30,11 +30,6 @@ COMMANDS = command_page.commands()
 OF_PACKAGES = [words for words in known_of("command") if " " not in words]
 
 
-def test_the_page_of_commands_is_that_of_their_options() -> None:
-    text = command_page.PAGE.read_text(encoding="utf-8")
-    assert command_page.with_page(text) == text, "renew it: make schemas"
-
-
 def test_results_go_below_out_where_no_folder_is_given() -> None:
     places = {
         path: parameter.default
@@ -206,6 +201,7 @@ def test_up_refuses_what_could_not_act(arguments: tuple[str, ...], words: str) -
     assert words in err
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_attaching_to_nobody_ends_at_its_limit(tmp_path: Path) -> None:
     arguments = ("--attach", "--scenario", "fig12", "--wait", "0.1", "--out", str(tmp_path / "out"), "--json")
     result = subprocess.run(
@@ -217,6 +213,7 @@ def test_attaching_to_nobody_ends_at_its_limit(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_a_node_gets_the_arguments_that_follow_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     result = subprocess.run(
         [sys.executable, "-c", "from telenano.cli.app import main; main()", "node", "recorder", "--help"],

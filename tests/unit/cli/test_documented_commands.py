@@ -141,6 +141,7 @@ def test_the_tests_that_run_the_lines_exist() -> None:
     assert {rule.test for rule in RULES if rule.test} <= there
 
 
+@pytest.mark.check("takes 1.6 s")
 def test_a_picture_of_the_gallery_is_what_its_command_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All others take longer, or a rig: tests/stack/test_pictures.py."""
     (picture,) = [one for one in pictures() if one.path == "pictures/dots.png"]

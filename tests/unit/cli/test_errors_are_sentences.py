@@ -44,6 +44,7 @@ def in_the_way(tmp_path: Path) -> Path:
     return tmp_path / "file"
 
 
+@pytest.mark.check("takes 2.0 s")
 def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
     in_the_way: Path, recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,6 +85,7 @@ def test_a_copy_below_a_file_is_not_called_one_that_exists(make_file: MakeFile, 
 # --- standard output ---
 
 
+@pytest.mark.check("takes 3.8 s")
 @needs_full
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),

@@ -42,6 +42,7 @@ def test_the_table_has_every_kind_and_each_of_both_codes() -> None:
     assert set(MEANT) <= {line for *_, line in EXAMPLES}
 
 
+@pytest.mark.check("takes 1.1 s")
 @pytest.mark.parametrize(("code", "line"), [(code, line) for _, code, line in EXAMPLES], ids=[e[2] for e in EXAMPLES])
 def test_an_error_has_the_code_of_its_kind_and_is_one_sentence(
     code: int, line: str, make_file: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -13,6 +13,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "instrument.md"
 EXAMPLE = r"This example runs as it is printed.*?```sh\n(.*?)```\s+```text\n(.*?)```"
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_the_worked_example_prints_what_the_document_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = re.search(EXAMPLE, PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert found is not None

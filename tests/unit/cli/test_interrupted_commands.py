@@ -103,6 +103,7 @@ for path, row in package_commands().items():
 """
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_every_command_with_a_result_is_in_the_table() -> None:
     done = subprocess.run(
         [sys.executable, "-c", _COMMANDS_WITH_RESULTS], capture_output=True, text=True, env=environment(), check=True
@@ -184,6 +185,7 @@ def try_signals(template: str, tmp_path: Path, seed: str, signals: Sequence[sign
 IN_MAKE_TEST = [name for name, recipe in RECIPES.items() if recipe.in_make_test]
 
 
+@pytest.mark.check("takes 22.1 s")
 @pytest.mark.parametrize("name", IN_MAKE_TEST)
 def test_a_command_interrupted_at_a_random_time_leaves_nothing_half_and_runs_again(
     name: str, with_recordings: Callable[[str], str], tmp_path: Path
@@ -207,6 +209,7 @@ def test_each_command_interrupted_at_many_random_times_runs_again(
     assert files_below(first) == files_below(tmp_path / "again")
 
 
+@pytest.mark.check("takes 6.8 s")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signals, tmp_path: Path) -> None:
     # so long that it never ends by itself; the first lines come a second or two after the imports
@@ -290,6 +293,7 @@ def test_a_second_signal_while_the_files_are_written_gives_up_and_says_what_is_l
     assert ended.stderr.endswith("telenano: interrupted; out was not written\n")
 
 
+@pytest.mark.check("takes 4.8 s")
 def test_what_a_killed_process_left_does_not_stand_in_the_way_and_goes(
     with_recordings: Callable[[str], str], tmp_path: Path
 ) -> None:

@@ -47,6 +47,7 @@ print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdic
 """
 
 
+@pytest.mark.check("takes 3.5 s")
 def test_recordings_and_figures_work_where_posix_is_not(recording_of: Callable[[str], Path]) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", PROGRAM, str(recording_of("fig12_wave"))]
@@ -75,6 +76,7 @@ def test_a_node_on_another_system_runs_without_real_time(monkeypatch: pytest.Mon
             apply_realtime(asked, StructuredLog("node"), "controller@master")
 
 
+@pytest.mark.check("takes 0.6 s")
 @pytest.mark.parametrize(
     ("hidden", "arguments", "text"),
     [

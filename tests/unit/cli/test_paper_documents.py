@@ -102,28 +102,3 @@ def test_the_site_has_every_page() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r"\b([a-z0-9_-]+\.md)\b", text))
     assert {path.name for path in DOCS.glob("*.md")} <= named
-
-
-DECISIONS = sorted((DOCS / "decisions").glob("[0-9]*.md"))
-
-
-def test_a_decision_that_the_code_or_a_page_names_is_there_and_there_are_few() -> None:
-    listed = {page.name[:4] for page in DECISIONS}
-    folders = ("proto", "services", "telenano", "packages", "tests", "docs")
-    files = [path for folder in folders for end in ("py", "md") for path in (ROOT / folder).rglob(f"*.{end}")]
-    named = {
-        number
-        for path in (*files, *ROOT.glob("*.md"))
-        if "node_modules" not in path.parts
-        for number in re.findall(r"\bADR (\d{4})\b", path.read_text(encoding="utf-8"))
-    }
-    assert len(named) > 20
-    assert named <= listed
-    assert len(listed) <= 28
-
-
-def test_the_list_of_decisions_has_each_with_its_title() -> None:
-    text = (DOCS / "decisions" / "README.md").read_text(encoding="utf-8")
-    titles = [page.read_text(encoding="utf-8").partition("\n")[0].split(" ", 2)[2] for page in DECISIONS]
-    rows = [f"| [{page.name[:4]}]({page.name}) | {title} |" for page, title in zip(DECISIONS, titles, strict=True)]
-    assert re.findall(r"^\| \[.*$", text, re.MULTILINE) == rows

@@ -127,6 +127,7 @@ def test_the_form_of_the_page_has_its_settings(found: dict[str, Any]) -> None:
     assert keys == ["approach_m_per_s", "gain_per_s", "radius_m", "setpoint_n", "speed_m_per_s", "turns", "x_m", "y_m"]
 
 
+@pytest.mark.check("takes 2.5 s")
 def test_the_package_passes_the_test_that_it_comes_with(tmp_path: Path) -> None:
     new_package("program", "my_round", tmp_path / "my_round")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path / "my_round"), str(ROOT)))}

@@ -61,6 +61,7 @@ def package(folder: Path, source: str) -> Path:
     return folder
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_texts_of_a_package_are_shown_as_text(tmp_path: Path) -> None:
     folder = package(tmp_path / "site", f"raise ValueError({HOSTILE!r})\n")
     done = run_apart("law", "list", PYTHONPATH=str(folder), XDG_CACHE_HOME=str(tmp_path))
@@ -81,6 +82,7 @@ def test_titles_of_a_file_are_shown_as_text(tmp_path: Path) -> None:
     assert not set(done.stdout) & set("\x1b\x07\r\x9b\u202e")
 
 
+@pytest.mark.check("takes 3.0 s")
 def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path) -> None:
     """`up` printed nothing, ran nothing and returned 0."""
     site = package(tmp_path / "site", "raise SystemExit(0)\n")

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[3]
 _ABSENT = (
     "mcap zstandard rich typer matplotlib scipy numba pandas h5py pyarrow dask control starlette uvicorn websockets"
@@ -26,6 +28,7 @@ import telenano_haptic_devices.dhd, telenano_haptic_devices.haply, telenano_hapt
 """
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_the_nodes_their_drivers_and_their_entry_point_import_only_what_their_images_have() -> None:
     done = subprocess.run([sys.executable, "-c", _IMPORTS + _DRIVERS], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -363,6 +363,7 @@ def given(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> None:
     monkeypatch.setattr(doctor, "examine", lambda site_file: list(findings))
 
 
+@pytest.mark.check("takes 2.0 s")
 def test_every_check_is_made_here() -> None:
     code, out, err = run("doctor", "--json")
     document = json.loads(out)
@@ -410,6 +411,7 @@ def test_a_runtime_folder_that_is_too_long_is_a_finding(tmp_path: Path, monkeypa
     assert {finding.name: finding.level for finding in doctor.rig(DEFAULT_SITE_FILE)} == {"site file": "problem"}
 
 
+@pytest.mark.check("takes 1.6 s")
 def test_a_rig_that_cannot_be_read_for_want_of_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(site_file: Path) -> list[Finding]:
         raise ModuleNotFoundError("No module named 'zmq'")

@@ -65,6 +65,7 @@ def test_values_and_arrays_come_back_as_they_were(file: Path) -> None:
     table[0, 0] = 1.0
 
 
+@pytest.mark.check("takes 1.0 s")
 @pytest.mark.parametrize(
     ("name", "said"),
     [

@@ -36,6 +36,7 @@ print(json.dumps([float(ratio), texts, node.capture() is not None, all(readings)
 """
 
 
+@pytest.mark.check("takes 2.8 s")
 def test_it_runs_in_lockstep_on_its_node_and_compiled_alike(tmp_path: Path) -> None:
     assert BLOCK is not None
     install(tmp_path, "my_slide", {"__init__.py": BLOCK[1]}, {"devices": {"my_slide": "my_slide:MY_SLIDE"}})

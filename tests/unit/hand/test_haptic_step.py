@@ -84,6 +84,7 @@ def test_the_driver_behind_the_guard_is_the_compiled_chain(kind):
     device.close()
 
 
+@pytest.mark.check("takes 1.1 s")
 def test_plain_python_gives_the_same_numbers():
     """In a process of its own, since the compiler is switched off for a whole process."""
     here = Path(__file__)

@@ -142,6 +142,7 @@ def test_stroke_through_every_limit_agrees_with_an_independent_integration(torqu
     assert np.max(v) == pytest.approx(np.max(scaled.y[1]) * 1e-3, rel=1e-4, abs=0.0)
 
 
+@pytest.mark.check("takes 1.6 s")
 def test_limits_converge_with_second_order():
     params = device(voltage_limit_v=12.0)
     references = 0.002 * np.sin(2.0 * math.pi * 11.0 * 1e-3 * np.arange(300))

@@ -52,6 +52,7 @@ def test_while_the_arm_moves_it_waits() -> None:
     assert run(hand(), 5.0, speed_m_per_s=0.5e-3)[-1].moves > 0
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_the_scatter_is_that_of_the_seed_and_is_corrected() -> None:
     ends = {seed: run(hand(noise=0.5, seed=seed), 20.0)[-1] for seed in range(6)}
     assert all(abs(end.force_n - 1.0) <= 0.05 for end in ends.values())

@@ -199,6 +199,7 @@ def pid_of_page(plan: Plan) -> int:
     return int(found["pid"])
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_the_page_is_a_process_of_the_rig_with_its_address_from_the_beginning_and_over_a_kill(
     monkeypatch: pytest.MonkeyPatch, runtime: Path, tmp_path: Path
 ) -> None:

@@ -224,6 +224,7 @@ def facts_of(holder: subprocess.Popen[str]) -> tuple[str, tuple[int, ...], int]:
     return name, tuple(map(int, numbers[:-1])), int(numbers[-1])
 
 
+@pytest.mark.check("takes 4.4 s")
 def test_rigs_that_start_at_the_same_instant_get_names_and_processors_of_their_own(tmp_path: Path, locks: Path) -> None:
     with holders(tmp_path, locks, 4, time.time() + 3.0) as started:
         found = [facts_of(holder) for holder in started]
@@ -233,6 +234,7 @@ def test_rigs_that_start_at_the_same_instant_get_names_and_processors_of_their_o
     assert sorted(number for _, own, _ in found for number in own) == list(range(8))
 
 
+@pytest.mark.check("takes 1.5 s")
 def test_a_name_that_another_command_only_looks_at_is_waited_for(tmp_path: Path, base: Path, locks: Path) -> None:
     plan = plan_of(tmp_path)
     with holders(tmp_path, locks, 1) as [holder]:
@@ -247,6 +249,7 @@ def test_a_name_that_another_command_only_looks_at_is_waited_for(tmp_path: Path,
         holder.communicate("\n", timeout=WAIT_S)
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_a_rig_killed_with_its_nodes_leaves_its_name_and_processors_free(
     tmp_path: Path, base: Path, locks: Path
 ) -> None:

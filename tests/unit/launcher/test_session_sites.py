@@ -4,6 +4,7 @@ from io import StringIO
 from pathlib import Path
 
 import msgspec
+import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
 from rich.console import Console
 
@@ -43,6 +44,7 @@ class Slave(Bench):
             self.tick()
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_the_master_waits_for_the_slave_without_a_limit() -> None:
     rig = master()
     assert rig.children.started == list(MASTER)

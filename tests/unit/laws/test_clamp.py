@@ -54,6 +54,7 @@ def test_every_law_has_one_clamp_at_most(law: str, enabled: bool | None) -> None
     assert config.local_loop == (LAWS[law].local_loop or bool(enabled))
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_clamp_alone_holds_position_force_at_any_delay(run_loop: Any) -> None:
     clamp = ClampConfig(enabled=True, force_margin_n=0.0)
     held = {}
@@ -72,6 +73,7 @@ def test_clamp_alone_holds_position_force_at_any_delay(run_loop: Any) -> None:
     assert held[False].max() > 10.0
 
 
+@pytest.mark.check("takes 1.1 s")
 @pytest.mark.parametrize(("hand", "swing_n"), [("force", 0.6), ("ordinary", 0.4)])
 def test_a_clamp_bounds_the_force_and_does_not_end_the_swing_of_the_law(
     monkeypatch: pytest.MonkeyPatch, hand: Any, swing_n: float

@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[3]
 CASES = 8
 
 
+@pytest.mark.check("takes 2.5 s")
 def test_every_half_as_a_node_runs_it_gives_numbers_at_the_corners() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-W", "error", str(Path(corners.__file__)), "1", str(CASES)]
@@ -29,6 +30,7 @@ def test_every_half_as_a_node_runs_it_gives_numbers_at_the_corners() -> None:
     assert (done.returncode, done.stderr, done.stdout) == (0, "", "")
 
 
+@pytest.mark.check("takes 1.9 s")
 def test_every_half_as_a_study_runs_it_gives_numbers_at_the_corners() -> None:
     assert list(corners.failures(2, CASES)) == []
 

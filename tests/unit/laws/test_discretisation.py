@@ -51,6 +51,7 @@ def test_the_papers_impedance_has_these_digits_on_every_processor() -> None:
     assert step.gamma_x.hex() == "0x1.923d676e96e4ep-25"
 
 
+@pytest.mark.check("takes 0.8 s")
 @given(st.floats(1e-3, 1e3), st.floats(0.0, 1e4), st.floats(0.0, 1e4), st.sampled_from([1e-4, 1e-3, 1e-2]))
 def test_it_is_the_matrix_exponential(mass: float, damping: float, stiffness: float, period_s: float) -> None:
     continuous = np.zeros((3, 3))

@@ -129,6 +129,7 @@ class Rig:
             self.deliver()
 
 
+@pytest.mark.check("takes 1.1 s")
 @pytest.mark.parametrize(("first", "second"), SWITCHES)
 def test_law_changes_without_a_jump_at_either_device(bench_of: Any, first: str, second: str) -> None:
     rig = Rig(bench_of, first, delay=8)
@@ -207,6 +208,7 @@ def test_law_and_its_parameters_change_in_one_command(bench_of: Any) -> None:
     assert rig.master.params.impedance_n_s_per_m == 50.0
 
 
+@pytest.mark.check("takes 1.0 s")
 def test_status_reports_energy_passivity_and_round_trip(bench_of: Any) -> None:
     rig = Rig(bench_of, "wave", delay=30)
     rig.tick(2000)
@@ -225,6 +227,7 @@ def test_status_reports_energy_passivity_and_round_trip(bench_of: Any) -> None:
     assert far.left_j >= 0.0
 
 
+@pytest.mark.check("takes 0.8 s")
 @pytest.mark.parametrize("law", ["wave", "passivity"])
 def test_counters_of_the_slave_go_on_when_a_sample_of_the_hand_was_late(bench_of: Any, law: str) -> None:
     rig = Rig(bench_of, law, delay=3)
@@ -241,6 +244,7 @@ def test_counters_of_the_slave_go_on_when_a_sample_of_the_hand_was_late(bench_of
     assert rig.rows[-1][2] == pytest.approx(1.0, rel=0.06, abs=0.0)
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_status_shows_that_a_delayed_reflection_makes_energy(bench_of: Any) -> None:
     rig = Rig(bench_of, "position_force", delay=60)
     rig.tick(1500)

@@ -84,6 +84,7 @@ def test_no_two_laws_share_a_class_of_parameters() -> None:
     assert len({type(params_of(name)) for name in LAWS}) == len(LAWS)
 
 
+@pytest.mark.check("takes 3.4 s")
 @pytest.mark.parametrize("name", OWN_LAWS)
 def test_the_law_keeps_the_rules_that_the_rig_relies_on(name: str) -> None:
     # the corners of the ranges have tests of their own

@@ -192,6 +192,7 @@ def standing(params: Any, state: Any, signal: PortSignal, tip: TipMeasurement, d
     return state._replace(position_m=base), SlaveReference(base, True)
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_a_law_that_never_touches_breaks_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     rule = next(rule for rule in RULES if rule.name.startswith("touches a wall"))
     assert list(rule.broken_by("model_mediated")) == []

@@ -168,6 +168,7 @@ def test_lost_link_stops_the_tip(run_loop: Any) -> None:
     assert not run.masters[-1].mass.coupled
 
 
+@pytest.mark.check("takes 1.1 s")
 def test_hand_that_presses_now_more_now_less_does_not_walk_away(run_loop: Any) -> None:
     def swing(n: int) -> float:
         return min(1.0, n / 500) + 0.3 * math.sin(2.0 * math.pi * 0.5e-3 * n) * (n > 500)

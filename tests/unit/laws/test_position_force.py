@@ -33,12 +33,14 @@ def rest_of(run: Any) -> tuple[float, float]:
     return float(np.ptp(1e8 * run.force_n[1500:2000])), float(np.ptp(1e8 * run.force_n[-500:]))
 
 
+@pytest.mark.check("takes 0.9 s")
 @pytest.mark.parametrize("stiffness", [10.0, 20.0, 38.0])
 def test_force_is_reflected_as_it_is(run_loop: Any, stiffness: float) -> None:
     run = run_loop("position_force", lambda n: 1.0, lambda x: stiffness * x, 3000)
     assert 1e8 * run.force_n[-1] == pytest.approx(1.0, rel=1e-9, abs=0.0)
 
 
+@pytest.mark.check("takes 2.0 s")
 @pytest.mark.parametrize("stiffness", [10.0, 20.0, 38.0])
 def test_oscillation_dies_just_below_the_delay_margin_and_grows_just_above(run_loop: Any, stiffness: float) -> None:
     margin = critical_ticks(stiffness)

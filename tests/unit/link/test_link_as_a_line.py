@@ -80,6 +80,7 @@ def runs(lost: np.ndarray) -> np.ndarray:
     return edges[1::2] - edges[::2]
 
 
+@pytest.mark.check("takes 2.8 s")
 def test_bursts_in_ms_are_those_of_a_line_over_all_topics() -> None:
     # bursts of 30 packets of 3000 a second: a sample, a state of the law and another packet in each millisecond
     lost = wire_losses(3 * 60_000, 0.05, 30.0)
@@ -99,6 +100,7 @@ def test_bursts_in_ms_are_those_of_a_line_over_all_topics() -> None:
     assert runs(alone).mean() > 2.5 * runs(lost[::3]).mean()
 
 
+@pytest.mark.check("takes 1.1 s")
 def test_jitter_in_order_is_that_of_a_line_over_all_topics() -> None:
     # the wire: each packet has a delay of its own and waits for those before it
     draw = random.Random(2)

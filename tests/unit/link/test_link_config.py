@@ -268,6 +268,7 @@ impairments = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.check("takes 0.9 s")
 @settings(max_examples=100)
 @given(
     # A profile with a table refuses a scale of 0.

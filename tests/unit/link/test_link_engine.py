@@ -102,6 +102,7 @@ def test_duplicates_have_the_share_asked_for_and_a_delay_of_their_own():
     assert abs(np.corrcoef(pairs.T)[0, 1]) < 4 / math.sqrt(len(copies))
 
 
+@pytest.mark.check("takes 1.2 s")
 @pytest.mark.parametrize("bits", [1, 5])
 def test_corruption_flips_so_many_bits_anywhere(bits):
     link = engine(corruption={"probability": 0.5, "bits": bits})
@@ -121,6 +122,7 @@ def test_corruption_flips_so_many_bits_anywhere(bits):
     assert chi_square < 511 + 4 * math.sqrt(2 * 511)
 
 
+@pytest.mark.check("takes 0.9 s")
 @pytest.mark.parametrize(("probability", "gap"), [(0.25, 1), (1.0, 5), (0.5, 4)])
 def test_reordered_share_follows_from_probability_and_gap(probability, gap):
     fates = stream(50_000, delay_s=0.01, reordering={"probability": probability, "gap": gap})
@@ -461,6 +463,7 @@ ARRIVALS = st.lists(
 )
 
 
+@pytest.mark.check("takes 2.7 s")
 @settings(max_examples=300, deadline=None)
 @given(
     before=IMPAIRMENTS,

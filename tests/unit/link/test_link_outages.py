@@ -38,6 +38,7 @@ def test_touching_outages_are_one():
     assert link.end_ns(ORIGIN + MS) == ORIGIN + 5 * MS
 
 
+@pytest.mark.check("takes 4.0 s")
 def test_random_outages_have_the_share_and_the_lengths_of_their_law():
     up_s, down_s = 0.080, 0.020
     link = outages(mean_up_s=up_s, mean_down_s=down_s)
@@ -86,6 +87,7 @@ def test_a_long_pause_is_not_walked_through_and_keeps_the_law():
     assert abs(remaining_s.mean() / down_s - 1) < 5 / math.sqrt(len(remaining_s))
 
 
+@pytest.mark.check("takes 4.2 s")
 def test_log_normal_lengths_have_their_mean_and_their_spread():
     mean_s, spread = 0.265, 0.3
     link = outages(mean_up_s=0.5, mean_down_s=mean_s, down_spread=spread)

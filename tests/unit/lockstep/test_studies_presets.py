@@ -23,6 +23,7 @@ def no_withdrawn_tip(session: SimulatedSession) -> None:
         assert session.reason.startswith("the instrument's guard acted at ")
 
 
+@pytest.mark.check("takes 4.5 s")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.grid(law="passivity")
@@ -62,6 +63,7 @@ def test_a_guard_that_acted_in_a_simulation_comes_first() -> None:
         telenano.simulate("fig12", law="virtual_impedance", environment="spring", settings=settings)
 
 
+@pytest.mark.check("takes 4.2 s")
 def test_a_spring_that_also_pulls_begins_at_its_rest_position_and_nowhere_else() -> None:
     settings: dict[str, Any] = {"afm_node.spring.rest_position_m": 2e-9}
     session = telenano.simulate("fig12", law="wave", environment="spring", settings=settings, duration_s=1.0)
@@ -96,6 +98,7 @@ def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:
     assert {path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml")} == {"fig10", "fig12", "image", "touch"}
 
 
+@pytest.mark.check("takes 1.0 s")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("scenario", ["touch", "image"])
 @pytest.mark.grid(law="passivity")
@@ -147,6 +150,7 @@ DISTURBED: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.check("takes 1.4 s")
 @pytest.mark.parametrize("name", DISTURBED)
 def test_a_disturbance_is_simulated_and_never_left_out(name: str) -> None:
     settings = DISTURBED[name]

@@ -145,6 +145,7 @@ def run_step(folder: Path, program: str = PROGRAM, *, installed: bool = True, **
     return done.stdout.strip()
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
     assert run_step(tmp_path) == "function InterruptibleDispatcher"
     (folder,) = (tmp_path / "telenano").iterdir()
@@ -222,6 +223,7 @@ print("all")
 """
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_incomplete_or_foreign_code_is_never_run_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
     assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
 
@@ -234,6 +236,7 @@ print(sum(step.stats.cache_hits.values()))
 )
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_a_folder_that_cannot_be_written_is_read_and_left_as_it_is(tmp_path: Path) -> None:
     assert run_step(tmp_path, READ_ONLY).split()[-1] == "0"
     # as the system of files of an image: root may write wherever the mode forbids it
@@ -275,6 +278,7 @@ print(run(2.5), run(2))
 """
 
 
+@pytest.mark.check("takes 1.8 s")
 def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
     assert run_step(tmp_path, AT_ONCE) == "(5.0, 'float') (4, 'int')"
 
@@ -338,6 +342,7 @@ def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path, kind: s
     assert len([*(tmp_path / "telenano").glob("numba-*")]) == folders
 
 
+@pytest.mark.check("takes 1.5 s")
 def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: Path) -> None:
     install(tmp_path, "pack")
     write_package(tmp_path, FORCE)
@@ -346,6 +351,7 @@ def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: 
     assert not list((tmp_path / "telenano").rglob("loop*.nbc"))
 
 
+@pytest.mark.check("takes 3.0 s")
 def test_what_is_of_no_package_is_compiled_by_each_process(tmp_path: Path) -> None:
     for _ in range(2):
         run_step(tmp_path, PROGRAM + "assert not step.stats.cache_hits", installed=False)
@@ -368,6 +374,7 @@ def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_pa
     assert not list(tmp_path.rglob("*.nb?"))
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_nodes_compile_nothing_and_need_no_compiler(tmp_path: Path) -> None:
     nodes = "services.haptic_node, services.controller, services.afm_node, services.delay_node, services.recorder"
     imports = ", ".join(f"{name.strip()}.__main__" for name in nodes.split(","))
@@ -409,11 +416,13 @@ def test_a_simulation_does_not_depend_on_what_was_imported_before(tmp_path: Path
     assert run_simulation(tmp_path, before) == simulated
 
 
+@pytest.mark.check("takes 1.8 s")
 def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path, simulated: str) -> None:
     program = "import sys; sys.modules['numba'] = None\n" + LOCKSTEP
     assert run_step(tmp_path, program) == simulated
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
     program = """
 import model
@@ -426,6 +435,7 @@ except Exception as error:
     assert run_step(tmp_path, program) == "True"
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_a_model_that_cannot_be_compiled_is_a_sentence_before_anything_ran(tmp_path: Path) -> None:
     program = """
 import logging, model

@@ -283,6 +283,7 @@ def test_a_loop_between_two_points_goes_round_without_a_gap_in_the_numbers(
     assert rig.player.finished
 
 
+@pytest.mark.check("takes 1.5 s")
 def test_a_slow_reader_holds_the_replay_up_and_loses_nothing(stage: Callable[..., Stage], tmp_path: Path) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     hand = writer.channel("haptic/state", HAND, "master")

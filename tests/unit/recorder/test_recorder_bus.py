@@ -73,6 +73,7 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
     rig.close()
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_all_that_waits_for_a_recorder_that_stood_still_is_recorded_in_order(rig: Rig) -> None:
     # more than one call takes, and eight seconds of a publisher of one message a millisecond
     count = 8000

@@ -461,6 +461,7 @@ def newest_state(path: Path) -> int:
     return [message.seq for message in Recording(path).messages(["haptic/state"])][-1]
 
 
+@pytest.mark.check("takes 1.9 s")
 def test_a_process_that_is_stopped_completes_its_file(
     site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
 ) -> None:
@@ -476,6 +477,7 @@ def test_a_process_that_is_stopped_completes_its_file(
     assert {channel.lost for channel in info.channels} == {0}
 
 
+@pytest.mark.check("takes 3.8 s")
 def test_a_killed_process_loses_no_more_than_an_interval(
     site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
 ) -> None:

@@ -81,6 +81,7 @@ def damaged(path: Path, folder: Path, place: int, data: bytes) -> Path:
     return copy
 
 
+@pytest.mark.check("takes 1.0 s")
 def test_an_index_of_messages_that_is_wrong_costs_no_message(path: Path, tmp_path: Path) -> None:
     indexed = IndexedRecording(path)
     block = indexed._layout.blocks[20]
@@ -131,6 +132,7 @@ def test_parts_are_read_as_one(path: Path, tmp_path: Path) -> None:
     assert list(open_recordings([path, path], by_index=True).select()) == 2 * list(Recording(path).select())
 
 
+@pytest.mark.check("takes 1.8 s")
 def test_a_forged_index_ends_in_nothing_but_what_a_person_can_read(path: Path, tmp_path: Path) -> None:
     sound = path.read_bytes()
     footer = len(sound) - 8 - 29

@@ -191,6 +191,7 @@ def test_what_is_not_understood_is_given_as_it_is(tmp_path: Path) -> None:
     assert AfmScanline.version >= 1
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_the_memory_of_an_export_does_not_grow_with_the_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("telenano.recording.rewrite._CHUNK_BYTES", 8192)
     peaks = []

@@ -210,6 +210,7 @@ def test_the_end_that_is_cut_off_is_accounted_for(make_file: MakeFile) -> None:
     assert info.skipped_bytes == last.data_end - 30 - last.offset
 
 
+@pytest.mark.check("takes 1.2 s")
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_one_wrong_byte_costs_one_chunk_at_most(make_file: MakeFile, tmp_path: Path, compression: str) -> None:
     path = make_file(40, compression=compression)

@@ -48,6 +48,7 @@ def test_a_process_whose_parent_ignored_the_signal_is_ended_as_well() -> None:
         signal.signal(signal.SIGPROF, before)
 
 
+@pytest.mark.check("takes 1.6 s")
 @pytest.mark.parametrize("work", ["[burn(0.05) or guard.renew() for _ in range(20)]", "time.sleep(1)"])
 def test_who_reports_or_waits_goes_on(work: str) -> None:
     assert ended(work) == (0, "ended by itself\n")

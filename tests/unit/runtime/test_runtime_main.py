@@ -108,6 +108,7 @@ def test_no_node_looks_for_garbage_during_its_imports() -> None:
     assert int(ended.stdout.splitlines()[-1]) < 10
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_a_node_runs_until_it_is_stopped(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     assert run_node(KIND, [*arguments, "--set", "controller.gain=3.0"]) == 0
     assert Mortal.ended == ["controller@master gain 3.0"]
@@ -155,6 +156,7 @@ def locked(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     return port
 
 
+@pytest.mark.check("takes 0.8 s")
 def test_a_node_of_a_rig_on_several_machines_needs_a_key(
     arguments: list[str], locked: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,6 +168,7 @@ def test_a_node_of_a_rig_on_several_machines_needs_a_key(
     assert Mortal.ended == ["controller@master gain 2.0"]
 
 
+@pytest.mark.check("takes 1.1 s")
 def test_a_port_that_is_taken_is_a_bad_start_that_leaves_nothing_open(
     arguments: list[str], locked: int, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -323,6 +323,7 @@ def test_a_key_without_a_role_is_of_no_use(ring: Keyring) -> None:
     assert "data', 'control', 'observe' or 'relay', got 'admin'" in refusal_of(ring.allow, "slave", KEY, ["admin"])
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_every_key_survives_the_file(ring: Keyring) -> None:
     keys = {f"m{number}": public_key(number + 3) for number in range(50)}
     # signs that mean something to YAML, at the beginning of a key

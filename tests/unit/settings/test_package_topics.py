@@ -89,6 +89,7 @@ def table() -> Iterator[None]:
     TOPICS.update(before)
 
 
+@pytest.mark.check("takes 1.6 s")
 def test_a_topic_of_a_package_is_sent_limited_read_and_recorded_with_its_schema(site: Path, tmp_path: Path) -> None:
     found = json.loads(run(RECORD, site, str(tmp_path / "recorded")))
     assert "wind/speed" in found["named"] and found["before"] == [] and found["after"] == ["wind", "wind.messages"]
@@ -109,6 +110,7 @@ def test_a_topic_of_a_package_is_sent_limited_read_and_recorded_with_its_schema(
     assert said.startswith("2 messages of a topic that no installed package declares")
 
 
+@pytest.mark.check("takes 3.2 s")
 def test_commands_read_a_recording_with_and_without_the_package(site: Path, tmp_path: Path) -> None:
     run(RECORD, site, str(tmp_path / "recorded"))
     file = tmp_path / "recorded" / "session.mcap"
@@ -212,6 +214,7 @@ def test_a_row_that_keeps_the_rules_has_its_messages_encoded_and_decoded(table: 
     assert decode("wind/gust", encode(message)) == message
 
 
+@pytest.mark.check("takes 3.1 s")
 def test_an_entry_that_is_no_such_topic_is_told_of_where_it_is_named(site: Path, tmp_path: Path) -> None:
     for kind, target, said in (
         ("other", "wind.messages:WIND_SPEED", "declares wind/speed, whose entry must be called wind_speed"),

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
 from telenano.settings.included import SCHEMA_DIRECTORY
@@ -110,10 +111,12 @@ def tried(tmp_path: Path, keys: Iterable[str], **environment: str) -> dict[str, 
     return {name: set(found) for name, found in json.loads(done.stdout).items()}
 
 
+@pytest.mark.check("takes 5.2 s")
 def test_no_key_of_a_scenario_runs_code(tmp_path: Path) -> None:
     assert set(KEYS) >= CODE and len(KEYS) > 25
     assert tried(tmp_path, KEYS) == {"ran": set(), "refused": CODE}
 
 
+@pytest.mark.check("takes 4.5 s")
 def test_who_starts_the_program_may_allow_it(tmp_path: Path) -> None:
     assert tried(tmp_path, CODE, TELENANO_ALLOW_CODE="1") == {"ran": CODE, "refused": set()}

@@ -116,6 +116,7 @@ def test_a_start_of_a_process_is_seen(text: str) -> None:
     assert starts_in(text)
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_one_function_starts_every_process() -> None:
     found = {f"{path.relative_to(ROOT)}:{line}" for path in sources() for line in starts_in(path.read_text())}
     assert not found, f"start it by telenano.signals.children: {sorted(found)}"
@@ -318,6 +319,7 @@ def test_each_start_is_in_the_table() -> None:
     assert {name for name in found if not name.startswith("benchmarks/")} == set(STARTED)
 
 
+@pytest.mark.check("takes 2.9 s")
 @pytest.mark.parametrize("safe", [True, False])
 @pytest.mark.parametrize("start", [each for given in STARTED.values() if not isinstance(given, str) for each in given])
 def test_what_a_start_runs_imports_nothing_of_the_folder(

@@ -49,6 +49,7 @@ def run(script: str) -> "subprocess.CompletedProcess[str]":
     )  # fmt: skip
 
 
+@pytest.mark.check("takes 3.0 s")
 @pytest.mark.parametrize(("prepare", "name"), [("", "SIGINT"), ("interrupts.install()", "SIGTERM")])
 def test_a_signal_within_compiled_code_is_raised_after_it(prepare: str, name: str) -> None:
     done = run(_COMPUTES.format(prepare=prepare, name=name))

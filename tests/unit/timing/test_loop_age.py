@@ -113,6 +113,7 @@ def test_too_few_samples_have_no_parts_and_a_loop_that_is_never_answered_takes_n
 TIMES = st.lists(st.integers(0, 50 * MS), min_size=7, max_size=7)
 
 
+@pytest.mark.check("takes 2.1 s")
 @given(st.lists(TIMES, min_size=20, max_size=60), st.integers(0, 40 * MS), st.integers(0, 20 * MS))
 def test_the_parts_add_up_to_the_whole_whatever_the_link_says(steps: list[list[int]], there: int, line: int) -> None:
     passed = T_NS + np.cumsum(np.array(steps, np.int64), axis=1)

@@ -58,6 +58,7 @@ def test_network_and_clock_of_another_machine_are_taken_off() -> None:
     assert age_ms(back, LATER_NS, LATER_NS - 97 * MS) == pytest.approx(7.0, rel=1e-6, abs=0.0)
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_a_delay_that_changes_with_every_sample_is_forgotten_as_it_is_used() -> None:
     hand = Freshness("haptic_node@master", START_NS)
     for n in range(20_000):

@@ -144,6 +144,7 @@ class Device:
             answers.send_multipart([b"session/event", msgpack.packb(event)])
 
 
+@pytest.mark.check("takes 1.5 s")
 def test_the_emergency_stop_of_an_open_page_works_while_strangers_hold_every_descriptor(runtime: Path) -> None:
     needs_page()
     client = pytest.importorskip("websockets.sync.client")
@@ -184,6 +185,7 @@ def ended(command: list[str]) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
+@pytest.mark.check("takes 2.3 s")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGINT, 0)])
 def test_the_view_of_a_rig_has_the_health_of_a_node_and_ends_in_order(
     runtime: Path, number: signal.Signals, code: int

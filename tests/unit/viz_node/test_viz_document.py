@@ -157,6 +157,7 @@ def unread() -> dict[str, Any]:
     raise AssertionError("what was kept was read again")
 
 
+@pytest.mark.check("takes 1.4 s")
 def test_what_was_read_is_kept_and_a_damaged_or_stale_file_of_it_is_ignored(whole: Recording, tmp_path: Path) -> None:
     source = Path(shutil.copy(whole.path, tmp_path / "session.mcap"))
     recording, cache = Recording(source), LevelCache([source], tmp_path / "cache")
@@ -181,6 +182,7 @@ def test_what_was_read_is_kept_and_a_damaged_or_stale_file_of_it_is_ignored(whol
     assert cache.load(Levels(2.0 * length_s)) is None
 
 
+@pytest.mark.check("takes 0.9 s")
 def test_a_cache_that_cannot_be_written_or_grows_too_large_is_no_hindrance(
     whole: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -298,6 +298,7 @@ with bind(port=0) as bound:
 """
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_a_signal_ends_a_page_whose_commands_hang_and_an_emergency_stop_is_sent_before() -> None:
     process = subprocess.Popen([sys.executable, "-c", HANGING], stdout=subprocess.PIPE, text=True)
     with process, ExitStack() as stack:

@@ -11,7 +11,6 @@ from services.viz_node import build_page
 WEB = Path(build_page.__file__).parent / "web"
 
 
-@pytest.mark.slow("the page has its own tests, which every commit runs")
 def test_the_pure_parts_of_the_page() -> None:
     node = build_page.node_folder()
     vitest = WEB / "node_modules" / "vitest" / "vitest.mjs"

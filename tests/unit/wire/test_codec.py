@@ -114,6 +114,7 @@ def test_any_bytes(topic: str, payload: bytes) -> None:
     check(topic, payload)
 
 
+@pytest.mark.check("takes 1.8 s")
 @given(st.text(max_size=40), st.binary(max_size=40))
 def test_any_topic(topic: str, payload: bytes) -> None:
     result = outcome(topic, payload)
@@ -125,6 +126,7 @@ def test_any_msgpack(topic: str, value: Any) -> None:
     check(topic, msgpack.packb(value))
 
 
+@pytest.mark.check("takes 1.7 s")
 @settings(max_examples=400)
 @given(TOPIC, st.data(), anything)
 def test_one_field_replaced_by_anything(topic: str, data: st.DataObject, value: Any) -> None:
@@ -133,6 +135,7 @@ def test_one_field_replaced_by_anything(topic: str, data: st.DataObject, value: 
     check(topic, msgpack.packb({**fields, key: value}))
 
 
+@pytest.mark.check("takes 1.4 s")
 @settings(max_examples=600)
 @given(TOPIC, st.data())
 def test_valid_messages_with_bytes_changed(topic: str, data: st.DataObject) -> None:
@@ -263,6 +266,7 @@ def test_no_room_is_made_for_arrays_that_are_not_there(topic: str, items: int) -
     assert peak < 2**18
 
 
+@pytest.mark.check("takes 1.2 s")
 def test_refusing_the_dearest_costs_a_few_times_taking_the_longest() -> None:
     """The longest message that a node sends is a report of 1000 fates."""
     fates = example_fields("link/fates")
@@ -594,6 +598,7 @@ def _arrays() -> st.SearchStrategy[dict[str, Any]]:
 VALID = {topic: _record(schema_of(row), schema_of(row)) for topic, row in TOPICS.items()}
 
 
+@pytest.mark.check("takes 2.0 s")
 @settings(max_examples=400)
 @given(TOPIC, st.data())
 def test_every_valid_message_comes_back_the_same(topic: str, data: st.DataObject) -> None:

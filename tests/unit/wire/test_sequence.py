@@ -60,6 +60,7 @@ def agree(messages: list[tuple[int, int]]) -> SequenceTracker:
     return tracker
 
 
+@pytest.mark.check("takes 0.9 s")
 @settings(max_examples=500)
 @given(st.lists(st.tuples(st.integers(0, 20), st.integers(0, 10)), max_size=60))
 @example([(5, 1), (3, 1), (4, 1)])
