@@ -43,10 +43,6 @@ class Table(ColumnTable):
     `time_s` is the time of sending since the start of the operator's force profile [s], NaN where none ran, and `src`
     the publisher; the others are the fields of the message, `position_m.2` for a component. `units` and `descriptions`
     have an entry for each column. A value that a message lacks is NaN, or None among text and lists.
-
-    Example:
-        table = Table("afm/state", {"time_s": np.array([0.0, 0.001]), "tip_force_n.2": np.array([0.0, 2e-9])})
-        unit = table.units["tip_force_n.2"]
     """
 
     def __init__(self, topic: str, columns: Mapping[str, Column]) -> None:
@@ -65,12 +61,7 @@ class Table(ColumnTable):
 
 
 class RecordedSession:
-    """A recording, or all parts of one, for reading; made by `open`.
-
-    Example:
-        session = RecordedSession([Path("out/fig12/session.mcap")])
-        tip_force_n = session.table("afm/state")["tip_force_n.2"]
-    """
+    """A recording, or all parts of one, for reading; made by `open`."""
 
     def __init__(self, paths: Iterable[Path]) -> None:
         self._source = open_recordings(list(paths))
@@ -147,13 +138,7 @@ class RecordedSession:
 
 
 class LiveRig:
-    """A rig that is running, for reading; made by `live`.
-
-    Example:
-        with closing(Observer.of_rig(Path("my_site.yaml"))) as observer:
-            rig = LiveRig(observer)
-            tip = rig.table("afm/state", duration_s=1.0)
-    """
+    """A rig that is running, for reading; made by `live`."""
 
     def __init__(self, observer: Any) -> None:
         self._observer = observer
@@ -184,12 +169,6 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> Reco
 
     Raises:
         RecordingError: A file cannot be read, or a folder has not just one recording; the message names it.
-
-    Example:
-        from telenano import open
-
-        session = open("out/fig12/session.mcap")
-        tip = session.table("afm/state")
     """
     return RecordedSession(map(_recording_at, map(Path, (path, *further))))
 
@@ -210,12 +189,6 @@ def check_law(name: str) -> dict[str, list[str]]:
     Raises:
         ConfigError: There is no such law, or the law of a package cannot be used; the message names the laws there are,
             or the reason.
-
-    Example:
-        from telenano import check_law
-
-        rules = check_law("wave")
-        broken = {rule: faults for rule, faults in rules.items() if faults}
     """
     from telenano.laws.law_rules import broken_rules
 
@@ -229,12 +202,6 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     Raises:
         ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
         RigError: No rig of the site file runs.
-
-    Example:
-        from telenano import live
-
-        with live("my_site.yaml") as rig:
-            tip = rig.table("afm/state", duration_s=1.0)
     """
     from telenano.runtime.wiring.observer import Observer
     from telenano.settings.included import DEFAULT_SITE_FILE

@@ -22,12 +22,6 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
 
     Args:
         room: The name of its package, whose `__init__` imports the public names under `if TYPE_CHECKING:`.
-
-    Example:
-        if TYPE_CHECKING:
-            from my_package.drivers import MyAfm as MyAfm
-        else:
-            __getattr__, __dir__ = face(__name__)
     """
     package = sys.modules[room]
     modules: dict[str, str] = {}

@@ -417,9 +417,6 @@ class _OwnSections(Settings):
 
         Raises:
             ConfigError: A lockstep has no such instrument; the message names `origin` and the key.
-
-        Example:
-            params = AfmConfig().to_lockstep_params("my scenario", 10.0)
         """
         from telenano.afm.over_surface import over_surface
 

@@ -344,11 +344,7 @@ _electrostatic = always_compiled(electrostatic_force_n)
 
 @always_compiled
 def damping_at(viscosity: Viscosity, h: float) -> float:
-    """B [kg/s] of liquid layer or sample (Eq. 4, E2).
-
-    Example:
-        damping_kg_per_s = damping_at(config.to_dynamic().viscosity, 0.4e-9)
-    """
+    """B [kg/s] of liquid layer or sample (Eq. 4, E2)."""
     if h <= viscosity.contact_distance_m:
         return viscosity.sample_kg_per_s_m * (viscosity.contact_distance_m - h)
     return viscosity.liquid_kg_per_s * max(1.0 - h / viscosity.liquid_thickness_m, 0.0)

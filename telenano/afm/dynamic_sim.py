@@ -96,11 +96,6 @@ def settled_tip(plant: DynamicPlant, begin_m: float, settle: int) -> Callable[[f
 
     Raises:
         ValueError: The shortest parts of a step are too long for a tip in contact.
-
-    Example:
-        plant = AfmConfig(model="dynamic").to_dynamic()
-        measure = settled_tip(plant, 0.0, 200 * plant.drive.shape[0])
-        deflection_m = measure(1.1e-8)
     """
     require_steps(plant)
     state = steady_state(plant, begin_m, 0.0)

@@ -24,18 +24,6 @@ class Ground(NamedTuple):
     surface: as the sphere of the tip sees it, a plane at height 0 where is_plane; sides_m: width and depth [m];
     tip_radius_m: of its apex [m]; stiffness_n_per_m, lateral_n_per_m: of the cantilever along z and across [N/m];
     rest_distance_m: of the tip without force, with the base at 0 [m]; volts_per_m: of its read-out [V/m].
-
-    Example:
-        ground = Ground(
-            surface=Surface(np.zeros((256, 256)), 4e-9, 4e-9),
-            is_plane=False,
-            sides_m=(1.024e-6, 1.024e-6),
-            tip_radius_m=1e-8,
-            stiffness_n_per_m=40.0,
-            lateral_n_per_m=100.0,
-            rest_distance_m=1e-8,
-            volts_per_m=6.25e6,
-        )
     """
 
     surface: Surface
@@ -49,11 +37,7 @@ class Ground(NamedTuple):
 
 
 class Height(NamedTuple):
-    """How far a layer stands above the surface, and how high a retracted tip has to be [m]; in words what it clears.
-
-    Example:
-        height = Height(height_m=2e-9, clear_m=1.2e-8, what="the dust")
-    """
+    """How far a layer stands above the surface, and how high a retracted tip has to be [m]; in words what it clears."""
 
     height_m: float
     clear_m: float
@@ -73,14 +57,6 @@ class Layer:
         topic: The topic on which its truth is published for recordings, often while it changes; empty for none.
         fields: Returns, of its truth, the fields of the message.
         changes: Returns whether its truth changes.
-
-    Example:
-        DUST = Layer(
-            name="dust",
-            config=DustConfig,
-            height=lambda settings: Height(settings.height_m, settings.height_m + 1e-8, "the dust"),
-            around=lambda settings, within, ground: Dust(within, settings.height_m, settings.wear_per_s),
-        )
     """
 
     name: str

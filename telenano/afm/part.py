@@ -22,11 +22,7 @@ def inputs_at(base_m: float, x_m: float, y_m: float) -> PlantInputs:
 
 @compiled
 def inputs_over(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInputs:
-    """Return inputs over a surface that is higher by raised_m [m], with the base further away by away_m [m].
-
-    Example:
-        within, sample = part_step(dust.within, state.within, inputs_over(inputs, dust.height_m, 0.0), dt)
-    """
+    """Return inputs over a surface that is higher by raised_m [m], with the base further away by away_m [m]."""
     return PlantInputs(
         base_m=inputs.base_m - away_m,
         x_m=inputs.x_m,
@@ -59,9 +55,6 @@ class Part(NamedTuple):
     simulation is judged by it, and no planner reads it. within: the field of its parameters, and of its state, that has
     another part, whose motion and truths it has as well. inputs_within(params, state, inputs): what acts on that part
     between two steps; None where the inputs themselves do.
-
-    Example:
-        register_part(DustParams, Part(start, step, within="tip"))
     """
 
     start: Callable[[Any, PlantInputs], Any]
@@ -77,11 +70,7 @@ _PARTS: dict[type, Part] = {}
 
 
 def register_part(kind: type, part: Part) -> None:
-    """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already.
-
-    Example:
-        register_part(Dust, Part(start, step, truths=lambda dust, state: {"dust": state.left_m}))
-    """
+    """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already."""
     if _PARTS.get(kind, part) != part:
         raise TypeError(f"another part has the parameters {kind.__module__}.{kind.__name__} already")
     _PARTS[kind] = part
@@ -93,11 +82,7 @@ def part_of(params: Any) -> Part:
 
 
 def part_start(params: Any, inputs: PlantInputs) -> Any:
-    """Return the state in which the part with these parameters starts.
-
-    Example:
-        state = DustState(part_start(dust.within, inputs_over(inputs, dust.height_m, 0.0)), dust.height_m)
-    """
+    """Return the state in which the part with these parameters starts."""
     return part_of(params).start(params, inputs)
 
 

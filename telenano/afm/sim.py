@@ -277,10 +277,6 @@ def simulated_afm(
         tip: A dynamic cantilever instead of the quasi-static one.
         layer: What lies on the surface: a function of the part over it and the surface.
         above_m: How far that stands above the surface at most [m].
-
-    Example:
-        driver = simulated_afm(config.to_params(), disturbances=config.disturbances)
-        driver.open()
     """
     part = over_surface(params.plant if tip is None else tip, surface, friction)
     if layer is not None:

@@ -18,12 +18,7 @@ from telenano.extend.instruments import SafetyParams
 
 
 class TipGuard:
-    """The guard of the node (`safety_step`), armed by the first reference that it is asked to follow.
-
-    Example:
-        guard = TipGuard(AfmConfig().to_params().safety)
-        base_m = guard.follow(1e-8, 1e-3, force_n=0.0)
-    """
+    """The guard of the node (`safety_step`), armed by the first reference that it is asked to follow."""
 
     def __init__(self, limits: SafetyParams) -> None:
         """Begin in the safe state, with the base retracted.

@@ -41,13 +41,7 @@ TIP = "#d55e00"
 
 @dataclass(frozen=True)
 class FigureOptions:
-    """In which formats figures are written, and for where.
-
-    Example:
-        options = FigureOptions.of("png,pdf", "paper")
-        with options.styled():
-            files = options.drawn(figure, "session", "out/fig12/session.mcap")
-    """
+    """In which formats figures are written, and for where."""
 
     formats: tuple[str, ...] = ("png",)
     style: str = "screen"

@@ -15,9 +15,6 @@ def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
         deviation: The standard deviation of the values, by n - 1.
         count: How many values there are, 2 or more.
         confidence: How often an interval is meant to have the true mean in it.
-
-    Example:
-        half = half_width(float(np.std(values, ddof=1)), len(values), 0.95)
     """
     return student(count - 1, confidence) * deviation / math.sqrt(count)
 
@@ -37,9 +34,6 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     Args:
         successes: How many succeeded, 0 to trials.
         trials: How many there were.
-
-    Example:
-        low, high = wilson(95, 100)
     """
     if trials == 0:
         return 0.0, 1.0

@@ -105,9 +105,6 @@ def mean_half_width(values: Series) -> float | None:
     Returns:
         Half the interval, in the unit of the samples; 0 where they are all the same, and None where they do not say how
         well their mean is known: fewer than 24, or slow parts that a longer record would have more of.
-
-    Example:
-        half_ms = mean_half_width(ages_ms)
     """
     count = min(MOST_PARTS, values.size)
     if count < FEWEST_PARTS:

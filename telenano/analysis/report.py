@@ -103,11 +103,6 @@ class Session:
     `missing` has a sentence for each end of it that the recording lacks; `context` is what is known of its holds
     besides the series; `timeline` puts stamps on the master's clock, on which the series are; `otherwise` is the same
     session with the measured offset of the slave's clock taken off, where that is neither shown to be right nor wrong.
-
-    Example:
-        recording = open_recordings(["out/fig12/session.mcap"])
-        session = Session.of(recording)
-        summary = session.summary(recording)
     """
 
     start_ns: int

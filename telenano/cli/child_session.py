@@ -29,9 +29,6 @@ def run_session(
     Raises:
         TimeoutError: The session took longer; it has ended.
         RigError: The session failed; the text is what it reports of itself.
-
-    Example:
-        summary = run_session([sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json"])
     """
     begun_s = time.monotonic()
     pipe = subprocess.PIPE

@@ -74,11 +74,7 @@ def topic_names(incomplete: str) -> list[str]:
 
 
 def law_names(incomplete: str) -> list[str]:
-    """Return the laws that begin so, those of installed packages included, and `all`; of a list a,b,c the last part.
-
-    Example:
-        law_names("wave,sm")    # ["wave,smith"]
-    """
+    """Return the laws that begin so, those of installed packages included, and `all`; of a list a,b,c the last part."""
     before, comma, last = incomplete.rpartition(",")
     names = [*law_name(last), *(["all"] if "all".startswith(last) else [])]
     return [f"{before}{comma}{name}" for name in names]

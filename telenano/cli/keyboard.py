@@ -24,11 +24,6 @@ class RawKeyboard:
     """Single keys of standard input and a status line on standard error, each only where that is a terminal.
 
     Ctrl-C stays a signal, and waiting is left to the caller, whose loop has more than keys to wait for.
-
-    Example:
-        with RawKeyboard() as keys:
-            keys.show("recording; q ends it")
-            ended = "q" in keys.pressed()
     """
 
     def __init__(self) -> None:

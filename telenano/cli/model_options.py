@@ -88,11 +88,6 @@ def with_options(
         leave_out: Fields for which the command has options of its own, or none.
         defaults: Defaults of this command in place of those of the model, as a person would write them.
         units: Units of this command in place of the usual ones, by the end of a field's name.
-
-    Example:
-        @with_options(ViewConfig, leave_out=("port",))
-        def serve(given: dict[str, Any], port: int = 8765) -> None:
-            config = validated(ViewConfig, {**given, "port": port})
     """
     options = [
         option._replace(default=defaults.get(option.field))
@@ -138,9 +133,6 @@ def validated(model: type[M], given: Mapping[str, Any], flags: Mapping[str, str]
 
     Raises:
         ConfigError: Naming the options whose values the model refuses, and what would be right.
-
-    Example:
-        config = validated(ViewConfig, {**given, "port": 8765})
     """
     option_of = {option.field: option for option in options_of(model)}
     read = {name: option.own.read for name, option in option_of.items() if option.own and option.own.read}

@@ -92,11 +92,7 @@ ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S",
 
 
 def command_group() -> typer.Typer:
-    """Return an empty group of commands; its help text is in the table of `lazy_commands`.
-
-    Example:
-        app = command_group()
-    """
+    """Return an empty group of commands; its help text is in the table of `lazy_commands`."""
     return typer.Typer(
         cls=OpenGroup,
         no_args_is_help=True,
@@ -109,11 +105,7 @@ def command_group() -> typer.Typer:
 
 
 def table_formats(text: str) -> tuple[str, ...]:
-    """Read `csv,parquet,mat`; ConfigError names what is known.
-
-    Example:
-        table_formats("csv,parquet")    # ("csv", "parquet")
-    """
+    """Read `csv,parquet,mat`; ConfigError names what is known."""
     chosen = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
     if not chosen or set(chosen) - set(_TABLE_FORMATS):
         raise ConfigError(f"--table {text}: name one or more of {', '.join(_TABLE_FORMATS)}")

@@ -37,10 +37,6 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
     Args:
         as_json: Whether the error is printed as JSON.
         interrupted: The text for Ctrl-C and SIGTERM.
-
-    Example:
-        with report_errors(as_json):
-            config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
     """
     try:
         yield
@@ -122,10 +118,6 @@ def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
 
     Raises:
         TelenanoError: The folder cannot be made.
-
-    Example:
-        with results_in(Path("out/edge")) as folder:
-            (folder / "edge.json").write_text("{}")
     """
     with contextlib.ExitStack() as results:
         try:
@@ -136,11 +128,7 @@ def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
 
 
 def print_json(document: Any) -> None:
-    """Print one JSON document on a line.
-
-    Example:
-        print_json({"conforms": True, "rules": []})
-    """
+    """Print one JSON document on a line."""
     typer.echo(json.dumps(document))
 
 
@@ -160,11 +148,7 @@ class PrintableConsole(Console):
 
 
 def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
-    """Print a result as JSON, or else what a person reads of it: a sentence, or rows that have the same keys.
-
-    Example:
-        print_answer({"topic": "afm/state", "sent": 3}, "sent 3 messages on afm/state", as_json=as_json)
-    """
+    """Print a result as JSON, or else what a person reads of it: a sentence, or rows that have the same keys."""
     if as_json:
         print_json(document)
     elif isinstance(shown, str):
@@ -174,11 +158,7 @@ def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_
 
 
 def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> None:
-    """Print a result as JSON or as tables.
-
-    Example:
-        print_document({"steps": 5, "error_m": 2e-9}, "push", as_json=as_json)
-    """
+    """Print a result as JSON or as tables."""
     if as_json:
         print_json(document)
     else:
@@ -270,11 +250,7 @@ def clock_warning(summary: Mapping[str, Any]) -> str:
 
 
 def fail_incomplete(missing: Sequence[str]) -> NoReturn:
-    """Print on stderr what a recording lacks, and exit.
-
-    Example:
-        fail_incomplete(["12 messages are missing"])
-    """
+    """Print on stderr what a recording lacks, and exit."""
     typer.echo(f"telenano: the recording is not whole: {'; '.join(missing)}", err=True)
     raise typer.Exit(EXIT_INCOMPLETE)
 
@@ -289,9 +265,5 @@ def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoRet
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> None:
-    """Print rows that have the same keys as a table.
-
-    Example:
-        print_rows([{"law": "wave", "delay_ms": 20.0}, {"law": "smith", "delay_ms": 35.0}], title="limits")
-    """
+    """Print rows that have the same keys as a table."""
     console().print(rows_table(rows, title=title))

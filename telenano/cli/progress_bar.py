@@ -30,10 +30,6 @@ def progress(what: str, total: float | None = None, *, shown: bool = True, count
         total: How much there is to do; None where that is not known yet.
         shown: Whether anything is shown; nothing is beside JSON.
         counted: Whether the numbers themselves say something, as those of lines and cells do.
-
-    Example:
-        with progress("lines", 128, shown=not as_json, counted=True) as show:
-            show(1)
     """
     if not shown:
         yield lambda done, total=None, text=None: None

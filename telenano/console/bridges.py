@@ -33,21 +33,12 @@ def live_rig(site_file: Path, topics: Collection[str] | None = None, rate_hz: fl
 
     Raises:
         ConfigError: The site file cannot be used.
-
-    Example:
-        >>> with live_rig(Path("sites.yaml"), rate_hz=LiveRecording.VIEWER_HZ) as live:
-        ...     hand_on(bridge, live, None)
     """
     return LiveRecording(AddressBook.load(site_file), topics, rate_hz)
 
 
 def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> None:
-    """Run a bridge over the messages of a rig until Ctrl-C or for a time [s]; RigError if there were none.
-
-    Example:
-        with live_rig(Path("sites.yaml")) as live:
-            hand_on(bridge, live, duration_s=10.0)
-    """
+    """Run a bridge over the messages of a rig until Ctrl-C or for a time [s]; RigError if there were none."""
     if runs_no_node(live.book):
         # A rig may be started after its bridge.
         typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)

@@ -109,10 +109,6 @@ def send_control(
     Raises:
         ConfigError: No node is meant, or this site has no console.
         RigError, EndpointError, RefusedError: As of `send_controls`.
-
-    Example:
-        wanted = Command("set", "controller", parameters={"law": "wave"})
-        answers = send_control(wanted, Path("sites.yaml"), "master", lambda event: None)
     """
     meant = addressed(AddressBook.load(site_file), command.target, site)
     wanted = replace(command, expected=() if is_pattern(command.target) else tuple(meant))

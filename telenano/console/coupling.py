@@ -102,9 +102,6 @@ def recouple(
     Raises:
         RigError: It is refused, and nothing has moved; or it was not completed, and the tip stays withdrawn.
         ConfigError: The site file cannot be used.
-
-    Example:
-        text = recouple(Path("sites.yaml"))
     """
     with closing(Observer.of_rig(site_file, TOPICS)) as observer:
         return couple(_Console(site_file, observer, is_wanted, issued_ns, by))

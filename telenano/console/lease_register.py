@@ -132,11 +132,6 @@ def holding(what: str, *, role: str = "operator", register: LeaseRegister | None
 
     Raises:
         RefusedError: A page has it; the sentence names whose.
-
-    Example:
-        wanted = Command("set", "afm_node@slave", parameters={"program": "scan"})
-        with holding("program"):
-            send_control(wanted, site_file, "master", lambda event: None)
     """
     if _held:
         yield _held[-1]

@@ -69,10 +69,6 @@ class LiveRecording:
     """The messages on the bus now, with the interface of `Recording`.
 
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
-
-    Example:
-        with LiveRecording(AddressBook.load(Path("sites.yaml")), ["afm/state"], rate_hz=100.0) as live:
-            states = [message.fields() for message in live.messages(duration_s=1.0)]
     """
 
     # 8000 messages a second of a rig would be more than a viewer draws.

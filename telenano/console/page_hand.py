@@ -17,12 +17,7 @@ from telenano.wire.nodes import VIEW
 
 
 class RigHand:
-    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows.
-
-    Example:
-        with contextlib.closing(RigHand(Path("sites.yaml"))) as hand:
-            hand.push(0.5)
-    """
+    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows."""
 
     def __init__(self, site_file: Path) -> None:
         """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""

@@ -6,12 +6,7 @@ Level = Literal["ok", "warning", "problem"]
 
 
 class Finding(NamedTuple):
-    """The result of a check; `advice` is empty where nothing has to be done.
-
-    Example:
-        def check_stage() -> list[Finding]:
-            return [Finding("stage", "warning", "nothing answers at stage.local:502", "switch its controller on")]
-    """
+    """The result of a check; `advice` is empty where nothing has to be done."""
 
     name: str
     level: Level

@@ -87,12 +87,7 @@ def most_integral_share(proportional: float, lag: float | None) -> float:
 
 
 def integral_share(gain_per_s: float, proportional: float, period_s: float, lag: float | None, dt: float) -> float:
-    """Return Ki T of a step of dt [s], limited where it is late; other arguments as in `gain_fault`.
-
-    Example:
-        share = integral_share(s.gain_per_s, s.proportional, plan.period_s, plan.loop_lag, dt)
-        held, part_m = feedback_step(base_m, part_m, error_m, share, s.proportional)
-    """
+    """Return Ki T of a step of dt [s], limited where it is late; other arguments as in `gain_fault`."""
     share = _CONTACT_SHARE if lag is None else _TAPPING_SHARE
     greatest = max(share * most_integral_share(proportional, lag), gain_per_s * period_s)
     return min(gain_per_s * dt, greatest)
@@ -110,10 +105,6 @@ def gain_fault(
         lag: The lag, as in `most_integral_share`.
         names: The names of the integral and of the proportional gain, as the user knows them; the second is empty where
             there is none.
-
-    Example:
-        if fault := gain_fault(s.gain_per_s, 0.0, plan.period_s, None, ("push.gain_per_s", "")):
-            raise RefusedError(f"push: {fault}")
     """
     loop = f"in {'contact' if lag is None else 'tapping'} mode at {1.0 / period_s:g} Hz"
     margin = CONTACT_MARGIN if lag is None else TAPPING_MARGIN

@@ -30,12 +30,6 @@ class Capabilities(NamedTuple):
     max_stiffness_n_per_m and max_damping_n_s_per_m of an admittance device are what a loop sampled at 1 kHz can render
     passively: with physical damping b at the arm, b > K T / 2 + B (Colgate and Schenkel 1997), so K <= 2 b / T alone
     and B <= b alone. Of an impedance device they are what its maker declares for its own rate.
-
-    Example:
-        able = Capabilities(
-            max_force_n=20.0, max_stiffness_n_per_m=2e5, max_damping_n_s_per_m=100.0,
-            workspace_min_m=-0.005, workspace_max_m=0.015, modes=(MODE_OFF, MODE_POSITION),
-        )
     """
 
     max_force_n: float
@@ -82,11 +76,7 @@ class SpatialCommand(NamedTuple):
 
 
 class DriveCommand(NamedTuple):
-    """What the guard lets through: a mode code and the reference of that mode; `spatial` is for some.
-
-    Example:
-        command = DriveCommand(MODE_POSITION, position_reference_m=2e-3, force_reference_n=0.0)
-    """
+    """What the guard lets through: a mode code and the reference of that mode; `spatial` is for some."""
 
     mode: int
     position_reference_m: float
@@ -133,10 +123,6 @@ class SpatialReading(NamedTuple):
     handle, w x y z. buttons: bit 0 is the first that the device names. gate: why there is no force, of `Gate`.
     hand_energy_j: what the hand has put in, less what it got; coupling_energy_j: what spring and damper between the law
     and the device have taken in.
-
-    Example:
-        spatial = SpatialReading(lateral_m=(1e-3, -2e-3), lateral_force_n=(0.0, 0.3), buttons=0b1)
-        reading = reading._replace(spatial=spatial)
     """
 
     lateral_m: Pair = (0.0, 0.0)
@@ -151,14 +137,7 @@ class SpatialReading(NamedTuple):
 
 
 class DeviceReading(NamedTuple):
-    """One sample of the device: what it measures, and what its drive really sent after its own limits.
-
-    Example:
-        reading = DeviceReading(
-            position_m=2e-3, velocity_m_per_s=0.01, operator_force_n=0.5, operator_force_limited=False,
-            motor_force_n=113.0, motor_voltage_v=12.65, end_stop=False, voltage_limited=False, torque_limited=False,
-        )
-    """
+    """One sample of the device: what it measures, and what its drive really sent after its own limits."""
 
     position_m: float
     velocity_m_per_s: float
@@ -178,9 +157,6 @@ class HapticReport(NamedTuple):
     status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
     estop_pressed: the emergency stop of the device itself. text: the newest sentence for a person, such as why the
     device is lost. counts: the newest sample as it was sent, by the keys of haptic/state; none before there was one.
-
-    Example:
-        report = HapticReport("lost", age_s=0.2, estop_pressed=False, text="the handle does not answer")
     """
 
     status: Status
@@ -197,10 +173,6 @@ class SimulatedHand(NamedTuple):
 
     params: of a class that `telenano.hand.HandPart.register` knows. capabilities: what the device declares. about: a
     sentence that the node reports at its start.
-
-    Example:
-        able = device.capabilities()
-        hand = SimulatedHand(device.to_params(coupling, operator.to_params()), able, about=able.identity)
     """
 
     params: Any

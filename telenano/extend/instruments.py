@@ -25,9 +25,6 @@ class AfmReport(NamedTuple):
     status: `stale` repeats the last sample, `lost` means that nothing reaches the base. age_s: of the sample [s].
     force_valid: the input was within its range. text: the newest sentence for a person. output_v, input_v: what its
     converters had in the newest sample [V].
-
-    Example:
-        report = AfmReport("ok", age_s=2e-3, force_valid=True, text="", output_v=1.25, input_v=-0.31)
     """
 
     status: Literal["ok", "stale", "lost"]
@@ -68,9 +65,6 @@ class OwnImage(NamedTuple):
     """An image that an instrument takes by its own scan, line by line there and back.
 
     Its middle and its sides [m], pixels of a line, lines, time of a line each way [s], and the force that is held [N].
-
-    Example:
-        image = OwnImage(0.0, 0.0, width_m=2e-6, depth_m=2e-6, pixels=256, lines=256, line_s=0.5, setpoint_n=5e-9)
     """
 
     x_m: float
@@ -84,11 +78,7 @@ class OwnImage(NamedTuple):
 
 
 class OwnLine(NamedTuple):
-    """A line of it: its number and sense, and the heights [m], shape (pixels,), in the order of x.
-
-    Example:
-        line = OwnLine(taken // 2, backward=taken % 2 == 1, height_m=heights_m)
-    """
+    """A line of it: its number and sense, and the heights [m], shape (pixels,), in the order of x."""
 
     line: int
     backward: bool
@@ -159,10 +149,6 @@ class AfmDriver(Protocol):
 
     state: of a simulated one, all that its samples depend on besides what it is sent, as a NamedTuple of plain values,
     arrays and NamedTuples. The node keeps it in its journal, and sets it to continue from there.
-
-    Example:
-        class MyAfm(AfmDriver):
-            def exchange(self, base_m: float) -> AfmSample: ...
     """
 
     state: Any
@@ -228,11 +214,7 @@ class AfmDriver(Protocol):
 
 
 class SafetyParams(NamedTuple):
-    """Limits; base positions and speeds along the paper's axis, towards the sample.
-
-    Example:
-        limits = SafetyParams(**AfmConfig().safety.model_dump())
-    """
+    """Limits; base positions and speeds along the paper's axis, towards the sample."""
 
     base_min_m: float
     base_max_m: float

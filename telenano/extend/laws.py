@@ -21,12 +21,7 @@ from telenano.numerics.compiler import compiled
 
 
 class HandSample(NamedTuple):
-    """A sample of the operator's device: x_m [m], its velocity [m/s], F_m [N]; `following`: it obeys commands.
-
-    Example:
-        hand = HandSample(position_m=5e-3, velocity_m_per_s=0.01, force_n=0.5, following=True)
-        state = law.master_resume(params, hand, 1.1e-8)
-    """
+    """A sample of the operator's device: x_m [m], its velocity [m/s], F_m [N]; `following`: it obeys commands."""
 
     position_m: float
     velocity_m_per_s: float
@@ -38,12 +33,6 @@ class TipMeasurement(NamedTuple):
     """What the AFM measured: base x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands.
 
     `outstanding_m`: how far commands that it had not carried out by then will still move the base [m].
-
-    Example:
-        tip = TipMeasurement(
-            base_position_m=3e-9, force_n=1e-8, separation_m=0.0, separation_valid=False, in_contact=True,
-            following=True, outstanding_m=0.0,
-        )
     """
 
     base_position_m: float
@@ -62,9 +51,6 @@ class PortSignal(NamedTuple):
     did); a law decides for itself what is too long. `round_trip_s`, at the master only, is the age of the hand's sample
     that the signal answers, on the hand's clock and at the time of use: what a predictor has to bridge. It is a whole
     number of periods, 0.0 where the answer belongs to the present tick, and grows with every tick without a new signal.
-
-    Example:
-        signal = PortSignal(position_m=3e-9, force_n=1e-8, in_contact=True, active=True, silence_s=0.0)
     """
 
     position_m: float = 0.0
@@ -97,10 +83,6 @@ def port_signal(
     """Return a signal from what a law says by name; what it does not say is zero or false.
 
     The defaults are those of a step and not of the tuple, because numba does not fill in defaults of a tuple.
-
-    Example:
-        force_n = hand.force_n / p.force_scale
-        signal = port_signal(position_m=tip_reference(p, mass), force_n=force_n, active=hand.following)
     """
     return PortSignal(
         position_m, velocity_m_per_s, force_n, wave_sqrt_w, energy_j, separation_m, separation_valid, in_contact,
@@ -112,11 +94,7 @@ def port_signal(
 def tip_signal(
     tip: TipMeasurement, position_m: float, force_n: float, wave_sqrt_w: float = 0.0, energy_j: float = 0.0
 ) -> PortSignal:
-    """Return the signal of a slave half: the state of its tip, and what its law sends with it.
-
-    Example:
-        signal = tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=state.sent_j)
-    """
+    """Return the signal of a slave half: the state of its tip, and what its law sends with it."""
     return PortSignal(
         position_m, 0.0, force_n, wave_sqrt_w, energy_j, tip.separation_m, tip.separation_valid, tip.in_contact,
         tip.following, 0.0, 0.0,
@@ -127,10 +105,6 @@ class MasterReference(NamedTuple):
     """What the operator's device is to do: follow position_m, or, where `active` is false, be off.
 
     `force_n` is the force of the environment at the hand's scale, for devices that render it and for the record.
-
-    Example:
-        force_n = p.force_scale * signal.force_n
-        reference = MasterReference(mass.position_m, mass.velocity_m_per_s, force_n, active=True)
     """
 
     position_m: float
@@ -144,9 +118,6 @@ class SlaveReference(NamedTuple):
 
     Until the tip follows (`TipMeasurement.following`), a half gives the hand's own reference as an active one: by it
     the rig places the tip, also before the hand is coupled.
-
-    Example:
-        reference = SlaveReference(position_m=signal.position_m, active=True)
     """
 
     position_m: float
@@ -158,11 +129,6 @@ class EnergyAccount(NamedTuple):
 
     remaining_j: received and not yet given out or sent on; dissipated_j: taken out on purpose by the controller;
     granted_j: what the law lets itself have at the start, and by which its two ports may fall below passivity.
-
-    Example:
-        @compiled
-        def slave_energy_account(params: MyParams, state: SlaveState) -> EnergyAccount:
-            return EnergyAccount(remaining_j=state.store_j, dissipated_j=state.damped_j, granted_j=0.0)
     """
 
     remaining_j: float
@@ -175,11 +141,7 @@ LONGEST_BRIDGED_PERIODS = 50
 
 
 def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
-    """Return the longest pause of signals, in periods, after which a slave half does not start again.
-
-    Example:
-        longest = longest_pause_periods(config.silence_limit_s, period_s=1e-3)
-    """
+    """Return the longest pause of signals, in periods, after which a slave half does not start again."""
     return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
 
 
@@ -262,12 +224,6 @@ class Law:
     `fixed_in_contact`: the settings, besides both scales, that a rig refuses to change while the tip touches, because
     the force or the energy in store is stated in them and would jump. All others change live, without a step of the
     force of more than 5 % (`telenano law check`).
-
-    Example:
-        LAW = Law(
-            "my_law", MyConfig, master_start, master_resume, master_send, master_receive, slave_start,
-            slave_receive, retune,
-        )
     """
 
     name: str
@@ -376,9 +332,6 @@ def paced(behind: int, elapsed: int, silent: int) -> tuple[int, int]:
         behind: How many periods the half is behind the hand before the step; negative is ahead.
         elapsed: The periods of the hand that a signal brings, 0 for a step between signals.
         silent: The whole periods since the last signal.
-
-    Example:
-        behind, periods = paced(behind=0, elapsed=3, silent=0)  # (0, 3)
     """
     behind += elapsed
     periods = min(max(behind + silent, 1 if elapsed > 0 else 0), MOST_PERIODS_A_STEP)

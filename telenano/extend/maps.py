@@ -25,11 +25,7 @@ SI_UNITS = {name: unit for unit, name in _QUANTITIES.items()}
 
 
 class Span(NamedTuple):
-    """What a map says without its values: z from and to, half width, half depth [m], k [N/m] and quantity.
-
-    Example:
-        span = Span(-50e-9, 100e-9, half_x_m=1e-6, half_y_m=1e-6, stiffness_n_per_m=3.0, quantity="force")
-    """
+    """What a map says without its values: z from and to, half width, half depth [m], k [N/m] and quantity."""
 
     low_m: float
     high_m: float
@@ -44,9 +40,6 @@ class OverMap(NamedTuple):
 
     params: of the step; stiffness_n_per_m: of the cantilever that the map is felt through [N/m]; channel: what the map
     has in place of a force, empty for a force; about: the map in words.
-
-    Example:
-        over = OverMap(Wall(depth_m, rest_distance_m), stiffness_n_per_m=3.0, channel="", about=f"{path.name}: a wall")
     """
 
     params: Any
@@ -67,9 +60,6 @@ class MapFormat:
 
     Raises:
         ConfigError: `read` cannot use the file; the message names it.
-
-    Example:
-        WALL = MapFormat(params=Wall, start=start, step=step, span=span_of, read=read_over_map)
     """
 
     params: type

@@ -10,12 +10,7 @@ Step = Callable[..., Any]
 
 
 class OperatorInputs(NamedTuple):
-    """Session time (negative: not started) at the end of the step, and the arm's position at its two ends.
-
-    Example:
-        ends = OperatorInputs(session_time_s, start_position_m=before_m, end_position_m=after_m)
-        state, felt = step(params, state, ends, dt)
-    """
+    """Session time (negative: not started) at the end of the step, and the arm's position at its two ends."""
 
     session_time_s: float
     start_position_m: float
@@ -23,12 +18,7 @@ class OperatorInputs(NamedTuple):
 
 
 class OperatorOutputs(NamedTuple):
-    """F_m on the device, positive towards the sample, after the limit of hand and sensor.
-
-    Example:
-        limited = abs(force_n) > params.max_force_n
-        felt = OperatorOutputs(math.copysign(params.max_force_n, force_n) if limited else force_n, limited)
-    """
+    """F_m on the device, positive towards the sample, after the limit of hand and sensor."""
 
     force_n: float
     limited: bool
@@ -41,9 +31,6 @@ class OperatorModel:
     config: settings with `kind: Literal[name]`, `max_force_n` [N] and `to_params()`, which gives a `params`;
     params: a NamedTuple of the model's own, with `max_force_n`; `start(params, position_m) -> state`, a hand at rest;
     `step(params, state, OperatorInputs, dt) -> (state, OperatorOutputs)`, pure and compiled, over dt [s] > 0.
-
-    Example:
-        MODEL = OperatorModel("my_hand", MyConfig, MyParams, start, step)
     """
 
     name: str

@@ -77,10 +77,6 @@ class Instrument(NamedTuple):
     amplitude after a period; reach, of the base over a surface whose heights are known, None for an instrument that
     has to find the surface; lateral_uncertainty, relative, of the calibration of the lateral force; scans, the
     instrument takes images by its own scan.
-
-    Example:
-        limits, lateral = AfmConfig().to_guard(), LateralParams(5e-5, 2e-5)
-        instrument = Instrument(limits, lateral, size_m=(8e-6, 8e-6), stiffness_n_per_m=40.0, period_s=1e-3)
     """
 
     limits: SafetyParams
@@ -105,10 +101,6 @@ class Inputs(NamedTuple):
     Measured at the step before: base x_s [m] and place of the stage; force along z, and along x and y, on the tip [N];
     vibration of the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is; own,
     the next line of an image that the instrument takes by itself.
-
-    Example:
-        here = Place(0.0, 0.0)
-        inputs = Inputs(-5e-9, here, 2e-9, lateral_n=(0.0, 0.0), oscillation=Oscillation(0.0, 0.0), pointer=here)
     """
 
     base_m: float
@@ -123,12 +115,7 @@ class Inputs(NamedTuple):
 
 @dataclass(frozen=True)
 class Way:
-    """A step towards the surface: phase, time in it [s], and where base [m] and stage are to go.
-
-    Example:
-        way = Way.to_surface(state.phase, state.elapsed_s, inputs, plan.start, plan.clear_m, step_m, touches, dt)
-        wanted = Wanted(state._replace(phase=way.phase, elapsed_s=way.elapsed_s), way.base_m, way.place)
-    """
+    """A step towards the surface: phase, time in it [s], and where base [m] and stage are to go."""
 
     # the phases of the way; those of a program itself come after
     RISE: ClassVar[int] = 0
@@ -196,11 +183,7 @@ class FinishedLine(NamedTuple):
 
 
 class Begun(NamedTuple, Generic[P, T]):
-    """A program that begins: its plan and first state, a sentence for the caller, and a warning for the events.
-
-    Example:
-        begun = Begun(plan, MyState(Way.RISE, 0.0), text="the tip goes to the middle of the sample")
-    """
+    """A program that begins: its plan and first state, a sentence for the caller, and a warning for the events."""
 
     plan: P
     state: T
@@ -213,9 +196,6 @@ class Wanted(NamedTuple, Generic[T]):
 
     is_done: the tip is to retract; line, an image line that was finished; amplitude_m, of the vibration without a
     sample [m]; notice, a warning for the events; image, what the instrument is to take by its own scan.
-
-    Example:
-        wanted = Wanted(state, inputs.base_m + plan.speed_m_per_s * dt, inputs.place, is_done=state.elapsed_s >= 5.0)
     """
 
     state: T
@@ -229,11 +209,7 @@ class Wanted(NamedTuple, Generic[T]):
 
 
 class Progress(NamedTuple):
-    """How far a program is: in words, as a share of 1, in lines where it has any, and what it has measured by name.
-
-    Example:
-        progress = Progress(f"line {line + 1} of {lines}", line / lines, line, lines)
-    """
+    """How far a program is: in words, as a share of 1, in lines where it has any, and what it has measured by name."""
 
     text: str
     share: float
@@ -249,14 +225,6 @@ class Program(ABC, Generic[S, P, T]):
     for a person; label: its name in sentences, where it differs from the one in the table; can_pause: it can stand
     where it is, and continue; leaves_tip: the stage stays where the program ends, for a hand that continues from there;
     moves_across: it needs an instrument that moves the tip over the sample.
-
-    Example:
-        class Hover(Program[HoverSettings, HoverPlan, HoverState]):
-            settings, title, about = HoverSettings, "Hover", "The tip stays above the sample."
-
-            def begin(self, settings, instrument, place): ...
-            def step(self, plan, state, inputs, dt): ...
-            def progress(self, plan, state): ...
     """
 
     settings: type[S]

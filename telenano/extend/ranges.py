@@ -52,9 +52,6 @@ def parameter(default: float, unit: str, description: str, *, zero: bool = False
 
     Raises:
         KeyError: No range is known of the unit.
-
-    Example:
-        damping_n_s_per_m: float = parameter(2000.0, "N s/m", "Virtual damping B_v [N s/m]", zero=True)
     """
     least, most = _RANGES[unit]
     return Field(default=default, ge=0.0 if zero else least, le=most, description=description)

@@ -16,9 +16,6 @@ class PlantInputs(NamedTuple):
     height_m: of the surface under the tip [m]; voltage_v: between tip and sample [V]; amplitude_m: that the drive of
     the base gives the tip without a sample [m], 0 without a drive; temperature_k: of a cantilever that has a motion
     [K], 0 without thermal impulses, and seed, which decides these.
-
-    Example:
-        state, sample = model.measure(params, state, PlantInputs(base_m=30e-9, x_m=1e-6, y_m=25e-9), 1e-3)
     """
 
     base_m: float
@@ -38,12 +35,6 @@ class AfmSample(NamedTuple):
     positive is repulsive; bridge_voltage_v: Eq. 3 [V]; distance_m: h [m], meaningful if distance_valid (a real
     instrument does not know it); in_contact; meniscus: a bridge exists (`as_printed`: the retract law is in force);
     lateral_x_n, lateral_y_n: force on the tip by the sample in x and y [N].
-
-    Example:
-        sample = AfmSample(
-            base_m=inputs.base_m, deflection_m=depth_m, force_n=force_n, bridge_voltage_v=0.0, distance_m=0.0,
-            distance_valid=True, in_contact=True, meniscus=False,
-        )
     """
 
     base_m: float
@@ -80,9 +71,6 @@ class SampleModel:
     tip over the sample inputs.x_m and inputs.y_m [m], and the time since the last step dt [s], which is 0 at the start.
     stiffness_n_per_m: of the contact where it is pressed, nominal, for a reader who has to know how far to press; where
     config has a field of that name, studies set it.
-
-    Example:
-        PARTICLE = SampleModel("particle", ParticleConfig, ParticleParams, start, measure, stiffness_n_per_m=10.0)
     """
 
     name: str

@@ -17,11 +17,7 @@ class LateralParams(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A place of the tip over the sample in the AFM frame [m]; 0, 0 is the middle of the sample.
-
-    Example:
-        first = Place(x_m=1e-6, y_m=-0.5e-6)
-    """
+    """A place of the tip over the sample in the AFM frame [m]; 0, 0 is the middle of the sample."""
 
     x_m: float
     y_m: float

@@ -19,14 +19,7 @@ from telenano.settings.config import filled
 
 
 class VirtualImpedanceParams(NamedTuple):
-    """Constants of the law, with the exact discrete impedance over one period.
-
-    Example:
-        params = VirtualImpedanceParams(
-            force_gain=20.0, position_scale=1.5e-6, force_scale=1e8, silence_limit_s=0.05, period_s=1e-3,
-            impedance=exact_discretisation(10.0, 2000.0, 0.0, 1e-3),
-        )
-    """
+    """Constants of the law, with the exact discrete impedance over one period."""
 
     force_gain: float
     position_scale: float
@@ -59,11 +52,7 @@ class VirtualImpedanceConfig(ImpedanceConfig):
 
 
 class MasterState(NamedTuple):
-    """The virtual mass: x [m], x' [m/s], and the offset [m] at the tip that a change of scale leaves behind.
-
-    Example:
-        state = MasterState(hand.position_m, velocity_m_per_s=0.0, tip_offset_m=0.0)
-    """
+    """The virtual mass: x [m], x' [m/s], and the offset [m] at the tip that a change of scale leaves behind."""
 
     position_m: float
     velocity_m_per_s: float

@@ -37,12 +37,7 @@ _KEPT_WORK_J = 1e-3
 
 
 class MassParams(NamedTuple):
-    """Scales, limits, and the exact step of the mass: x += phi_xv v + gamma_x F, v = phi_vv v + gamma_v F.
-
-    Example:
-        step = exact_discretisation(0.5, 100.0, 0.0, 1e-3)
-        params = MassParams(1.5e-6, 1e8, 0.05, 1e-3, step.phi_xv, step.phi_vv, step.gamma_x, step.gamma_v)
-    """
+    """Scales, limits, and the exact step of the mass: x += phi_xv v + gamma_x F, v = phi_vv v + gamma_v F."""
 
     position_scale: float
     force_scale: float
@@ -55,11 +50,7 @@ class MassParams(NamedTuple):
 
 
 class Mass(NamedTuple):
-    """x [m], x' [m/s], and the offset [m] at the tip in x_ref = alpha_p x + offset; `coupled`: it feels the tip.
-
-    Example:
-        mass = Mass(hand.position_m, velocity_m_per_s=0.0, tip_offset_m=mass.tip_offset_m, coupled=True)
-    """
+    """x [m], x' [m/s], and the offset [m] at the tip in x_ref = alpha_p x + offset; `coupled`: it feels the tip."""
 
     position_m: float
     velocity_m_per_s: float
@@ -72,9 +63,6 @@ class HandPort(NamedTuple):
 
     The channel gets its energy from the reference, and the hand gives its at the device, which is late or stuck. A half
     begins with `HandPort(device_m, 0.0, 0.0, 0.0)`.
-
-    Example:
-        port = HandPort(device_m=hand.position_m, credit_j=0.0, sent_j=0.0, granted_j=0.0)
     """
 
     device_m: float
@@ -132,22 +120,13 @@ class MassConfig(ScaledConfig):
 
 @compiled
 def periods_in(dt: float, period_s: float) -> int:
-    """Return the whole periods in dt [s], at least one.
-
-    Example:
-        for _ in range(periods_in(dt, p.period_s)):
-            mass = moved(p, mass, hand.force_n - force_n)
-    """
+    """Return the whole periods in dt [s], at least one."""
     return max(1, round(dt / period_s))
 
 
 @compiled
 def bounded(value: float, most: float) -> float:
-    """Return a value within -most and most; the same bits where it is.
-
-    Example:
-        speed_m_per_s = bounded(speed_m_per_s, FASTEST_M_PER_S)
-    """
+    """Return a value within -most and most; the same bits where it is."""
     if value > most:
         return most
     return -most if value < -most else value
@@ -160,9 +139,6 @@ def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> flo
     A base that did not go where it was sent, because it was held or its speed was limited, continues from where it is:
     what is still missing of the commands that it has carried out is no longer due. What it has not carried out yet is
     no such lead, because a late instrument still will.
-
-    Example:
-        base_m = followed(p, state.position_m, tip) + p.position_scale * p.period_s * speed_m_per_s
     """
     if not has_arrived(params, reference_m, tip):
         return reference_m
@@ -172,75 +148,46 @@ def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> flo
 
 @compiled
 def has_arrived(params: MassParams, reference_m: float, tip: TipMeasurement) -> bool:
-    """Return whether a base is near where it was sent [m]: until then its motion is not one of the law's.
-
-    Example:
-        coupled = is_coupled(p, signal) and tip.following and has_arrived(p, state.position_m, tip)
-    """
+    """Return whether a base is near where it was sent [m]: until then its motion is not one of the law's."""
     missing = reference_m - (tip.base_position_m + tip.outstanding_m)
     return abs(missing) <= max(params.position_scale * ARRIVED_M, 2.0 * FOLLOWED_M)
 
 
 @compiled
 def at_rest(position_m: float) -> Mass:
-    """Return the mass at rest, not coupled, with tip and hand on the line through zero.
-
-    Example:
-        state = MasterState(at_rest(hand.position_m))
-    """
+    """Return the mass at rest, not coupled, with tip and hand on the line through zero."""
     return Mass(position_m, 0.0, 0.0, False)
 
 
 @compiled
 def resumed(params: MassParams, hand: HandSample, tip_reference_m: float) -> Mass:
-    """Return the mass in the hand's motion, with the offset that makes tip_reference_m [m] the tip's reference.
-
-    Example:
-        state = MasterState(resumed(params.mass, hand, tip_reference_m))
-    """
+    """Return the mass in the hand's motion, with the offset that makes tip_reference_m [m] the tip's reference."""
     offset = tip_reference_m - params.position_scale * hand.position_m
     return Mass(hand.position_m, hand.velocity_m_per_s, offset, False)
 
 
 @compiled
 def rescaled(old: MassParams, new: MassParams, mass: Mass) -> Mass:
-    """Keep the tip's reference constant when alpha_p changes.
-
-    Example:
-        state = state._replace(mass=rescaled(old.mass, new.mass, state.mass))
-    """
+    """Keep the tip's reference constant when alpha_p changes."""
     offset = mass.tip_offset_m + (old.position_scale - new.position_scale) * mass.position_m
     return Mass(mass.position_m, mass.velocity_m_per_s, offset, mass.coupled)
 
 
 @compiled
 def tip_reference(params: MassParams, mass: Mass) -> float:
-    """Return x_ref = alpha_p x + offset [m].
-
-    Example:
-        apart_m = (tip_reference(p, mass) - signal.position_m) / p.position_scale
-    """
+    """Return x_ref = alpha_p x + offset [m]."""
     return params.position_scale * mass.position_m + mass.tip_offset_m
 
 
 @compiled
 def is_coupled(params: MassParams, signal: PortSignal) -> bool:
-    """Return whether the tip follows and its last signal is recent enough.
-
-    Example:
-        if not (is_coupled(p, signal) and hand.following):
-            mass = let_go(p, mass, hand, signal)
-    """
+    """Return whether the tip follows and its last signal is recent enough."""
     return signal.active and signal.silence_s <= params.silence_limit_s
 
 
 @compiled
 def is_retracted(params: Any, signal: PortSignal) -> bool:
-    """Return whether the other half says that the tip neither follows nor touches, and lately: it has to be armed.
-
-    Example:
-        port = begun_again(port, state.sent_j, is_restart=is_retracted(params.mass, signal))
-    """
+    """Return whether the other half says that the tip neither follows nor touches, and lately: it has to be armed."""
     return not signal.active and not signal.in_contact and signal.silence_s <= params.silence_limit_s
 
 
@@ -250,10 +197,6 @@ def let_go(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal)
 
     Over a retracted tip it is alpha_p x without an offset, as before the first arming: what an interruption has left
     between hand and tip ends there.
-
-    Example:
-        if not hand.following:
-            mass = let_go(p, mass, hand, signal)
     """
     offset = mass.tip_offset_m + params.position_scale * (mass.position_m - hand.position_m)
     return Mass(hand.position_m, 0.0, 0.0 if is_retracted(params, signal) else offset, False)
@@ -261,12 +204,7 @@ def let_go(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal)
 
 @compiled
 def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
-    """Move the mass by one period under a held force [N].
-
-    Example:
-        for _ in range(periods_in(dt, p.period_s)):
-            mass = moved(p, mass, hand.force_n - p.force_scale * signal.force_n)
-    """
+    """Move the mass by one period under a held force [N]."""
     position = mass.position_m + params.phi_xv_s * mass.velocity_m_per_s + params.gamma_x_m_per_n * force_n
     velocity = params.phi_vv * mass.velocity_m_per_s + params.gamma_v_m_per_n_s * force_n
     return Mass(bounded(position, FARTHEST_M), bounded(velocity, FASTEST_M_PER_S), mass.tip_offset_m, True)
@@ -274,11 +212,7 @@ def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
 
 @compiled
 def kept_near(mass: Mass, after: Mass, hand_m: float) -> Mass:
-    """Return the mass after a step, stopped where its device cannot be following any more [m].
-
-    Example:
-        mass = kept_near(mass, moved(p, mass, hand.force_n - force_n), hand.position_m)
-    """
+    """Return the mass after a step, stopped where its device cannot be following any more [m]."""
     most = max(LONGEST_LEAD_M, abs(mass.position_m - hand_m))
     lead = after.position_m - hand_m
     if abs(lead) <= most:
@@ -288,11 +222,7 @@ def kept_near(mass: Mass, after: Mass, hand_m: float) -> Mass:
 
 @compiled
 def worked(port: HandPort, hand: HandSample, counts: bool) -> HandPort:
-    """Count the work of the hand at its device since the last sample, where a law moved it.
-
-    Example:
-        port = worked(state.port, hand, counts=hand.following and state.mass.coupled)
-    """
+    """Count the work of the hand at its device since the last sample, where a law moved it."""
     work_j = hand.force_n * (hand.position_m - port.device_m) if counts else 0.0
     return HandPort(hand.position_m, port.credit_j + work_j, port.sent_j, port.granted_j)
 
@@ -302,9 +232,6 @@ def begun_again(port: HandPort, all_j: float, is_restart: bool) -> HandPort:
     """Forget what the hand has left over, and what was not sent of all that there was to send [J], as it is not paid.
 
     What was sent and is not paid stays so; again, after an arming, it is granted.
-
-    Example:
-        port = begun_again(port, state.sent_j, is_retracted(params.mass, signal))
     """
     owed_j = max(port.sent_j - all_j - port.credit_j, 0.0)
     return HandPort(
@@ -314,21 +241,13 @@ def begun_again(port: HandPort, all_j: float, is_restart: bool) -> HandPort:
 
 @compiled
 def unpaid_j(port: HandPort) -> float:
-    """Return the energy [J] that the channel has got and no hand has put into its device: it is not to be spent.
-
-    Example:
-        left_j = account.remaining_j - unpaid_j(port)
-    """
+    """Return the energy [J] that the channel has got and no hand has put into its device: it is not to be spent."""
     return max(-port.credit_j, 0.0)
 
 
 @compiled
 def put_in(port: HandPort, into_j: float, all_j: float) -> HandPort:
-    """Book what the channel got at the reference [J], and send as much of all that it has to send as is paid.
-
-    Example:
-        port = put_in(port, into_j=force_n * (mass.position_m - before_m), all_j=state.sent_j)
-    """
+    """Book what the channel got at the reference [J], and send as much of all that it has to send as is paid."""
     credit_j = min(port.credit_j - into_j, _KEPT_WORK_J)
     return HandPort(port.device_m, credit_j, max(port.sent_j, all_j + min(credit_j, 0.0)), port.granted_j)
 
@@ -346,9 +265,6 @@ def paid_stretch(
     """Limit a motion [m] of the coupling's end to the energy left; return it with the work [J] done on the channel.
 
     The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
-
-    Example:
-        motion_m, work_j = paid_stretch(stretch_m, wanted_m, 1000.0, remaining_j=max(account.remaining_j, 0.0))
     """
     force, k = stiffness_n_per_m * stretch_m, stiffness_n_per_m
     out = force * motion_m + 0.5 * k * motion_m * motion_m

@@ -52,10 +52,6 @@ def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     Raises:
         FileExistsError: A file of that name exists and is not to be replaced.
         OSError: The file cannot be written.
-
-    Example:
-        with atomic_file(Path("stage.yaml")) as part:
-            part.write_text(yaml.safe_dump(document))
     """
     if replace and path.is_symlink():
         path = path.resolve()
@@ -94,9 +90,6 @@ def changed(
     Raises:
         RigError: Another process has had the lock for `wait_s`, or the system refuses; the text names the file, which
             is as it was.
-
-    Example:
-        changed(folder / "notes.txt", lambda before: (before or b"") + line)
     """
     with locked(path, wait_s, mode=mode):
         try:
@@ -122,10 +115,6 @@ def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600, busy: 
     Raises:
         RigError: Another process has had it for `wait_s`, or the lock cannot be had for another reason, which the text
             states.
-
-    Example:
-        with locked(Path("cells.jsonl"), mode=0o666), Path("cells.jsonl").open("ab") as file:
-            file.write(line)
     """
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
@@ -177,10 +166,6 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Raises:
         FileExistsError: The folder exists; the error names it.
         OSError: The folder cannot be written.
-
-    Example:
-        with whole_folder(Path("out/tables")) as folder:
-            (folder / "columns.csv").write_text("channel,column,unit,description")
     """
     with _temporary(path, path, replace=False) as part:
         part.mkdir(parents=True)

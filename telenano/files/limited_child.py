@@ -46,11 +46,7 @@ _LONGEST_TEXT = 500
 
 
 class Limits(NamedTuple):
-    """What a child may take: address space [bytes], processor time [s] and time [s].
-
-    Example:
-        limits = Limits.of_size(path.stat().st_size)
-    """
+    """What a child may take: address space [bytes], processor time [s] and time [s]."""
 
     memory_bytes: int
     cpu_s: int
@@ -91,9 +87,6 @@ def read_in_child(
         ImportError: A package is missing; the message names it.
         OSError: The child got this error when it read the file.
         ValueError: The function raised any other error, or reached a limit; the message says which.
-
-    Example:
-        facts, (table,) = read_in_child("my_package.curves:load_table", Path("curve.dat"))
     """
     size = path.stat().st_size
     if size > LARGEST_FILE_BYTES:

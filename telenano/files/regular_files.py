@@ -22,10 +22,6 @@ def open_regular(path: Path) -> BinaryIO:
         OSError: The file cannot be opened.
         IsADirectoryError: It is a folder.
         NotRegularError: It is a pipe, a socket or a device.
-
-    Example:
-        with open_regular(Path("map.ibw")) as file:
-            start = file.read(8)
     """
     # The check comes before opening, which a device may answer by an action.
     _require_regular(path, path.stat().st_mode)
@@ -45,9 +41,6 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
 
     Raises:
         OSError: The file cannot be read, or has more than most_bytes; its `strerror` then names both sizes.
-
-    Example:
-        content = read_regular(Path("points.csv"), 1_000_000)
     """
     with open_regular(path) as file:
         # A file that the kernel makes up while it is read states no size.
@@ -69,10 +62,6 @@ def is_own(path: Path) -> bool:
 
     Raises:
         OSError: It cannot be looked at.
-
-    Example:
-        if is_own(library):
-            loaded = ctypes.CDLL(str(library))
     """
     return is_own_path(path) and (not path.exists() or _is_own(path.stat()))
 

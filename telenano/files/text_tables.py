@@ -38,9 +38,6 @@ class Column(NamedTuple):
     """A column: title as it stands, name without the unit, unit as it stands ("": none), line of the head (0: none).
 
     values: as they stand, nan where missing, shape (n,); bad: line and text of the first that is no number.
-
-    Example:
-        column = Column(title="Force (nN)", name="Force", unit="nN", line=1, values=np.array([0.0, 0.5]))
     """
 
     title: str
@@ -60,10 +57,6 @@ class TextTable(NamedTuple):
     """A table: name of the file, columns, lines of the rows, lines of the head, what separates, and remarks.
 
     ends_whole: whether its last line has an end; without one its last number may have lost digits.
-
-    Example:
-        table = TextTable.read(Path("curve.txt"))
-        force_n = table.in_si(table.column("Force"), ("N",))
     """
 
     name: str
@@ -230,11 +223,7 @@ class TextTable(NamedTuple):
 
 
 def as_number(cell: str) -> float | None:
-    """Return the number in a cell with a decimal point or comma, nan for a word that says it is missing, else None.
-
-    Example:
-        force_nn = as_number("0,25")
-    """
+    """Return the number in a cell with a decimal point or comma, nan for a word that says it is missing, else None."""
     if "_" in cell or len(cell) > _LONGEST_NUMBER:
         return None
     if not _NUMBER.fullmatch(cell):
@@ -270,11 +259,7 @@ class _Folding:
 
 
 def decoded(content: bytes, name: str) -> str:
-    """Return the text of a file in UTF-8, in UTF-16 with its mark, or of an older Windows; ConfigError for no text.
-
-    Example:
-        text = decoded(Path("curve.txt").read_bytes(), "curve.txt")
-    """
+    """Return the text of a file in UTF-8, in UTF-16 with its mark, or of an older Windows; ConfigError for no text."""
     try:
         if content.startswith((b"\xff\xfe", b"\xfe\xff")):
             return content.decode("utf-16")

@@ -31,15 +31,7 @@ BREAKAWAY = 1.0 + 1e-6
 
 
 class MotorParams(NamedTuple):
-    """Constants of the device; an infinite limit is a limit that is off.
-
-    Example:
-        params = MotorParams(
-            speed_gain_rad_per_s_v=29.41, screw_m_per_rad=2.79e-5, time_constant_s=1.1e-3, servo_gain_v_per_m=191.7e3,
-            friction_torque_n_m=3.15e-3, armature_resistance_ohm=5.0, voltage_limit_v=48.0, torque_limit_n_m=0.05,
-            position_min_m=-0.005, position_max_m=0.015,
-        )
-    """
+    """Constants of the device; an infinite limit is a limit that is off."""
 
     speed_gain_rad_per_s_v: float  # Km
     screw_m_per_rad: float  # Kp

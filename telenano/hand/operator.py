@@ -56,9 +56,6 @@ def interpolate(times_s: NDArray[np.float64], values: NDArray[np.float64], time_
         values: The values at the points, shape (n,).
         time_s: The time at which the value is wanted [s].
         before: The value ahead of the first point.
-
-    Example:
-        force_n = interpolate(params.times_s, params.values, inputs.session_time_s, before=0.0)
     """
     if time_s < times_s[0]:
         return before

@@ -54,11 +54,7 @@ operator_step = chosen_step(_step_of)
 
 
 def operator_at_rest(params: Any, position_m: float) -> Any:
-    """Return the hand at rest at position_m [m].
-
-    Example:
-        hand = operator_at_rest(params.operator, position_m=0.0)
-    """
+    """Return the hand at rest at position_m [m]."""
     if type(params) is OperatorParams:
         return OperatorState(position_m, 0.0)
     if type(params) is ReactingParams:

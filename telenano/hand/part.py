@@ -22,10 +22,6 @@ class HandPart(NamedTuple):
     state) -> (where the device is [m], whether it gives no force for a reason of its own). step and place are marked
     `telenano.numerics.compiled`. pushed(params, force_n): parameters with a force of the hand along x and y [N]; None
     for a device of one axis.
-
-    Example:
-        part = HandPart(start, step, place, pushed)
-        part.register(SlideParams)
     """
 
     start: Callable[[Any, float, Any], Any]

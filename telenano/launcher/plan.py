@@ -405,11 +405,7 @@ def _reject_recording_place(settings: Sequence[str]) -> None:
 
 
 def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a scenario with absolute file names: in its folder, or else in the one that the command is given in.
-
-    Example:
-        tree = anchored(read_yaml(path), path.resolve().parent)
-    """
+    """Return a scenario with absolute file names: in its folder, or else in the one that the command is given in."""
     return {key: _anchored_value(key, value, folder) for key, value in tree.items()}
 
 
@@ -466,9 +462,6 @@ def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> N
         loaded: The scenario.
         elsewhere: The nodes that run on other machines: each checks its own section there, and its driver's package
             does not have to be on this one.
-
-    Example:
-        check_sections(LoadedScenario.load(find_scenario("fig12"), ["duration_s=20"]))
     """
     absent = {name for name in elsewhere if package_is_absent(loaded, name)}
     for name in SERVICES:

@@ -218,11 +218,7 @@ def _describe(plan: "Plan", name: str, claimed: tuple[int, ...], *, behind: bool
 
 
 def running_rigs() -> list[RigFacts]:
-    """Return the rigs of this user that run on this machine, one for each launcher.
-
-    Example:
-        names = [rig.name for rig in running_rigs()]
-    """
+    """Return the rigs of this user that run on this machine, one for each launcher."""
     rigs = []
     for name in rigs_with_folders():
         for lock in sorted(rig_directory(name).glob(f"{_LOCK}*.lock")):

@@ -97,11 +97,7 @@ class MotionParams(NamedTuple):
         shown_n: tuple[float, float],
         speed_m_per_s: tuple[float, float],
     ) -> tuple[float, float]:
-        """Return the force of a person [N] who steers, as the function of this module.
-
-        Example:
-            force_n = motion.steering_force_n(200.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (1e-7, 0.0))
-        """
+        """Return the force of a person [N] who steers, as the function of this module."""
         return steering_force_n(self, stiffness_n_per_m, place_m, neutral_m, shown_n, speed_m_per_s)
 
 

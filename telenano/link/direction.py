@@ -64,10 +64,6 @@ class DirectionEngine:
 
     Times given to it should not decrease from call to call: a message stamped earlier than the one before it counts as
     arriving together with that one.
-
-    Example:
-        engine = DirectionEngine("forward", LinkSettings.of({"forward": {"delay_s": 0.02}}), start_ns)
-        releases = engine.submit(now_ns, "teleop/forward", payload, seq=0)
     """
 
     def __init__(self, direction: Direction, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
@@ -129,9 +125,6 @@ class DirectionEngine:
 
         For simulations that need the delays of the link beforehand: seq counts from 0; the origin of traces and
         schedules, and the start of the session, is the first arrival.
-
-        Example:
-            delays_ns = [fate.delay_ns for fate in DirectionEngine.fates(settings, "forward", topic, sent_ns, 300)]
 
         Args:
             settings: The settings of the link.

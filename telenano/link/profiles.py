@@ -99,11 +99,7 @@ PROFILES: Mapping[str, Profile] = _Profiles()
 
 
 def profile_named(name: str) -> Profile:
-    """Return a profile by its name in any case; ConfigError names the profiles that there are.
-
-    Example:
-        round_trip_ms = profile_named("lte").round_trip_ms
-    """
+    """Return a profile by its name in any case; ConfigError names the profiles that there are."""
     if name.lower() not in PROFILES:
         raise ConfigError(refusal_of(name))
     return PROFILES[name.lower()]

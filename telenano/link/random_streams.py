@@ -44,12 +44,7 @@ class RandomStream:
 
 
 def stream(seed: int, *names: str) -> RandomStream:
-    """Return the uniform [0, 1) stream that belongs to the names; other names give an independent one.
-
-    Example:
-        draw = stream(settings.seed, "forward", "shared", "outage")
-        is_down = draw() < 0.02
-    """
+    """Return the uniform [0, 1) stream that belongs to the names; other names give an independent one."""
     digest = hashlib.sha256("\n".join((str(seed), *names)).encode()).digest()
     return RandomStream(random.Random(int.from_bytes(digest)).random)
 

@@ -36,9 +36,6 @@ class Schedule(NamedTuple):
     master [ns]; backward_of: the forward arrival each one answers, the last of those that come
     together; ticks: length of the run; window: a power of two, more than are ever between a sending and the arrival
     that it leads to.
-
-    Example:
-        schedule = Schedule.of(LinkSettings.of({"forward": {"delay_s": 0.02}}), ticks=5000, period_s=1e-3)
     """
 
     forward_ns: Times

@@ -105,12 +105,7 @@ _plain_ticks: Counter[tuple[Any, ...]] = Counter()
 
 @dataclass(frozen=True)
 class Rig:
-    """What is coupled, ready to run: constants of halves, haptic site and instrument; made by `Rig.of`.
-
-    Example:
-        rig = Rig.of(controller, haptic, afm.to_lockstep_params("my scenario", duration_s), duration_s)
-        course = rig.run(Schedule.of(link, ticks, rig.period_s), session_tick=settle)
-    """
+    """What is coupled, ready to run: constants of halves, haptic site and instrument; made by `Rig.of`."""
 
     halves: Halves
     haptic: HapticParams

@@ -118,10 +118,6 @@ class SimulatedSession(ColumnTable):
 
     `conditions` is what it was run with; `holds`, `verdict` and `reason` are those of `telenano.analysis.verdict`, as
     for a recording.
-
-    Example:
-        session = SimulatedSession.of({"name": "mine", "description": "Short.", "duration_s": 2.0}, "my scenario")
-        peak_n = session["scaled_tip_force_n"].max()
     """
 
     def __init__(
@@ -167,9 +163,6 @@ class SimulatedSession(ColumnTable):
             origin: What an error names.
             steers: Makes a hand that steers the tip across the sample, in mode rate.
             at_once: Whether to compile for the first session, as in `Rig.run`.
-
-        Example:
-            session = SimulatedSession.of({"name": "mine", "description": "Short.", "duration_s": 2.0}, "my scenario")
         """
         from telenano.analysis.report import planned_holds
 
@@ -333,11 +326,6 @@ def simulate_scenario(
 
     Raises:
         ConfigError: Names the file or key at fault, or what cannot be simulated.
-
-    Example:
-        from telenano import simulate
-
-        session = simulate("fig12", law="wave", round_trip_ms=40.0)
     """
     if round_trip_ms is not None and (isinstance(round_trip_ms, bool) or not isinstance(round_trip_ms, Real)):
         raise ConfigError(f"round_trip_ms: must be a number of milliseconds, got {round_trip_ms!r}")

@@ -45,10 +45,6 @@ class HandSteps(NamedTuple):
     notes(hand, part, force_n, across_n) takes what a judge may know and the hand may not: the state of the instrument's
     part and the forces on the tip [N]. ends(hand) tells whether it is done; without a stylus the run ends then.
     writes(hand, row) fills a row of its columns, of which `columns` has unit and text by name.
-
-    Example:
-        steps = HandSteps(moves, sees, ends=ends)
-        steps.register(Hand)
     """
 
     moves: Callable[..., tuple[float, float]]

@@ -33,11 +33,6 @@ class Trajectory:
     instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10)
     or wider, the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long
     the rig ran before the session [s].
-
-    Example:
-        columns = {field.name: getattr(course, field.name) for field in dataclasses.fields(course)}
-        columns |= {name: part[:1000] for name, part in columns.items() if isinstance(part, np.ndarray)}
-        first = Trajectory(**columns)
     """
 
     time_s: Series
@@ -108,9 +103,6 @@ class Trajectory:
             deadlines_s: The deadlines for commands of both devices [s].
             spans: Begin and end of each hold [s], with the force of the hand in it [N].
             knows_contact: Whether the instrument measures contact.
-
-        Example:
-            holds = course.holds(ControllerConfig(), 0.061, (0.2, 0.2), [(1.0, 3.0, 2.0)])
         """
         section = controller.law_config()
         tip = self.tip(section.position_scale, knows_contact=knows_contact)

@@ -46,13 +46,6 @@ def compiled(function: F, *, at_once: F | None = None) -> F:
         function: The step.
         at_once: What compiled code runs instead: a loop of the same bits over many elements. The compiler does several
             elements at once, for which a division by zero must raise nothing there.
-
-    Example:
-        @compiled
-        def doubled(value: float) -> float:
-            return 2.0 * value
-
-        place_roots = compiled(place_roots, at_once=place_roots_at_once)
     """
     setattr(function, STEP, None)
     if at_once is not None:
@@ -78,10 +71,6 @@ def compiled_form(function: F) -> F:
     """Return the compiled form of a marked step, for a caller whose one call makes many others.
 
     Without numba, or with NUMBA_DISABLE_JIT=1, that is the plain function, which is slower and gives the same bits.
-
-    Example:
-        fast_step = compiled_form(step)
-        state, sample = fast_step(params, state, inputs, 1e-3)
     """
     if importlib.util.find_spec("numba") is None:
         return function
@@ -133,9 +122,6 @@ def always_compiled(function: F) -> F:
 
     The module that has it needs numba, so a node imports it only where its scenario asks for it. It may call only
     marked steps and functions like itself. NUMBA_DISABLE_JIT=1 keeps it plain Python.
-
-    Example:
-        electrostatic = always_compiled(electrostatic_force_n)
     """
     return _form_of(compiled(function))
 
@@ -148,12 +134,7 @@ def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., A
     """
 
     def plain(params: Any, *inputs: Any) -> Any:
-        """Return what the step that belongs to the type of params returns.
-
-        Example:
-            tip, sample = part_step(params.tip, state.tip, inputs, dt)
-            hand, felt = operator_step(params.operator, state.operator, ends, dt)
-        """
+        """Return what the step that belongs to the type of params returns."""
         return choose(type(params))(params, *inputs)
 
     _unregistered.append((plain, choose))

@@ -36,11 +36,7 @@ _STARTED_S = time.time()
 
 
 def source_digest(root: Path = _ROOT) -> str:
-    """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use.
-
-    Example:
-        folder = Path("cache") / f"numba-{source_digest()}"
-    """
+    """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
     digest = hashlib.sha256(version("numba").encode())
     for path in _source_files(root):
         digest.update(str(path.relative_to(root)).encode())

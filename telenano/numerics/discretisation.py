@@ -55,11 +55,7 @@ def exact_discretisation(mass: float, damping: float, stiffness: float, period_s
 
 
 def decay(ratio: float) -> float:
-    """Return exp(-ratio), the double nearest to it; ratio [1], >= 0.
-
-    Example:
-        kept = decay(1e-3 / 0.5)
-    """
+    """Return exp(-ratio), the double nearest to it; ratio [1], >= 0."""
     with localcontext(Context(prec=_DIGITS, Emin=MIN_EMIN, Emax=MAX_EMAX)):
         return float((-Decimal(ratio)).exp())
 

@@ -9,9 +9,5 @@ def to_paper_axis(vector: Vector3) -> float:
 
 
 def to_site_frame(value: float) -> Vector3:
-    """Return the vector in a site's frame of a coordinate along the paper's axis; 0.0 stays +0.0.
-
-    Example:
-        force_n = to_site_frame(1.5)
-    """
+    """Return the vector in a site's frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
     return (0.0, 0.0, 0.0 - value)

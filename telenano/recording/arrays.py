@@ -61,10 +61,6 @@ def last_force_profile(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
 
     Returns:
         The indices, fewer than two when no force profile ran.
-
-    Example:
-        hand = recording.columns("haptic/state", ("session_s", "t_ns"))
-        running = last_force_profile(hand["session_s"], hand["t_ns"])
     """
     running = np.flatnonzero(session_s >= 0.0)
     old = t_ns[running] < np.maximum.accumulate(t_ns[running])

@@ -46,10 +46,6 @@ class Selection:
 
     A channel is named as in the recording: `teleop/forward` where it was sent, `teleop/forward@slave` where it came out
     of the link.
-
-    Example:
-        selection = Selection.of(["afm/*", "teleop/forward@slave"], exclude=["afm/scanline"])
-        chosen = [channel for channel in recording.channels if selection(channel)]
     """
 
     topics: tuple[Matcher, ...] = ()

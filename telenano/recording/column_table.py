@@ -11,13 +11,7 @@ Column = npt.NDArray[Any]
 
 
 class ColumnTable(Mapping[str, Column]):
-    """Columns of shape (n,) by name; `units` and `descriptions` have an entry for each.
-
-    Example:
-        columns = {"time_s": np.array([0.0, 0.001]), "x_m": np.array([0.0, 2e-9])}
-        texts = {"time_s": "Time since the trial began", "x_m": "Centre of the particle"}
-        table = ColumnTable("particles", columns, {"time_s": "s", "x_m": "m"}, texts)
-    """
+    """Columns of shape (n,) by name; `units` and `descriptions` have an entry for each."""
 
     def __init__(
         self, name: str, columns: Mapping[str, Column], units: Mapping[str, str], descriptions: Mapping[str, str]

@@ -145,9 +145,6 @@ def write_viewer_mcap(
 
     Raises:
         RecordingError: The file cannot be written.
-
-    Example:
-        >>> write_viewer_mcap(recording, target, selection, lambda topic, schema: ("cbor", (topic, "", b""), dumps))
     """
     publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
     topics = {channel.topic for channel in recording.channels if selection(channel)}
@@ -188,9 +185,6 @@ def write_mcap(
 
     Raises:
         RecordingError: The file cannot be written.
-
-    Example:
-        >>> write_mcap(recording, target, ALL, lambda message: [(message.topic, message.payload)], described)
     """
     skipped: list[Damage] = list(recording.structural_damage)
     refused: list[str] = []
@@ -226,10 +220,6 @@ def viewer_json(topic: str) -> Payload:
 
     Args:
         topic: The topic.
-
-    Example:
-        >>> encoding, (name, _, schema), encode = viewer_json("afm/state")
-        >>> encode(message.plain())
     """
     return _as_json(topic, _plain_schema_of(topic))
 

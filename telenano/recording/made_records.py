@@ -18,9 +18,6 @@ def recorded(topic: str, message: Message, log_ns: int, site: str = "") -> Recor
         message: The message.
         log_ns: When it was received [ns since 1970].
         site: The site at which it was received; empty for that of its publisher, else it is a copy that left the link.
-
-    Example:
-        message = recorded("afm/state", example("afm/state", seq=7), log_ns=1_700_000_000_000_000_000)
     """
     row, site = TOPICS[topic], site or site_of(message.src)
     via, name = "direct" if site == site_of(message.src) else "link", channel_topic(topic, message.src, site)

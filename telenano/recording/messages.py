@@ -61,9 +61,6 @@ class RecordedChannel(NamedTuple):
 
     `channel_topic` is the bus topic, with `@site` where it was received behind the link. `rate_hz` is the declared
     rate, None for topics sent on change. In a file that is not a recording of ours, `site` and `src` are empty.
-
-    Example:
-        channel = RecordedChannel("afm/state", "afm/state", "slave", "direct", "afm_node@slave", 1000.0, "latest")
     """
 
     channel_topic: str
@@ -76,12 +73,7 @@ class RecordedChannel(NamedTuple):
 
 
 class RecordedMessage(NamedTuple):
-    """A message as it was received: times in ns, `log_ns` on the recorder's clock, `publish_ns` on the publisher's.
-
-    Example:
-        message = RecordedMessage(channel, log_ns=received_ns, publish_ns=sent_ns, seq=7, payload=payload)
-        state = message.decode()
-    """
+    """A message as it was received: times in ns, `log_ns` on the recorder's clock, `publish_ns` on the publisher's."""
 
     channel: RecordedChannel
     log_ns: int
@@ -150,9 +142,6 @@ class RecordedMessage(NamedTuple):
 
         Raises:
             RecordingError: The payload is not a msgpack map either.
-
-        Example:
-            >>> json.dumps([message.plain() for message in recording.messages(["session/event"])])
         """
         from telenano.recording.json_values import json_fields, json_value
 

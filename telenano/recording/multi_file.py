@@ -12,11 +12,7 @@ from telenano.wire.errors import RecordingError
 
 
 class RecordingSource(RecordedFields, Protocol):
-    """What can be played, searched and reported: a recording, or several files of one.
-
-    Example:
-        class MyRecording(RecordingSource): ...
-    """
+    """What can be played, searched and reported: a recording, or several files of one."""
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -111,9 +107,6 @@ def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> R
         paths: The files.
         by_index: Whether a file is read by its index where that is sound (`telenano.recording.indexed`): it opens at
             once, and damage between its chunks is not found.
-
-    Example:
-        recording = open_recordings(["out/session.mcap"], by_index=True)
     """
     if not paths:
         raise RecordingError("no recording was given")

@@ -23,11 +23,7 @@ _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstan
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of packages, Python, platform and message schemas; `unknown` where a package has none.
-
-    Example:
-        version = versions()["package telenano"]
-    """
+    """Return the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
     texts = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
     texts |= {f"package {name}": _package_version(name) for name in _PACKAGES}
     texts["commit"] = _commit()

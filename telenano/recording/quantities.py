@@ -33,11 +33,7 @@ def model_of(topic: str) -> type[Record] | None:
 
 
 def quantity(topic: str, column: str) -> Quantity:
-    """Return unit and description of a column of a topic, such as `tip_force_n.2`; empty where none is known.
-
-    Example:
-        unit = quantity("afm/state", "tip_force_n.2").unit
-    """
+    """Return unit and description of a column of a topic, such as `tip_force_n.2`; empty where none is known."""
     return _quantities(topic).get(_without_index(column), Quantity("", ""))
 
 

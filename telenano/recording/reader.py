@@ -64,12 +64,7 @@ _MessageT = TypeVar("_MessageT")
 
 
 class Recording(RecordedFields):
-    """A recording on disk, as far as it had been written when this object was made.
-
-    Example:
-        recording = Recording("out/fig12/session.mcap")
-        forces_n = recording.columns("afm/state", ("t_ns", "tip_force_n.2"))["tip_force_n.2"]
-    """
+    """A recording on disk, as far as it had been written when this object was made."""
 
     def __init__(self, path: str | Path) -> None:
         """Scan the structure of a file; RecordingError names the file and what is wrong with it."""

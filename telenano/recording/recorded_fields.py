@@ -29,11 +29,7 @@ class RecordedFields(Protocol):
         """Yield messages of channels by name within bounds [ns]."""
 
     def columns(self, channel_topic: str, fields: Sequence[str]) -> "dict[str, npt.NDArray[Any]]":
-        """Return fields of every message of a channel as arrays; see `telenano.recording.columns.columns`.
-
-        Example:
-            hand = Recording(path).columns("haptic/state", ("t_ns", "position_m.2"))
-        """
+        """Return fields of every message of a channel as arrays; see `telenano.recording.columns.columns`."""
         from telenano.recording.columns import columns
 
         return columns(self, channel_topic, fields)

@@ -18,12 +18,7 @@ _PART = re.compile(r"session(?:_([0-9]{1,9}))?\.mcap")
 
 
 class SessionFolder:
-    """The folder that `telenano up` records to.
-
-    Example:
-        folder = SessionFolder(Path("sessions/fig12"))
-        parts, faults = folder.own()
-    """
+    """The folder that `telenano up` records to."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

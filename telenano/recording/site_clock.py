@@ -122,10 +122,6 @@ class Timeline:
     """The stamps of all sources of a recording on one clock, the master's [ns].
 
     A source that was itself replayed beside live ones is shifted to the time of its replay, see `replay_shifts`.
-
-    Example:
-        timeline = Timeline(recording)
-        times_ns = timeline.times_ns("afm_node@slave", recording.columns("afm/state", ("t_ns",))["t_ns"])
     """
 
     def __init__(self, recording: RecordingSource, *, quick: bool = False) -> None:

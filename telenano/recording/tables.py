@@ -74,12 +74,7 @@ def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
 
 
 def columns_of(messages: Sequence[RecordedMessage]) -> dict[str, TypedColumn]:
-    """Return the rows of messages as columns of equal length, with values as they came; None where there is none.
-
-    Example:
-        >>> columns = columns_of(list(recording.messages(["afm/state"])))
-        >>> forces_n = columns["tip_force_n.2"].uniform()
-    """
+    """Return the rows of messages as columns of equal length, with values as they came; None where there is none."""
     if not messages:
         return {}
     typed: dict[str, TypedColumn] = {

@@ -13,10 +13,6 @@ class Tolerances:
 
     The unit is that of the field: `position_m=1e-12` allows a picometre in every component. `TOPIC:FIELD` limits a
     field of that topic only: metres at the hand and at the tip differ by a factor of a million.
-
-    Example:
-        allowed = Tolerances.parse(["position_m=1e-12", "afm/state:tip_force_n=1e-11"])
-        difference = allowed.on("afm/state").first_difference(left.fields(), right.fields(), ignore=["seq"])
     """
 
     def __init__(self, limits: Mapping[str, float] | None = None) -> None:

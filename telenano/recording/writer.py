@@ -58,12 +58,6 @@ class RecordingWriter:
 
     A channel is what one publisher sends on one bus topic, received at one site. Every method raises RecordingError
     with the path and the reason when the file cannot be written; what was flushed before stays readable.
-
-    Example:
-        writer = RecordingWriter.at(Path("out/session.mcap"), "recorder@slave")
-        channel = writer.channel("afm/state", "afm_node@slave", "slave")
-        writer.write(channel, received_ns, sent_ns, 0, payload)
-        writer.finish()
     """
 
     def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings) -> None:
@@ -97,9 +91,6 @@ class RecordingWriter:
 
         Raises:
             ConfigError: The name is not that of a recording.
-
-        Example:
-            writer = RecordingWriter.at(Path("out/session.mcap"), "recorder@slave")
         """
         return cls.create(node, validate(FileSettings, {"directory": path.parent, "file_name": path.name}, origin))
 

@@ -141,11 +141,6 @@ class ByteLink(DelayNode):
 class ByteLinkProcess:
     """A link in this process for the bytes of other programs.
 
-    Example:
-        with ByteLinkProcess.open(AddressBook.load(site_file)) as link:
-            link.begin(settings, carrier, reader, duration_s=60.0)
-            link.run()
-
     The reader calls `link.arrive` with what it receives, and the link calls `carrier.send` with what it releases.
     """
 

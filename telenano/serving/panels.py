@@ -31,10 +31,6 @@ class Asked(NamedTuple):
         role: The role of the page: `participant` where it belongs to guests, else that of who may have the hand.
         values: What was asked, by name.
         rig: The rig that the page shows, for what is published and read there.
-
-    Example:
-        asked = Asked("a1", page="b2", role="participant", values={"answer": "stiffer"}, rig=rig)
-        text = await desk.ask(asked)
     """
 
     id: str
@@ -91,9 +87,6 @@ class Panel(NamedTuple):
         guest_page: The HTML file, in the folder of the panel, of people who are sent less than the others: they press,
             answer and stop, and command nothing. One installed panel may have it.
         guest_picture: Makes their picture, of the streams that pages have (name, topic and columns of each).
-
-    Example:
-        PANEL = Panel("wind", "Wind", "watch", Path(__file__).with_name("wind.js"), {"wind/speed": ("speed_m_per_s",)})
     """
 
     id: str

@@ -47,11 +47,7 @@ class Tls(NamedTuple):
 
 
 def web_folder() -> Path:
-    """Return the folder of the page's sources and of what it shares with other pages: `web_folder() / "gallery"`.
-
-    Example:
-        folder = web_folder() / "gallery"
-    """
+    """Return the folder of the page's sources and of what it shares with other pages: `web_folder() / "gallery"`."""
     return Path(str(resources.files(module_of(name_of(PAGE))))) / "web"
 
 

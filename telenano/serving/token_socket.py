@@ -48,10 +48,6 @@ class TokenSocket:
     Raises:
         ConfigError: A file of the certificate is missing, or a token or an address cannot be used.
         EndpointError: The address cannot be bound.
-
-    Example:
-        with contextlib.closing(TokenSocket(ViewConfig(port=0), serve, ["my.protocol.v1"])) as server:
-            print(server.address)
     """
 
     def __init__(
@@ -99,9 +95,6 @@ class TokenSocket:
             called: What a person does with the address, such as `open in a viewer`.
             show: Prints a line.
             what: The name of the server, which begins that of the file.
-
-        Example:
-            >>> with server.announced("open in a viewer", print, "bridge"): ...
         """
         return announced({called: self.address}, show, what)
 

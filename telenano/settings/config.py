@@ -65,11 +65,7 @@ def package_fields(sections: Mapping[str, tuple[Any, Any, str]], titles: Mapping
 
 
 def section_of(settings: BaseModel, key: str) -> Any:
-    """Return the section of a key, of the node's own or of a package.
-
-    Example:
-        parameters = section_of(ControllerConfig(law="wave"), "wave")
-    """
+    """Return the section of a key, of the node's own or of a package."""
     return getattr(settings, key if key in type(settings).model_fields else f"{_OF_PACKAGE}{key}")
 
 
@@ -86,21 +82,12 @@ def filled(kind: type[T], settings: BaseModel, /, **others: Any) -> T:
 
 
 def permit_code() -> None:
-    """Let this process and those that it starts run code that settings name: the person who started it has named it.
-
-    Example:
-        permit_code()    # `telenano sample --sample my_module:hills` names the function itself
-    """
+    """Let this process and those that it starts run code that settings name: the person who started it has named it."""
     os.environ[ALLOW_CODE_VARIABLE] = "1"
 
 
 def refused_code(setting: str, named: str) -> str:
-    """Return why code that a setting names is not run; empty where the person who started this process allows it.
-
-    Example:
-        if text := refused_code("sample.name", "my_module:hills"):
-            raise ConfigError(text)
-    """
+    """Return why code that a setting names is not run; empty where the person who started this process allows it."""
     if os.environ.get(ALLOW_CODE_VARIABLE):
         return ""
     return (
@@ -110,11 +97,7 @@ def refused_code(setting: str, named: str) -> str:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the mapping in a YAML file; ConfigError names the file, line and what is wrong.
-
-    Example:
-        document = read_yaml(find_scenario("fig12"))
-    """
+    """Return the mapping in a YAML file; ConfigError names the file, line and what is wrong."""
     try:
         return parse_yaml(read_regular(path, LARGEST_BYTES), str(path))
     except OSError as error:
@@ -145,11 +128,7 @@ def environment_overrides(environment: Mapping[str, str] = os.environ) -> dict[s
 
 
 def flag_overrides(flags: Sequence[str]) -> dict[str, Any]:
-    """Return `section.key=value` flags as nested keys, each value read as YAML.
-
-    Example:
-        flag_overrides(["controller.law=wave"])    # {"controller": {"law": "wave"}}
-    """
+    """Return `section.key=value` flags as nested keys, each value read as YAML."""
     overrides: dict[str, Any] = {}
     for flag in flags:
         key, sign, value = flag.partition("=")
@@ -160,11 +139,7 @@ def flag_overrides(flags: Sequence[str]) -> dict[str, Any]:
 
 
 def nested(flat: Mapping[str, Any], origin: str) -> dict[str, Any]:
-    """Return dotted keys as nested ones; ConfigError when a key is both a value and a section.
-
-    Example:
-        nested({"forward.delay_s": 0.02}, "--set")    # {"forward": {"delay_s": 0.02}}
-    """
+    """Return dotted keys as nested ones; ConfigError when a key is both a value and a section."""
     tree: dict[str, Any] = {}
     for key, value in flat.items():
         _put(tree, key.split("."), value, origin)
@@ -172,11 +147,7 @@ def nested(flat: Mapping[str, Any], origin: str) -> dict[str, Any]:
 
 
 def flatten(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested keys as dotted ones, the inverse of `nested`; an empty mapping leaves no key.
-
-    Example:
-        flatten({"forward": {"delay_s": 0.02}})    # {"forward.delay_s": 0.02}
-    """
+    """Return nested keys as dotted ones, the inverse of `nested`; an empty mapping leaves no key."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
@@ -191,9 +162,6 @@ def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
     A mapping with another `kind` takes the place of the one before: the keys of the two have nothing to do with each
     other, as those of an operator that follows a path and of one that trembles.
-
-    Example:
-        document = merge(read_yaml(find_scenario("fig12")), {"controller": {"law": "wave"}})
     """
     merged: dict[str, Any] = {}
     for layer in layers:
@@ -215,9 +183,6 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
     Raises:
         ConfigError: Keys are wrong; the message names `origin`, every key at fault (below `section`, if given) and what
             would be right.
-
-    Example:
-        controller = validate(ControllerConfig, {"law": "wave"}, "my.yaml", "controller")
     """
     try:
         # The data passes through JSON, so that a YAML list is accepted where a strict model has a tuple. Dates, which

@@ -36,9 +36,6 @@ class DeviceDriver:
     (`DeviceDriver.haptic`). `calibration` is the model of a file whose key
     `controller` names this driver; the settings then have a key `calibration` with its path. `experimental`: it has
     driven an emulator and never a real device, which its node reports when it starts.
-
-    Example:
-        HANDLE = DeviceDriver("haptic_node", "my_device", MySettings, lambda settings, limits: MyDevice(settings.port))
     """
 
     node: Literal["haptic_node", "afm_node"]

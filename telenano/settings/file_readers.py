@@ -30,9 +30,6 @@ class FileReader(NamedTuple):
     each one, and of all after each other the height, rising away from the sample [m], and the deflection [V]. spectrum:
     thermal; the `unit` of the density and its `averages`; the arrays are the lines [Hz] and the density. limits: of the
     child, by the size of the file [bytes].
-
-    Example:
-        READER = FileReader(curve="my_package.curves:load_curve", spectrum="my_package.spectra:load_spectrum")
     """
 
     heights: str = ""
@@ -59,9 +56,6 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
     Raises:
         ConfigError: It is empty, no package that is installed reads it, or what its reader needs is missing.
         OSError, ValueError: As `read_in_child`.
-
-    Example:
-        facts, (frequency_hz, density) = read_by_package(Path("thermal.tnd"), "spectrum")
     """
     open_regular(path).close()
     if path.stat().st_size == 0:

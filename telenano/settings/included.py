@@ -32,11 +32,7 @@ def known_scenarios() -> list[str]:
 
 
 def find_scenario(name: str) -> Path:
-    """Return the file of a scenario named or given as a path; ConfigError lists the names known.
-
-    Example:
-        find_scenario("fig12")    # .../telenano/settings/scenarios/fig12.yaml
-    """
+    """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
     own = SCENARIO_DIRECTORY / f"{name}.yaml"
     if "/" not in name and own.is_file():
         return own

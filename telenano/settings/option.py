@@ -15,9 +15,6 @@ class Option:
         read: What makes the value of the text that was given. Raises ConfigError naming the option.
         many: Whether the option may be repeated; `read` is given all texts then.
         written: The default as a person would write it.
-
-    Example:
-        delays_ms: Annotated[tuple[float, ...], Option(("--delay",), "LIST|RANGE", read=delays, written="0:200:5")]
     """
 
     flags: tuple[str, ...]

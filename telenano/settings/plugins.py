@@ -141,9 +141,6 @@ def load(
             that says what is wrong with it; without it every entry must be a function.
         taken: The names that the project uses itself.
         only: The name of the one entry that is wanted; None for all of them.
-
-    Example:
-        load("exports", only="nexus").found["nexus"]    # the function that writes NeXus files
     """
     loaded = Loaded[Any]({}, {})
     for name, row in installed(kind).items():
@@ -216,12 +213,6 @@ def fault_of_package(error: BaseException) -> str:
     """Return in a sentence which package an error came from, empty where none had a part in it.
 
     Of several it is the one whose code was called last.
-
-    Example:
-        try:
-            write(path, image)
-        except Exception as error:
-            raise TelenanoError(fault_of_package(error) or str(error)) from error
     """
     owners = {_top_level(row.target): row for row in all_installed()}
     fault = ""

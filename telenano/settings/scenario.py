@@ -134,12 +134,7 @@ def _at(document: Any, path: Sequence[str]) -> Any:
 
 @dataclass(frozen=True)
 class LoadedScenario:
-    """A scenario, where it was read from, and the merged document.
-
-    Example:
-        loaded = LoadedScenario.load(find_scenario("fig12"), ["controller.law=wave"])
-        controller = loaded.section("controller", ControllerConfig)
-    """
+    """A scenario, where it was read from, and the merged document."""
 
     scenario: Scenario
     origin: str
@@ -178,9 +173,6 @@ class LoadedScenario:
         Raises:
             RecordingError: No scenario is attached.
             ConfigError: A key of it is wrong.
-
-        Example:
-            >>> LoadedScenario.attached(recording.path, recording.attachments).scenario.name
         """
         if (content := attachments.get("scenario.yaml")) is None:
             raise RecordingError(f"{path}: has no scenario attached, so its scales are unknown")

@@ -32,11 +32,6 @@ def start(
         ends_with_command: Whether this process ends the other one in order itself. SIGINT is then kept from it, which
             a terminal sends to both.
         **options: Further options.
-
-    Example:
-        >>> with start([sys.executable, "-c", "pass"], ends_with_command=True) as process:
-        ...     process.wait()
-        0
     """
     if dies_with_parent:
         options["preexec_fn"] = partial(_tie_to, os.getpid())
@@ -45,11 +40,7 @@ def start(
 
 
 def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[Any]":
-    """Run a command to its end; the options are those of `subprocess.run`.
-
-    Example:
-        done = run([sys.executable, "-m", "telenano", "--version"], capture_output=True, text=True, check=True)
-    """
+    """Run a command to its end; the options are those of `subprocess.run`."""
     return subprocess.run(_safe(command), **options | {"env": _environment(options.get("env"))})
 
 
@@ -63,10 +54,6 @@ def spawning_workers() -> Iterator[None]:
     """Set PYTHONSAFEPATH while the workers of `multiprocessing` are spawned, which starts Python in its own way.
 
     SIGINT is kept from them as well, because the process with the pool ends them.
-
-    Example:
-        with spawning_workers():
-            pool = ProcessPoolExecutor(2, get_context("spawn"))
     """
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"

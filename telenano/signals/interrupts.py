@@ -67,12 +67,7 @@ def computing(value: bool) -> None:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Raise a signal that arrives meanwhile at the end of the block, for what must be done as a whole and is short.
-
-    Example:
-        with held():
-            send_control(command, site_file, "master", lambda event: None)
-    """
+    """Raise a signal that arrives meanwhile at the end of the block, for what must be done as a whole and is short."""
     global _holding
     _holding += 1
     try:
@@ -88,12 +83,6 @@ def finishing() -> Iterator["Finishing"]:
 
     The first signal after that call is not raised, and counts as received when the block ends. A second one is raised
     at once, because a disk that does not answer must not keep a person waiting.
-
-    Example:
-        with finishing() as finish, results_in(out) as folder:
-            heights = scan()
-            finish()
-            np.save(folder / "heights.npy", heights)
     """
     global _finishing, _kept, _received
     try:
@@ -104,15 +93,7 @@ def finishing() -> Iterator["Finishing"]:
 
 
 class Finishing:
-    """What `finishing` yields.
-
-    Example:
-        with finishing() as finish:
-            image = take_image()
-            finish()
-            write(image)
-        raise SystemExit(finish.exit_code)
-    """
+    """What `finishing` yields."""
 
     def __call__(self) -> None:
         """Begin with what is left to be written."""

@@ -33,10 +33,6 @@ class ClockLine(NamedTuple):
 
     round_trip_ns: distance of the two lines [ns], below zero where no line lies between the bounds; chance_ns: how far
     chance may bring lines apart through this number of points with their scatter [ns].
-
-    Example:
-        line = ClockLine.through(upper=[(0, 2.0e6), (10**9, 2.1e6)], lower=[(0, 1.0e6), (10**9, 1.1e6)])
-        ahead_ns = line.at(2 * 10**9)
     """
 
     origin_ns: int

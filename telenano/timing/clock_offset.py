@@ -65,13 +65,7 @@ class OffsetState(NamedTuple):
 
 
 class OffsetFilter:
-    """The line through the exchanges of the last seconds.
-
-    Example:
-        offsets = OffsetFilter(64)
-        offsets.record(sent_ns, there_ns, back_ns, received_ns)
-        offset = offsets.estimate()
-    """
+    """The line through the exchanges of the last seconds."""
 
     def __init__(self, window: int) -> None:
         """Keep the last `window` seconds that had exchanges; ValueError if fewer than one."""

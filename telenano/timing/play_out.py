@@ -20,12 +20,7 @@ _RECOVERY_NS = 1_000
 
 
 class PlayOut:
-    """The buffer of one direction.
-
-    Example:
-        buffer = PlayOut()
-        release_ns = buffer.release_ns(sent_ns, arrived_ns)
-    """
+    """The buffer of one direction."""
 
     def __init__(self) -> None:
         self._least_ns: int | None = None

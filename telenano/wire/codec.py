@@ -57,9 +57,6 @@ def encode(message: Message) -> bytes:
     Raises:
         WireError: The message is larger than its topic allows (`oversized`), so that the publisher gets the error and
             not every reader; or a text is not Unicode, or an integer is beyond 64 bits (`malformed`).
-
-    Example:
-        payload = encode(example("afm/state"))
     """
     try:
         payload = _encode(message)
@@ -108,10 +105,6 @@ def compose(
 
     Raises:
         WireError: The fields do not make a valid message, NaN included, or one that is larger than `encode` allows.
-
-    Example:
-        header = {"v": 1, "src": "view@master", "seq": 0, "t_ns": clock.now_ns()}
-        message, payload = compose("operator/force", {**header, "force_n": (0.0, 0.0, 0.5)})
     """
     if (form := _FORMS.get(topic) or _form(topic)) is None:
         raise KeyError(topic)
@@ -142,9 +135,6 @@ def decode(topic: str, payload: bytes) -> Message:
 
     Raises:
         WireError: The message is not valid, as in `accept`, but for its ranges.
-
-    Example:
-        state = decode("afm/state", payload)
     """
     try:
         return accept(topic, payload)
@@ -225,11 +215,7 @@ def sound_header(topic: str, payload: bytes) -> tuple[int, int, str] | None:
 
 
 def keys_twice(payload: bytes) -> list[str]:
-    """Return the keys that a map of a valid message has more than once, of which a reader takes the last.
-
-    Example:
-        keys_twice(bytes.fromhex("82a16101a16102"))    # ["a"]
-    """
+    """Return the keys that a map of a valid message has more than once, of which a reader takes the last."""
     twice: list[str] = []
 
     def note(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -5,11 +5,7 @@ from typing import Any
 
 
 def known_names(name: str, choices: Iterable[str]) -> str:
-    """Return the names that there are, for an error, after the one that was probably meant: `known are a, b`.
-
-    Example:
-        known_names("wav", ["wave", "smith"])    # "did you mean wave? Known are wave, smith"
-    """
+    """Return the names that there are, for an error, after the one that was probably meant: `known are a, b`."""
     names = [str(choice) for choice in choices]
     meant = probably_meant(name, names).removeprefix("; ")
     return f"{meant} Known are {', '.join(names)}" if meant else f"known are {', '.join(names)}"
@@ -28,11 +24,7 @@ class TelenanoError(Exception):
 
 
 def cause(error: BaseException) -> str:
-    """Return why something failed, for a person: a text that was written for one, or class and text of the surprise.
-
-    Example:
-        cause(TimeoutError("no answer in 2 s"))    # "the connection is gone: no answer in 2 s"
-    """
+    """Return why something failed, for a person: a text that was written for one, or class and text of the surprise."""
     if isinstance(error, TelenanoError):
         return str(error)
     if isinstance(error, OSError):

@@ -12,11 +12,7 @@ from telenano.wire.messages import Message
 
 
 def example(topic: str, **fields: Any) -> Message:
-    """Return a message of a topic as the contract of the wire has it, with some fields changed; KeyError if unknown.
-
-    Example:
-        state = example("afm/state", src="afm_node@slave", seq=3)
-    """
+    """Return a message of a topic as the contract of the wire has it, with some fields changed; KeyError if unknown."""
     base = decode(topic, bytes.fromhex(_examples()[topic]))
     return type(base)(**(msgspec.structs.asdict(base) | fields))
 

@@ -110,11 +110,7 @@ def faults_of(model: type[Record], fields: object) -> list[Fault]:
 
 
 def made(model: type[R], fields: Mapping[str, Any]) -> R:
-    """Return a record of some fields; FaultError states the first of them that is wrong.
-
-    Example:
-        array = made(Array, {"dtype": "f8", "shape": (1,), "data": bytes(8)})
-    """
+    """Return a record of some fields; FaultError states the first of them that is wrong."""
     try:
         return msgspec.convert(fields, model, builtin_types=(bytes,))
     except ValueError as error:

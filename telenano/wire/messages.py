@@ -55,11 +55,7 @@ Scalar = bool | int | float | str
 
 
 def about(description: str | None = None, pattern: str | None = None, **rules: Any) -> Meta:
-    """Return the description and the rules of a field; a pattern ends with `$`, and nothing may follow the text.
-
-    Example:
-        speed_m_per_s: Annotated[float, about("Speed of the wind [m/s]", ge=0.0, le=100.0)]
-    """
+    """Return the description and the rules of a field; a pattern ends with `$`, and nothing may follow the text."""
     # In Python a new line may stand after what `$` matches.
     whole = pattern and pattern.removesuffix("$") + r"\Z"
     return Meta(description=description, pattern=whole, **rules)

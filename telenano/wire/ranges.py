@@ -12,11 +12,7 @@ from msgspec import Meta
 
 @dataclass(frozen=True)
 class Range:
-    """Bounds of a quantity, both included, and the case that needs them.
-
-    Example:
-        SPEED = Range("speed", 0.0, 100.0, "m/s", "the strongest wind that was measured is slower")
-    """
+    """Bounds of a quantity, both included, and the case that needs them."""
 
     quantity: str
     low: float

@@ -7,11 +7,7 @@ from telenano.wire.sequence import Arrival
 
 
 class Received(NamedTuple):
-    """A message with its bytes, when it was received on the clock of the stamps [ns], and how it follows the last.
-
-    Example:
-        node.on_message(Received("afm/state", message, encode(message), clock.now_ns(), Arrival.NEXT))
-    """
+    """A message with its bytes, when it was received on the clock of the stamps [ns], and how it follows the last."""
 
     topic: str
     message: Message

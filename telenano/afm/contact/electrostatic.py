@@ -25,7 +25,7 @@ def electrostatic_strength_n_m2(voltage_v: float, radius_m: float) -> float:
 
     >>> strength = electrostatic_strength_n_m2(1.0, 10e-9)
     >>> round(strength / (1e-9 * 11e-9) * 1e12, 3)  # pN at 1 nm
-    252.876
+    252.875
     """
     return math.pi * VACUUM_PERMITTIVITY_F_PER_M * (radius_m * voltage_v) ** 2
 

@@ -35,12 +35,7 @@ _MOST_NEWTON_STEPS = 50
 
 
 class MaugisDugdale(NamedTuple):
-    """Transition parameter and units of one contact; make it with `maugis_dugdale`.
-
-    Example:
-        contact = MaugisDugdale.of(1e-8, 0.072, 4.312e9, cohesive_stress_pa(0.072, 1.98e-10))
-        pull_off_n, indentation_m = contact.pull_off()
-    """
+    """Transition parameter and units of one contact; make it with `maugis_dugdale`."""
 
     transition: float  # lambda
     force_unit_n: float  # pi w R
@@ -115,11 +110,7 @@ def reduced_modulus_pa(
 
 
 def cohesive_stress_pa(work_of_adhesion_j_per_m2: float, contact_distance_m: float) -> float:
-    """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the print lost the w).
-
-    Example:
-        stress_pa = cohesive_stress_pa(0.072, 1.98e-10)
-    """
+    """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the print lost the w)."""
     return 1.03 * work_of_adhesion_j_per_m2 / contact_distance_m
 
 
@@ -303,12 +294,7 @@ def angle_between(transition: float, indentation: float, ended: float, low: floa
 
 @compiled
 def force_n(contact: MaugisDugdale, indentation_m: float) -> float:
-    """Contact force F [N] at the indentation delta = a0 - h [m]; 0 where the surfaces are apart.
-
-    Example:
-        contact = MaugisDugdale.of(1e-8, 0.072, 4.312e9, cohesive_stress_pa(0.072, 1.98e-10))
-        pressed_n = force_n(contact, 1e-9)
-    """
+    """Contact force F [N] at the indentation delta = a0 - h [m]; 0 where the surfaces are apart."""
     return contact.force_unit_n * force_at(contact.transition, indentation_m / contact.indentation_unit_m)[0]
 
 

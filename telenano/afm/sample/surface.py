@@ -105,11 +105,7 @@ def height_at(
 
 @compiled
 def height_over_middle(surface: Surface, x_m: float, y_m: float) -> tuple[float, float, float]:
-    """Return height [m] and slopes at a place [m] whose 0, 0 is the middle of the map.
-
-    Example:
-        height_m, slope_x, slope_y = height_over_middle(surface, 0.0, 5e-8)
-    """
+    """Return height [m] and slopes at a place [m] whose 0, 0 is the middle of the map."""
     rows, columns = surface.height_m.shape
     x, y = x_m + 0.5 * (surface.step_x_m * columns), y_m + 0.5 * (surface.step_y_m * rows)
     height, slope_x, slope_y = height_at(surface.height_m, surface.step_x_m, surface.step_y_m, x, y)

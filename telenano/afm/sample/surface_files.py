@@ -68,9 +68,6 @@ def read_surface(
 
     Raises:
         ConfigError: The file cannot be used; the message names it and what is wrong with it.
-
-    Example:
-        surface = read_surface(Path("sample.npy"), size_m=1e-6)
     """
     read = _READERS.get(path.suffix.lower(), _read_by_package)
     if size_m is not None and path.suffix.lower() not in (".npy", *_TEXTS):

@@ -11,11 +11,7 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def run_ahead() -> None:
-    """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here.
-
-    Example:
-        run_ahead()    # in the process of an emulated device, before its loop begins
-    """
+    """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
     from telenano.runtime.loop.log import StructuredLog, configure_logging
     from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage
     from telenano.settings.scenario import RealtimeConfig
@@ -26,11 +22,7 @@ def run_ahead() -> None:
 
 
 def section_of(scenario: Path | None, name: str, model: type[Section]) -> Section:
-    """Return a section of a scenario that is named or a file, or its defaults; ConfigError names what is wrong.
-
-    Example:
-        controller = section_of(Path("fig12"), "controller", ControllerConfig)
-    """
+    """Return a section of a scenario that is named or a file, or its defaults; ConfigError names what is wrong."""
     from telenano.settings.scenario import LoadedScenario
 
     return model() if scenario is None else LoadedScenario.load(find_scenario(str(scenario))).section(name, model)

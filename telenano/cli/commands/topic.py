@@ -141,12 +141,7 @@ def hz(
 
 @contextlib.contextmanager
 def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
-    """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic.
-
-    Example:
-        with open_observer(Path("sites.yaml"), "link/status") as observer:
-            names = [observed.name for observed in observer.listen(1.0)]
-    """
+    """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
     wanted = (known_name(topic, unknown=True)[0],) if topic else None
     with contextlib.closing(Observer.of_rig(site_file, wanted)) as observer:
         # Sockets that a killed rig left behind, or a machine that is switched off, are not noticed before.

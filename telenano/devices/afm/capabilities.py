@@ -22,19 +22,6 @@ class AfmCapabilities(NamedTuple):
     latency_s: from a command to the sample that answers it, in the mean [s]. lateral: whether x and y move. images,
     curves: whether the programs of the node may move the tip. channels: what may be felt. retracts: what retracts the
     tip when this rig is gone. scans: whether the program `scan` is the controller's own.
-
-    Example:
-        able = AfmCapabilities.of("modbus")
-        mine = AfmCapabilities(
-            z_hz=500.0,
-            sample_hz=333.0,
-            latency_s=4e-3,
-            lateral=True,
-            images=True,
-            curves=True,
-            channels=("deflection",),
-            retracts="the guard, or a person",
-        )
     """
 
     z_hz: float

@@ -81,11 +81,7 @@ class CantileverCalibration(Settings):
 
 
 class Readings(NamedTuple):
-    """A sample, and whether the input was within its range: beyond it the force is at least what the sample says.
-
-    Example:
-        readings = Readings(sample, in_range=abs(input_v) < 10.0)
-    """
+    """A sample, and whether the input was within its range: beyond it the force is at least what the sample says."""
 
     sample: AfmSample
     in_range: bool

@@ -27,12 +27,7 @@ from telenano.wire.extras import how_to_install
 
 
 def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
-    """Return the driver of the instrument, simulated or real; ConfigError says why there is none.
-
-    Example:
-        driver = driver_of(AfmConfig(model="dynamic"))
-        driver.open()
-    """
+    """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
     if config.driver == "modbus" and config.modbus is not None:
         return modbus_driver(config.modbus, config.to_params().safety, period_s)
     if (driver := DRIVERS.find(config.driver)) is not None:

@@ -32,10 +32,6 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
 
     Raises:
         DeviceError: Calibration, limits and map do not fit together.
-
-    Example:
-        calibration = InstrumentCalibration.from_file(Path("stage.yaml"))
-        driver = ModbusAfm.of(calibration, AfmConfig().to_params().safety, period_s=1e-3)
     """
 
     stage = None

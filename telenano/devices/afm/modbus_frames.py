@@ -37,13 +37,7 @@ class Operation(NamedTuple):
 
 
 class FeedbackRequest(ModbusPDU):
-    """Function 76 as the client sends it; `operations` in the order in which they are carried out.
-
-    Example:
-        request = FeedbackRequest()
-        request.operations = (Operation(1000, 2, (0x3F80, 0)), Operation(0, 2))
-        body = request.encode()
-    """
+    """Function 76 as the client sends it; `operations` in the order in which they are carried out."""
 
     function_code = 76
     operations: tuple[Operation, ...] = ()

@@ -23,9 +23,6 @@ class Line(Protocol):
     """A connection that never waits; each method but `close` raises OSError when it is gone.
 
     `resolved`: whether the address of the device is known, so that it is connected to.
-
-    Example:
-        class MyLine(Line): ...
     """
 
     @property

@@ -59,9 +59,6 @@ class TcpDriver(ABC, Generic[C]):
         connect: Connects to the instrument; a test replaces it.
         now_ns: The monotonic clock [ns]; a test replaces it.
         sleep: Waits in `open`, `retract` and `close`, and nowhere else.
-
-    Example:
-        class MyAfm(TcpDriver): ...
     """
 
     # An instrument that is silent for longer than this is lost, and one that does not answer an order of the handshake.

@@ -40,10 +40,6 @@ class VirtualInstrument:
 
     Args:
         config: The instrument, which must be a simulated one.
-
-    Example:
-        instrument = VirtualInstrument(AfmConfig())
-        forces_n = [instrument.state()["tip_force_n"][2] for _ in instrument.run({"program": "curve"})]
     """
 
     def __init__(self, config: AfmConfig) -> None:

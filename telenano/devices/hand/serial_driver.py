@@ -64,10 +64,6 @@ class SerialHandle:
         open_port: Opens the port; a test replaces it.
         now_ns: The monotonic clock [ns]; a test replaces it.
         sleep: Waits in `open`, and nowhere else.
-
-    Example:
-        calibration = HandleCalibration.from_file(Path("handle.yaml"))
-        handle = SerialHandle("/dev/ttyACM0", 1_000_000, calibration, LimitsConfig())
     """
 
     def __init__(

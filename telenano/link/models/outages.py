@@ -31,10 +31,6 @@ class Outages:
     given in session time, and is not there before.
     Random outages alternate exponential times up with exponential or log-normal times down, starting up. They are
     drawn in the order of time, so the same seed gives the same outages whatever messages pass.
-
-    Example:
-        outages = Outages(Outage(mean_up_s=10.0, mean_down_s=0.2), start_ns, stream(31, "outage"))
-        ends_ns = outages.end_ns(now_ns)
     """
 
     __slots__ = ("_down_ns", "_draw", "_is_of_session", "_period_ns", "_schedule", "_spread", "_up_ns", "state")

@@ -56,9 +56,6 @@ class Command:
 
     What is not `required` may fail, and the next command follows all the same. `by` is the name of who gave it. One
     that is over when the tip is `placed` waits, after the answer, for the instrument's report of that.
-
-    Example:
-        Command("set", "controller", parameters={"law": "wave"})
     """
 
     name: CommandName

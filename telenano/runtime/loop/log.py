@@ -17,12 +17,7 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ER
 
 
 class StructuredLog:
-    """The log of one node: a sentence and its facts, as `log.info("connected", endpoint=...)`.
-
-    Example:
-        log = StructuredLog("servo")
-        log.warning("sends messages that were not requested", device="my_device")
-    """
+    """The log of one node: a sentence and its facts, as `log.info("connected", endpoint=...)`."""
 
     def __init__(self, node: str) -> None:
         self._logger = logging.getLogger(node)

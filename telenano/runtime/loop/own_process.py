@@ -19,20 +19,13 @@ def start_process(module: str) -> "subprocess.Popen[bytes]":
     """Start a module as a program, with pipes to its standard input and output.
 
     Its start does not stop the loop: under SCHED_FIFO it would share the processor of the node as an equal.
-
-    Example:
-        process = start_process("my_package.servo")
     """
     with ordinary_scheduling():
         return children.start((sys.executable, "-m", module), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
 def schedule_as_node(name: str) -> None:
-    """Request the scheduling of the nodes, on any processor: the node that started this process stays on its own.
-
-    Example:
-        schedule_as_node("servo")    # in the process of the driver, before its loop begins
-    """
+    """Request the scheduling of the nodes, on any processor: the node that started this process stays on its own."""
     if hasattr(os, "sched_setaffinity"):
         held = {int(part) for part in os.environ.get(PROCESSORS_VARIABLE, "").split(",") if part.isdigit()}
         with contextlib.suppress(OSError):

@@ -5,12 +5,7 @@ from telenano.wire.errors import ConfigError
 
 
 class AccessControl:
-    """The keys of one machine in use; in a rig that requires none, every machine may do everything.
-
-    Example:
-        access = AccessControl("relay")
-        roles = access.roles("slave")
-    """
+    """The keys of one machine in use; in a rig that requires none, every machine may do everything."""
 
     def __init__(self, machine: str, keyring: Keyring | None = None, *, requires_keys: bool = True) -> None:
         """Read the keys of a machine if the rig requires keys; ConfigError when one is missing, invalid or expired.

@@ -65,12 +65,7 @@ Day = Annotated[date, BeforeValidator(_as_day)]
 
 
 class KeyPair(NamedTuple):
-    """A CURVE key pair as Z85 text, and the last day (UTC) on which it is used; None for one that does not expire.
-
-    Example:
-        public, secret = zmq.curve_keypair()
-        pair = KeyPair(public, secret, expires=date(2027, 6, 30))
-    """
+    """A CURVE key pair as Z85 text, and the last day (UTC) on which it is used; None for one that does not expire."""
 
     public: bytes
     secret: bytes

@@ -55,11 +55,6 @@ class _BesideConnection(Subscriber):
 class LinkSide:
     """One of the two processes that the link ends in, as a transport has it for its end.
 
-    Example:
-        side = LinkSide.of("controller@slave", network, outgoing, reports, readers)
-        radio = Radio(side.book.link.read(RadioSettings).channel, side.reader)
-        side.opened(radio, carry=radio.carry, close=radio.close)
-
     Attributes:
         network: The sockets of the process, with the keys of the machines (`network.access_control`).
         clock: The clock of the node.
@@ -227,12 +222,6 @@ class LineCheck(Protocol):
 
 class LinkTransport(SiteFileTransport, ABC):
     """What an entry of the kind `transports` is an object of.
-
-    Example:
-        class MyRadio(LinkTransport):
-            settings = RadioSettings
-
-            def open_end(self, side): ...
 
     Every process of two machines may read it, so its methods import what they need. One with `reaches_relay` has
     `run_beside`, and one with `fetches` has `sender` and `fetch`.

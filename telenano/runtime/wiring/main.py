@@ -115,11 +115,7 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
 
 
 def beside_the_loop() -> None:
-    """Prepare a process that has to keep up with the loop: log, descriptors, and a priority above ordinary ones.
-
-    Example:
-        beside_the_loop()    # first, before the process opens its sockets
-    """
+    """Prepare a process that has to keep up with the loop: log, descriptors, and a priority above ordinary ones."""
     configure_logging()
     raise_file_limit()
     ahead_of_others()

@@ -41,9 +41,6 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
     """Split topic or topic@site; ConfigError lists the topics that there are.
 
     With `unknown` it may be one that nothing installed declares, if it is not like another: messages keep their bytes.
-
-    Example:
-        known_name("teleop/forward@slave")    # ("teleop/forward", "slave")
     """
     topic, _, site = name.partition("@")
     meant = probably_meant(topic, TOPICS)
@@ -56,12 +53,7 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
 
 
 class Observer:
-    """One connection to every socket of the rig, so that original and copy are counted apart.
-
-    Example:
-        with contextlib.closing(Observer.of_rig(Path("sites.yaml"), ("afm/state",))) as observer:
-            states = [observed.received.message for observed in observer.listen(1.0)]
-    """
+    """One connection to every socket of the rig, so that original and copy are counted apart."""
 
     def __init__(self, book: AddressBook, wanted: Collection[str] | None = None, *, shared: bool = True) -> None:
         """Connect for some topics, or for all where `wanted` is None, as the machine that this process runs on.

@@ -39,10 +39,6 @@ class Participant:
     """A process on the bus: its name there, its clock, and the sockets that it opens.
 
     `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus; `period_s` is that of the loop.
-
-    Example:
-        with Participant.open("view@master", AddressBook.load(Path("sites.yaml"))) as participant:
-            publisher = participant.bind("view@master", ends=True)
     """
 
     key: str
@@ -194,9 +190,6 @@ class Participant:
     def at_console(cls, book: AddressBook, site: Site) -> "Iterator[Participant]":
         """Open the console of a site whose machine this is, as `open` does.
 
-        Example:
-            with Participant.at_console(book, "master") as participant: ...
-
         Raises:
             ConfigError: The site has no console on this machine.
         """
@@ -220,10 +213,6 @@ class Participant:
         issued_ns: int | None = None,
     ) -> CommandClient:
         """Return what sends commands one after the other and collects their answers.
-
-        Example:
-            client = participant.command_client([Command("stop", "afm_node")], publisher.publish)
-            while not client.advance(): ...
 
         Args:
             commands: The commands.
