@@ -19,7 +19,7 @@ from services.viz_node.node import page_of_rig
 from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.options import SiteFileOption
+from telenano.cli.options import SiteFileOption, refuse_unused
 from telenano.cli.output import report_errors
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.multi_file import RecordingSource, open_recordings
@@ -32,12 +32,14 @@ from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.serving.access import Access
 from telenano.serving.config import ViewConfig
 from telenano.serving.connections import Listener
-from telenano.serving.people import ROLES, People
+from telenano.serving.people import ROLES, People, known_role
 from telenano.serving.serve import Tls, addresses_of, announced, missing_for_view, served_addresses
 from telenano.settings.included import DEFAULT_SITE_FILE, DEMO_RECORDING
 from telenano.timing.clock import SystemClock
 from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.nodes import PAGE
+
+_MINUTES = 90.0  # An address of a person is valid for this time by default [min].
 
 
 class Served(NamedTuple):
@@ -68,10 +70,12 @@ def view(
         str | None,
         typer.Option("--for", metavar="NAME", help="Print an address of its own for a person, and end."),
     ] = None,
-    role: Annotated[str, typer.Option("--role", metavar="ROLE", help=f"With --for: {', '.join(ROLES)}.")] = "operator",
+    role: Annotated[
+        str, typer.Option("--role", metavar="ROLE", callback=known_role, help=f"With --for: {', '.join(ROLES)}.")
+    ] = "operator",
     minutes: Annotated[
         float, typer.Option("--for-minutes", metavar="MIN", help="With --for: how long it is valid [min].")
-    ] = 90.0,
+    ] = _MINUTES,
     revoke: Annotated[
         str | None, typer.Option("--revoke", metavar="NAME", help="Revoke the address of a person at once, and end.")
     ] = None,
@@ -87,6 +91,9 @@ def view(
     `--for NAME` gives a person an address at the pages of the rig that --rig or TELENANO_RIG names.
     """
     with report_errors(False):
+        if person is None:
+            given_for = {"--role": role != "operator", "--for-minutes": minutes != _MINUTES}
+            refuse_unused(given_for, "not without --for, which names the person")
         if revoke is not None:
             People().revoke(revoke)
             typer.echo(f"the address of {revoke} is revoked")

@@ -80,6 +80,8 @@ class _OwnSample(Settings):
             raise ValueError(f"size_m: {self.name} says its own size")
         if not self.is_file and "level" in self.model_fields_set:
             raise ValueError(f"level: is for files; {self.name} has heights of its own")
+        if not self.is_file and self.channel is not None:
+            raise ValueError(f"channel: is for files; {self.name} has one height and no channels")
         return self
 
     @property

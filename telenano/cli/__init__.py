@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from telenano.cli.options import ExcludeOption as ExcludeOption
     from telenano.cli.options import FormatOption as FormatOption
     from telenano.cli.options import JsonOption as JsonOption
+    from telenano.cli.options import RigFileOption as RigFileOption
     from telenano.cli.options import SiteFileOption as SiteFileOption
     from telenano.cli.options import StyleOption as StyleOption
     from telenano.cli.options import TableOption as TableOption
     from telenano.cli.options import TopicsOption as TopicsOption
     from telenano.cli.options import command_group as command_group
+    from telenano.cli.options import refuse_unused as refuse_unused
     from telenano.cli.options import table_formats as table_formats
     from telenano.cli.output import fail_incomplete as fail_incomplete
     from telenano.cli.output import print_answer as print_answer

@@ -1,5 +1,6 @@
 """Options and arguments that several commands share, and the way to make a group of commands."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,7 @@ import typer
 
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
-from telenano.settings.included import site_file_named
+from telenano.settings.included import SITE_DIRECTORY, site_file_named
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site
 
@@ -15,12 +16,21 @@ from telenano.wire.nodes import Site
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 
 
+def _site_file(path: Path | None) -> Path | None:
+    """Return the site file that is named; ConfigError, before the command begins, if it is not there."""
+    file = site_file_named(path)
+    if file is not None and not file.is_file():
+        known = ", ".join(sorted(each.stem for each in SITE_DIRECTORY.glob("*.yaml")))
+        raise ConfigError(f"--site-file {path}: no such file; give a .yaml file, or one of {known}")
+    return file
+
+
 SiteFileOption = Annotated[
     Path,
     typer.Option(
         "--site-file",
         metavar="FILE",
-        callback=site_file_named,
+        callback=_site_file,
         help="Address book of the rig (YAML); default: all on this machine.",
     ),
 ]
@@ -29,7 +39,7 @@ RigFileOption = Annotated[
     typer.Option(
         "--site-file",
         metavar="FILE",
-        callback=site_file_named,
+        callback=_site_file,
         help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
     ),
 ]
@@ -77,17 +87,60 @@ SettingsOption = Annotated[
         autocompletion=scenario_keys,
     ),
 ]
+_TABLE_FORMATS = ("csv", "parquet", "mat")
+
+
+def _known_formats(text: str) -> str:
+    """Return the formats of figures as they were written; ConfigError, before the command begins, if one is unknown."""
+    if text != "png":
+        from telenano.analysis.figure_style import FigureOptions
+
+        FigureOptions.of(text)
+    return text
+
+
+def _known_style(text: str) -> str:
+    if text != "screen":
+        from telenano.analysis.figure_style import FigureOptions
+
+        FigureOptions.of(style=text)
+    return text
+
+
+def table_formats(text: str) -> tuple[str, ...]:
+    """Read `csv,parquet,mat`; ConfigError names what is known."""
+    chosen = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
+    if not chosen or set(chosen) - set(_TABLE_FORMATS):
+        raise ConfigError(f"--table {text}: name one or more of {', '.join(_TABLE_FORMATS)}")
+    return chosen
+
+
+def _known_tables(text: str) -> str:
+    table_formats(text)
+    return text
+
+
 FormatOption = Annotated[
-    str, typer.Option("--format", metavar="png,pdf,svg", help="Formats of the figures, one or several.")
+    str,
+    typer.Option(
+        "--format", metavar="png,pdf,svg", help="Formats of the figures, one or several.", callback=_known_formats
+    ),
 ]
 StyleOption = Annotated[
     str,
-    typer.Option("--style", metavar="screen|paper", help="paper: one column of a journal, letters of 8 pt, no title."),
+    typer.Option(
+        "--style",
+        metavar="screen|paper",
+        help="paper: one column of a journal, letters of 8 pt, no title.",
+        callback=_known_style,
+    ),
 ]
 TableOption = Annotated[
-    str, typer.Option("--table", metavar="csv,parquet,mat", help="Formats of the tables, one or several.")
+    str,
+    typer.Option(
+        "--table", metavar="csv,parquet,mat", help="Formats of the tables, one or several.", callback=_known_tables
+    ),
 ]
-_TABLE_FORMATS = ("csv", "parquet", "mat")
 ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
 
 
@@ -104,9 +157,12 @@ def command_group() -> typer.Typer:
     )
 
 
-def table_formats(text: str) -> tuple[str, ...]:
-    """Read `csv,parquet,mat`; ConfigError names what is known."""
-    chosen = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
-    if not chosen or set(chosen) - set(_TABLE_FORMATS):
-        raise ConfigError(f"--table {text}: name one or more of {', '.join(_TABLE_FORMATS)}")
-    return chosen
+def refuse_unused(options: Mapping[str, object], reason: str) -> None:
+    """Raise ConfigError naming the options that were given although the command does not use them, with the reason.
+
+    Args:
+        options: By the name of each option, its value; false where it was not given.
+        reason: Why they are not used: `without --overlay no file is read`.
+    """
+    if names := [name for name, value in options.items() if value]:
+        raise ConfigError(f"{', '.join(names)}: {reason}")

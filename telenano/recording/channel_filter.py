@@ -1,12 +1,13 @@
 """Selection of channels of a recording, or of the bus, by patterns of names."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Protocol
 
-from telenano.wire.errors import ConfigError
+from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.nodes import name_of
 
 Matcher = Callable[[str], bool]
@@ -69,6 +70,13 @@ class Selection:
         if any(test(channel_topic) for test in self.exclude):
             return False
         return not self.topics or any(test(channel_topic) for test in self.topics)
+
+    def demand_some_of(self, source: Path, channels: Collection[_Named]) -> None:
+        """Raise RecordingError naming the channels of a recording if there are patterns and they select none."""
+        if self == ALL or any(map(self, channels)):
+            return
+        shown = ", ".join(sorted({channel.channel_topic for channel in channels})) or "none"
+        raise RecordingError(f"{source}: has no channel that was asked for; its channels are {shown}")
 
 
 ALL = Selection()

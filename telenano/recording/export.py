@@ -45,9 +45,7 @@ def export_recording(source: Path, target: Path, kind: str, selection: Selection
     written, ConfigError when a package that the format needs is not installed.
     """
     recording = Recording(source)
-    if selection is not ALL and not any(map(selection, recording.channels)):
-        shown = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
-        raise RecordingError(f"{source}: has no channel that was asked for; its channels are {shown}")
+    selection.demand_some_of(source, recording.channels)
     try:
         return _export(recording, target, kind, selection)
     except FileExistsError as error:

@@ -155,9 +155,10 @@ def filter_recording(
     A damaged file is read as far as possible, so that this recovers one when everything is selected.
 
     Raises:
-        RecordingError: The source is not a recording, or the target exists.
+        RecordingError: The source is not a recording, nothing is selected, or the target exists.
     """
     recording = Recording(source)
+    selection.demand_some_of(source, recording.channels)
     skipped = list(recording.structural_damage)
     first_ns = recording.span_ns[0] + round(start_s * 1e9)
     after_ns = None if end_s is None else recording.span_ns[0] + round(end_s * 1e9)

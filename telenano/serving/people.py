@@ -26,6 +26,13 @@ _TOKEN_BYTES = 24
 _FILE = "people.json"
 
 
+def known_role(role: str) -> str:
+    """Return the name of a role as it is; ConfigError with the roles that there are, if it is none."""
+    if role not in ROLES:
+        raise ConfigError(f"--role {role}: must be one of {', '.join(ROLES)}")
+    return role
+
+
 class Person(msgspec.Struct, frozen=True):
     """Somebody with an address of their own. `until_s`: the Unix time at which it ends [s]."""
 
@@ -57,8 +64,7 @@ class People:
         """
         if not 0 < len(name) <= MOST_LETTERS or not name.isprintable() or name.strip() != name:
             raise ConfigError(f"--for {printable(name)[:80]!r}: a name has 1 to {MOST_LETTERS} printable letters")
-        if role not in ROLES:
-            raise ConfigError(f"--role {role}: must be one of {', '.join(ROLES)}")
+        known_role(role)
         if not 0.0 < minutes <= _MOST_MINUTES:
             raise ConfigError(f"--for-minutes {minutes:g}: must be above 0, and a year at most")
         token, now_s = secrets.token_urlsafe(_TOKEN_BYTES), self._now_s()

@@ -10,7 +10,7 @@ from rich.console import Console
 from telenano_microscopy.program_view import AfmOption, LiveOption
 from telenano_microscopy.sample_options import ChannelOption
 
-from telenano.cli import JsonOption, SiteFileOption, print_document, progress, report_errors, results_in
+from telenano.cli import JsonOption, SiteFileOption, print_document, progress, refuse_unused, report_errors, results_in
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError
 
@@ -107,6 +107,8 @@ def assemble(
         from telenano_assembly.patterns import pattern as places_of
         from telenano_assembly.run import Assembler, ProgramBench, VirtualBench
 
+        if not live:
+            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
         config = _config(seed, afm or [])
         targets = places_of(pattern, count, spacing * 1e-9)
         sides = config.sample_sides_m()

@@ -13,6 +13,7 @@ from telenano.cli import (
     SiteFileOption,
     print_document,
     progress,
+    refuse_unused,
     report_errors,
     validated,
     with_options,
@@ -50,6 +51,7 @@ def push(
             refuse_foreign({"--afm": afm})
             document = _live(site_file, keys, as_json=as_json)
         else:
+            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
             document = _simulated(keys, afm or [], as_json=as_json)
     document["error_m"] = math.dist(document["believed_m"], ends[2:])
     print_document(document, document["why"], as_json=as_json)

@@ -13,6 +13,7 @@ from telenano.cli import (
     SiteFileOption,
     print_document,
     progress,
+    refuse_unused,
     report_errors,
     results_in,
     validated,
@@ -78,6 +79,11 @@ def curve(
         from telenano_microscopy.adhesion_fit import fit_adhesion
         from telenano_microscopy.force_curve_figure import curve_figure
 
+        if not live:
+            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
+        if overlay is None:
+            of_a_file = {"--set": lacking, "--number": number, "--reduced-modulus": reduced_modulus is not None}
+            refuse_unused(of_a_file, "not without --overlay, which names the measured curve")
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
         measured = None if overlay is None else curves.read_measured(overlay, number, flag_overrides(lacking or ()))
         if live:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli import RawKeyboard
-from telenano.wire import ConfigError
+from telenano.cli import RawKeyboard, refuse_unused
 
 if TYPE_CHECKING:
     from telenano.wire import AfmProgram, Scalar
@@ -27,8 +26,7 @@ LiveOption = Annotated[
 
 def refuse_foreign(options: Mapping[str, Any]) -> None:
     """Raise ConfigError naming options that are given and mean nothing to a running rig."""
-    if names := [name for name, value in options.items() if value]:
-        raise ConfigError(f"{', '.join(names)}: not with --live: the scenario of the rig decides it")
+    refuse_unused(options, "not with --live: the scenario of the rig decides it")
 
 
 def follow_program(

@@ -12,6 +12,7 @@ from telenano.cli import (
     SiteFileOption,
     print_document,
     progress,
+    refuse_unused,
     report_errors,
     results_in,
     validated,
@@ -75,6 +76,7 @@ def scan(
             refuse_foreign(foreign)
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
+        refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
         from telenano.afm import AfmConfig
         from telenano_microscopy.image_output import write_images
         from telenano_microscopy.simulated_image import take_image

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from telenano.laws import LAWS, OWN_LAWS
-from telenano.settings import LoadedScenario, flag_overrides, flatten
+from telenano.laws import LAWS, OWN_LAWS, ControllerConfig
+from telenano.settings import LoadedScenario, flag_overrides, flatten, nested, validate
 from telenano.wire import ConfigError, known_names
 
 _MOST_VALUES = 10_000
@@ -144,8 +144,10 @@ def losses(text: str) -> tuple[float, ...]:
 
 
 def settings(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
-    """Read KEY=VALUE of the section `controller` into dotted keys."""
-    return tuple(sorted(_single_values("--set", texts).items()))
+    """Read KEY=VALUE of the section `controller` into dotted keys; ConfigError for a key or value that it refuses."""
+    flat = _single_values("--set", texts)
+    validate(ControllerConfig, nested(flat, "--set"), "--set")
+    return tuple(sorted(flat.items()))
 
 
 def disturbances(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:

@@ -51,10 +51,12 @@ def diff_recordings(
         selection: The part of the recordings that is compared; None is all of it.
 
     Raises:
-        RecordingError: A file is not a recording.
+        RecordingError: A file is not a recording, or neither has a channel that is selected.
     """
     allowed, skipped = tolerances or Tolerances(), tuple(ignore)
-    sides = [_side(Recording(path), selection or Selection()) for path in (left, right)]
+    chosen, recordings = selection or Selection(), [Recording(path) for path in (left, right)]
+    chosen.demand_some_of(left, [channel for recording in recordings for channel in recording.channels])
+    sides = [_side(recording, chosen) for recording in recordings]
     rows = [
         _compare(channel, sides[0].get(channel, {}), sides[1].get(channel, {}), allowed, skipped)
         for channel in dict.fromkeys((*sides[0], *sides[1]))

@@ -14,6 +14,7 @@ from telenano.cli import (
     EXIT_FAILED,
     FormatOption,
     JsonOption,
+    RigFileOption,
     StyleOption,
     TableOption,
     command_group,
@@ -206,9 +207,7 @@ def validate(
     network: Annotated[
         str, typer.Option("--network", metavar="NAME[,NAME]", help="Networks in the place of the delays.")
     ] = "",
-    site_file: Annotated[
-        Path | None, typer.Option("--site-file", metavar="FILE", help="Address book of the rig; default: this machine.")
-    ] = None,
+    site_file: RigFileOption = None,
     table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:

@@ -14,7 +14,7 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, refuse_unused
 from telenano.cli.output import (
     console,
     fail,
@@ -86,6 +86,7 @@ def up(
         if sweep or repeated:
             _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
             return
+        refuse_unused({"--table": table != "csv"}, "not without --sweep or --seeds, whose sessions it compares")
         with _folder_of(request) as folder:
             outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
@@ -156,7 +157,6 @@ def _sweep(values: list[str], request: UpRequest, options: FigureOptions, tables
     """Run this very command once for each point of a sweep, and compare the sessions by the command of a package."""
     from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
-    table_formats(tables)
     compare = function_of_package("compare")
     folder = request.out or default_folder(request.scenario, datetime.now())
     points = points_of(values)

@@ -53,6 +53,7 @@ PLACEHOLDERS = {
     "{kind: my_hand, tremor_n: 0.1}": "{kind: force_profile}",
     "program=my_circle": "program=curve",
     "my_circle.radius_m": "curve.load_n",
+    "two_sites.yaml": "two_sites",
 }
 
 
