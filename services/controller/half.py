@@ -22,7 +22,7 @@ from telenano.laws.lateral import NO_STORE, Across, Store
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.timing.freshness import FreshnessState
-from telenano.wire.errors import ConfigError, RefusedError
+from telenano.wire.errors import ConfigError, RefusedError, described
 from telenano.wire.messages import SessionControl, TeleopBackward, TeleopForward
 from telenano.wire.node_state import Part, part
 from telenano.wire.received import Received
@@ -102,7 +102,7 @@ class ControllerHalf(Node):
         except Exception as error:
             if law.name not in PACKAGE_LAWS.found:
                 raise
-            self._failing[law.name] = f"law {law.name}: fails in its first step: {type(error).__name__}: {error}"
+            self._failing[law.name] = f"law {law.name}: fails in its first step: {described(error)}"
             if law.name == self.config.law:
                 raise ConfigError(self._failing[law.name]) from error
 

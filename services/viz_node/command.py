@@ -36,7 +36,7 @@ from telenano.serving.people import ROLES, People, known_role
 from telenano.serving.serve import Tls, addresses_of, announced, missing_for_view, served_addresses
 from telenano.settings.included import DEFAULT_SITE_FILE, DEMO_RECORDING
 from telenano.timing.clock import SystemClock
-from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.errors import ConfigError, TelenanoError, described
 from telenano.wire.nodes import PAGE
 
 _MINUTES = 90.0  # An address of a person is valid for this time by default [min].
@@ -162,7 +162,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
         except Exception as error:  # noqa: BLE001
             # The operator has to be able to stop the rig, whatever the error was.
             end = restarts.record_exit(PAGE, EXIT_DIED)
-            text = f"the view has ended: {type(error).__name__}: {error}; {end.verdict}"
+            text = f"the view has ended: {described(error)}; {end.verdict}"
             typer.echo(f"telenano: {text}", err=True)
             time.sleep(end.restart_in_s or 0.0)
 

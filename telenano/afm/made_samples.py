@@ -16,7 +16,7 @@ from telenano.extend.maps import Span
 from telenano.settings.config import Settings, keys_of, refused_code, section_of
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is
-from telenano.wire.errors import ConfigError
+from telenano.wire.errors import ConfigError, described
 
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {
     "centre": centred,
@@ -135,7 +135,7 @@ class _OwnSample(Settings):
             return np.broadcast_to(heights, (self.pixels, self.pixels))
         # The function of a package may raise anything.
         except Exception as error:
-            raise ValueError(f"failed for arrays of x and y in m: {type(error).__name__}: {error}") from error
+            raise ValueError(f"failed for arrays of x and y in m: {described(error)}") from error
 
 
 # a layer may not use the keys of the section

@@ -5,8 +5,9 @@ import gc
 import importlib
 import os
 import sys
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -98,6 +99,8 @@ def package_commands() -> dict[tuple[str, ...], LazyCommand]:
             path, (module, _, attribute) = tuple(words.split()), target.partition(":")
             if not path or not attribute:
                 raise ValueError(f"{words!r}: {target!r} is not words and module:function")
+            if not (isinstance(about, str) and about.strip()):
+                raise ValueError(f"{words!r}: {about!r} is not a sentence that says what the command does")
             if path in commands or (path[0] in LAZY_COMMANDS and len(path) == 1):
                 raise ValueError(f"there is a command {words!r} already")
             new[path] = LazyCommand(module, attribute, about, entry)
@@ -177,6 +180,8 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
     for parameter in command.params:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
             parameter.metavar = "N"
+        if parameter.type_descriptor.annotation is Path:
+            parameter.consume_value = partial(_path_value, parameter.consume_value, parameter)
     if any(parameter.name == "site_file" for parameter in command.params):
         # What names the address book of a rig names the rig.
         command.params.append(_rig_option())
@@ -187,6 +192,15 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
         _plain(child, (*path, name))
     return command
+
+
+def _path_value(consume: Callable[..., Any], parameter: Any, *args: Any) -> Any:
+    """Return the text of a path with its source; ConfigError for an empty one, which `Path` takes for `.`."""
+    value, source = consume(*args)
+    if "" in (value if isinstance(value, list | tuple) else [value]):
+        name = parameter.opts[0] if parameter.param_type_name == "option" else parameter.metavar or parameter.name
+        raise ConfigError(f"{name}: is empty, as an unset variable is; write . for the current folder")
+    return value, source
 
 
 def _choose_rig(name: str | None) -> None:
@@ -271,7 +285,8 @@ class LazyRoot(OpenGroup):
         as_json = "--json" in (sys.argv[1:] if words is None else words)
         try:
             code = super().main(*args, **{**extra, "standalone_mode": False})
-        except Exception as error:
+        # A group of exceptions is an `Exception` only where all that are in it are.
+        except (Exception, BaseExceptionGroup) as error:
             if not standalone or interrupts.received():
                 raise
             code = _report(error, as_json=as_json)

@@ -15,6 +15,8 @@ LARGEST_BYTES = 1 << 18
 _MOST_VALUES = 100_000
 # No number of a quantity has more digits than this, and Python takes the square of their count to read one.
 _LONGEST_NUMBER = 100
+# A surrogate by itself; an escape such as "\\ud800" makes one.
+_HALF = re.compile("[\ud800-\udfff]")
 _MERGE_TAG = "tag:yaml.org,2002:merge"
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
@@ -70,6 +72,7 @@ def yaml_value(text: str) -> Any:
         node = loader.get_single_node()
         if node is None:
             return None
+        _check_characters(node)
         _check_size(node)
         _check_keys(node, loader, (), set())
         return loader.construct_document(node)
@@ -142,6 +145,23 @@ def _refusal_of_base(node: yaml.ScalarNode) -> str:
     return (
         f"{word[:_LONGEST_NUMBER]} in {_line(node)} is no number of base 10: write {plain}, or '{word[:40]}' for a text"
     )
+
+
+def _check_characters(root: yaml.Node) -> None:
+    """Raise YamlError where an escape makes half of a character, which no file and no terminal can be written."""
+    seen: set[int] = set()
+    waiting = [root]
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.ScalarNode):
+            if half := _HALF.search(node.value):
+                raise YamlError(f"\\u{ord(half[0]):04x} in {_line(node)} is half of a character, and no text")
+        else:
+            parts = (part for pair in node.value for part in (pair if isinstance(pair, tuple) else (pair,)))
+            waiting.extend(parts)
 
 
 def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: set[int]) -> None:

@@ -68,7 +68,7 @@ class Outcome:
         except KeyboardInterrupt as error:
             if not (self.ran and self.recordings):
                 raise
-            again = f"telenano report {shlex.join(map(str, self.recordings))} --out {plan.out}"
+            again = f"telenano report {shlex.join(map(str, self.recordings))} --out {shlex.quote(str(plan.out))}"
             raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
 
 
@@ -270,7 +270,8 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     if not session.has_far:
         text = "the slave's site did not record the session: what it sends fast is missing"
         return replace(outcome, missing=(*outcome.missing, text))
-    again = f"`telenano bag fetch {plan.out} --site-file {plan.site_file}` continues"
+    command = shlex.join(["telenano", "bag", "fetch", str(plan.out), "--site-file", str(plan.site_file)])
+    again = f"`{command}` continues"
     try:
         whole = transport.fetch(plan.book, session, plan.fetch_kbit_per_s, show)
     except TelenanoError as error:
@@ -298,7 +299,7 @@ def report_of(
     is_long = outcome.interrupted or sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES
     if is_long:
         again = "another Ctrl-C" if outcome.interrupted else "Ctrl-C"
-        show(f"that takes some time; {again} leaves it to `telenano report {names} --out {plan.out}`")
+        show(f"that takes some time; {again} leaves it to `telenano report {names} --out {shlex.quote(str(plan.out))}`")
     # matplotlib takes a second to import, which a running rig should not pay
     from telenano.analysis.report import write_report
 

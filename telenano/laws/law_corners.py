@@ -20,6 +20,7 @@ from telenano.extend.laws import (
 from telenano.laws.clamp import clamped
 from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
 from telenano.laws.deadband import deadband, initial_deadband_state
+from telenano.wire.errors import described
 from telenano.wire.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 
 TICKS = 40
@@ -205,4 +206,4 @@ def failures(seed: int, cases: int, laws: Iterable[str] = OWN_LAWS) -> Iterator[
                     halves.retune(second)
                     run(halves)
             except (NotANumberError, ArithmeticError, ValueError) as error:
-                yield f"{name}, case {case} of seed {seed}: {type(error).__name__}: {error}"
+                yield f"{name}, case {case} of seed {seed}: {described(error)}"

@@ -14,6 +14,7 @@ from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, TipMeasurement
 from telenano.laws.config import LAWS, ControllerConfig
 from telenano.laws.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
+from telenano.wire.errors import described
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
 _TIP = TipMeasurement(
@@ -84,7 +85,7 @@ def broken_rules(name: str) -> dict[str, list[str]]:
             broken[rule.name] = list(rule.broken_by(name))
         # Anything that the law of a package raises is a finding of the rule.
         except Exception as error:  # noqa: BLE001
-            broken[rule.name] = [f"fails: {type(error).__name__}: {error}"]
+            broken[rule.name] = [f"fails: {described(error)}"]
     return broken
 
 

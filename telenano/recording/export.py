@@ -17,7 +17,7 @@ from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
-from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
+from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, described, probably_meant
 from telenano.wire.schema import json_schema
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
@@ -124,7 +124,7 @@ def _written_by_package(write: Any, recording: Recording, target: Path, kind: st
         raise
     # The code of a package may raise anything.
     except Exception as error:  # noqa: BLE001
-        fault = plugins.fault_of_package(error) or f"the package {package} failed: {type(error).__name__}: {error}"
+        fault = plugins.fault_of_package(error) or f"the package {package} failed: {described(error)}"
     raise RecordingError(f"{target}: is not exported as {kind}: {fault}; choose another format")
 
 

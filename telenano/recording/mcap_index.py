@@ -14,6 +14,7 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
 from telenano.recording.mcap_scan import MAGIC, RECORD_HEAD, UNREADABLE, Bytes, Layout
+from telenano.wire.errors import described
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _CRC_BYTES = 4
@@ -31,7 +32,7 @@ def index_faults(data: Bytes, layout: Layout, messages: int) -> list[str]:
     try:
         return list(_faults(data, layout, messages))
     except (*UNREADABLE, ValueError, KeyError) as error:
-        return [f"header or summary cannot be read: {type(error).__name__}: {error}"]
+        return [f"header or summary cannot be read: {described(error)}"]
 
 
 def _faults(data: Bytes, layout: Layout, messages: int) -> Iterator[str]:

@@ -9,7 +9,7 @@ from mcap.records import Channel, Schema
 # The codec is imported when a message is decoded: a summary by the index has none.
 from telenano import wire
 from telenano.recording.record_topics import RECORD_TOPICS
-from telenano.wire.errors import RecordingError
+from telenano.wire.errors import RecordingError, described
 
 if TYPE_CHECKING:
     from telenano.wire.messages import Record
@@ -33,7 +33,7 @@ class LeftOut:
         try:
             take(message)
         except Exception as error:  # noqa: BLE001
-            self.note(getattr(error.__cause__, "reason", "unreadable"), f"{type(error).__name__}: {error}")
+            self.note(getattr(error.__cause__, "reason", "unreadable"), described(error))
             return False
         return True
 

@@ -23,6 +23,8 @@ from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar, overload
 
+from telenano.wire.errors import described
+
 # What scenarios and experiments name, and so what a run depends on.
 SCENARIO_KINDS = (
     *("laws", "devices", "hand_sections", "operators", "samples", "layers", "maps"),
@@ -175,9 +177,9 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], loaded: dict[str,
 def fault_of_import(error: BaseException) -> str:
     """Return in words what the import of a package raised; raise a signal at a command, which is not one of it."""
     if isinstance(error, SystemExit):
-        return f"its import ends the whole program (SystemExit: {error})"
+        return f"its import ends the whole program ({described(error)})"
     if not isinstance(error, KeyboardInterrupt):
-        return f"{type(error).__name__}: {error}"
+        return described(error)
     # A signal at a command has a class of its own; this one the package may have raised itself.
     if type(error) is not KeyboardInterrupt:
         raise error
@@ -220,7 +222,7 @@ def fault_of_package(error: BaseException) -> str:
         row = owners.get(frame.f_globals.get("__name__", "").partition(".")[0])
         if row is not None:
             place = f"{frame.f_globals['__name__']}, line {line}, in {frame.f_code.co_name}"
-            fault = f"the package {row.package} {row.version} failed ({place}): {type(error).__name__}: {error}"
+            fault = f"the package {row.package} {row.version} failed ({place}): {described(error)}"
     return fault
 
 

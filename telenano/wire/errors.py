@@ -23,13 +23,23 @@ class TelenanoError(Exception):
     """Base of every error that the project raises on purpose."""
 
 
+def described(error: BaseException) -> str:
+    """Return class and text of an error, of which the text may be a stranger's: the class alone where it has none."""
+    try:
+        text = str(error)
+    # The code of a stranger makes this text, and may raise anything.
+    except BaseException:  # noqa: BLE001
+        return f"{type(error).__name__}, whose text cannot be made"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
 def cause(error: BaseException) -> str:
     """Return why something failed, for a person: a text that was written for one, or class and text of the surprise."""
     if isinstance(error, TelenanoError):
         return str(error)
     if isinstance(error, OSError):
         return f"the connection is gone: {error.strerror or error}"
-    return f"an unexpected answer: {type(error).__name__}: {error}"[:200]
+    return f"an unexpected answer: {described(error)}"[:200]
 
 
 class ConfigError(TelenanoError):

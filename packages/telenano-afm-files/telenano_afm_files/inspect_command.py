@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
@@ -64,7 +65,7 @@ def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
     if _BINARY.search(content[:_BEGIN]) and not is_wide:
         return _of_instrument(path)
     if _PING.search(decoded(content[:200_000], str(path))):
-        return {"format": "what ping printed", "takes_it": f"telenano link fit {path}"}
+        return {"format": "what ping printed", "takes_it": f"telenano link fit {_quoted(path)}"}
     try:
         table = TextTable.parse(content, str(path))
     except ConfigError as error:
@@ -116,21 +117,23 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
     columns = table.columns
     kinds = {name: _of(columns, name) for name in ("Hz", "m", "N", "V", "s", *_DENSITIES)}
     if any(options):
-        settings = " ".join(f"--set {name}={value}" for name, value in options._asdict().items() if value)
+        settings = " ".join(
+            f"--set {shlex.quote(f'{name}={value}')}" for name, value in options._asdict().items() if value
+        )
         takes = [
-            f"telenano curve --overlay {path} {settings}",
-            f"telenano sample import {path} {settings} --out map.npz",
+            f"telenano curve --overlay {_quoted(path)} {settings}",
+            f"telenano sample import {_quoted(path)} {settings} --out map.npz",
         ]
         return "a force curve, as --set says", takes, _curve(path, options)
     in_head = table.units_in_head(*_DENSITIES)
     if (kinds["Hz"] and any(kinds[name] for name in _DENSITIES)) or in_head:
-        return "a thermal spectrum", [f"telenano calibrate stiffness --spectrum {path}"], {}
+        return "a thermal spectrum", [f"telenano calibrate stiffness --spectrum {_quoted(path)}"], {}
     if kinds["m"] and (kinds["N"] or kinds["V"] or len(kinds["m"]) > 1) and len(table.lines) > 1:
-        takes = [f"telenano curve --overlay {path}", f"telenano sample import {path} --out map.npz"]
-        takes += [f"telenano calibrate sensitivity --curve {path}"] if kinds["V"] else []
+        takes = [f"telenano curve --overlay {_quoted(path)}", f"telenano sample import {_quoted(path)} --out map.npz"]
+        takes += [f"telenano calibrate sensitivity --curve {_quoted(path)}"] if kinds["V"] else []
         return "a force curve", takes, _curve(path, NOTHING)
     if any(_DELAY.match(column.name or column.title) for column in columns):
-        return "a log of a line", [f"telenano link fit {path}"], {}
+        return "a log of a line", [f"telenano link fit {_quoted(path)}"], {}
     # the last line of the head is one of facts, such as `Width: 1 µm`, and not one of names
     is_named = all(column.title and as_number(column.title) is None and ":" not in column.title for column in columns)
     if len(columns) > 2 and is_named:
@@ -142,13 +145,13 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
         )
     if len(columns) > 2:
         text = f"a matrix of {len(table.lines)} x {len(columns)} heights"
-        return text, [f"telenano scan --sample {path} --size WIDTH"], {}
+        return text, [f"telenano scan --sample {_quoted(path)} --size WIDTH"], {}
     if len(columns) == 1:
         return (
             "one column: a record of a deflection, or delays",
             [
-                f"telenano calibrate stiffness --record {path} --rate HZ",
-                f"telenano link fit {path} --unit ms --period S",
+                f"telenano calibrate stiffness --record {_quoted(path)} --rate HZ",
+                f"telenano link fit {_quoted(path)} --unit ms --period S",
             ],
             {},
         )
@@ -158,6 +161,11 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
         [],
         {},
     )
+
+
+def _quoted(path: Path) -> str:
+    """Return a path as a command line has it."""
+    return shlex.quote(str(path))
 
 
 def _of(columns: tuple[Column, ...], unit: str) -> list[Column]:
@@ -191,9 +199,9 @@ def _of_instrument(path: Path) -> dict[str, Any]:
     for name in (ending, "other"):
         reader = readers[name].load() if name in readers else FileReader()
         for what, line in (
-            ("heights", f"telenano scan --sample {path}"),
-            ("curve", f"telenano curve --overlay {path}"),
-            ("spectrum", f"telenano calibrate stiffness --spectrum {path}"),
+            ("heights", f"telenano scan --sample {_quoted(path)}"),
+            ("curve", f"telenano curve --overlay {_quoted(path)}"),
+            ("spectrum", f"telenano calibrate stiffness --spectrum {_quoted(path)}"),
         ):
             function = getattr(reader, what)
             if not function:

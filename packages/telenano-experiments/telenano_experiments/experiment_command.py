@@ -1,6 +1,7 @@
 """`telenano experiment`: trials of people or simulated operators over conditions, from plan to publication."""
 
 import contextlib
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -48,12 +49,16 @@ ParticipantOption = Annotated[
     typer.Option("--participant", metavar="ID", help="Only this participant (repeatable); default: all, in turn."),
 ]
 
-
 MarksOption = Annotated[
     Path | None,
     typer.Option("--marks", metavar="PORT", help="Mark both ends of a trial on this serial or parallel port."),
 ]
 BaudOption = Annotated[int, typer.Option("--baud", min=50, metavar="N", help="Rate of a serial port of --marks [1/s].")]
+
+
+def _again(folder: Path) -> str:
+    """Return the command that continues an experiment."""
+    return shlex.join(["telenano", "experiment", "resume", str(folder)])
 
 
 @app.command()
@@ -76,7 +81,11 @@ def new(
         with atomic_file(path, replace=False) as part:
             part.write_text(text, encoding="utf-8")
             _load(part)
-    print_answer({"file": str(path)}, f"{path}; next: telenano experiment check {path}", as_json=as_json)
+    print_answer(
+        {"file": str(path)},
+        f"{path}; next: {shlex.join(['telenano', 'experiment', 'check', str(path)])}",
+        as_json=as_json,
+    )
 
 
 @app.command()
@@ -125,7 +134,7 @@ def run(
         plan = _load(source)
         folder = out or Path("experiments") / plan.experiment.name
         if (folder / "journal.jsonl").exists():
-            raise ConfigError(f"{folder}: has an experiment already; `telenano experiment resume {folder}` continues")
+            raise ConfigError(f"{folder}: has an experiment already; `{_again(folder)}` continues")
         with _marks(marks, baud, apparatus or plan.experiment.apparatus, plan) as port:
             _copy(plan, source, folder, apparatus)
             _run(folder, participant, port, as_json=as_json)
@@ -337,7 +346,10 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
     text = f"{state['trials_done']} trials done, {state['trials_left']} left: {folder}"
     print_answer(state, text, as_json=as_json)
     if stopped.reason:
-        typer.echo(f"telenano: stopped: {stopped.reason}; `telenano experiment resume {folder}` continues", err=True)
+        typer.echo(
+            f"telenano: stopped: {stopped.reason}; `{_again(folder)}` continues",
+            err=True,
+        )
         raise typer.Exit(EXIT_FAILED)
 
 

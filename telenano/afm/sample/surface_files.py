@@ -20,7 +20,7 @@ from telenano.files.regular_files import open_regular
 from telenano.files.text_tables import TextTable, as_number
 from telenano.files.units import unit_of
 from telenano.settings.file_readers import read_by_package
-from telenano.wire.errors import ConfigError, probably_meant
+from telenano.wire.errors import ConfigError, described, probably_meant
 
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LONGEST_GSF_HEADER = 1 << 16
@@ -87,7 +87,7 @@ def read_surface(
         raise ConfigError(f"{path}: {error}") from error
     # damage may lead a reader anywhere
     except Exception as error:
-        raise ConfigError(f"{path}: is no whole height map: {type(error).__name__}: {error}") from error
+        raise ConfigError(f"{path}: is no whole height map: {described(error)}") from error
 
 
 def _metres(unit: str, what: str) -> float:

@@ -1,5 +1,6 @@
 """`telenano new`: a package that extends telenano, ready to install."""
 
+import shlex
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, get_args
@@ -39,4 +40,5 @@ def new(
     # Where the backend is installed already, as in a checkout, pip need not fetch it into an environment of its own.
     ready = all(find_spec(name) is not None for name in ("hatchling", "editables"))
     option = "--no-build-isolation " if ready else ""
-    typer.echo(f"next: pip install {option}-e {folder} && pytest {folder}")
+    quoted = shlex.quote(str(folder))
+    typer.echo(f"next: pip install {option}-e {quoted} && pytest {quoted}")

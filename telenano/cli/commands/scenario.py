@@ -1,6 +1,7 @@
 """`telenano scenario`: the experiments that are known, and files of your own."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -86,7 +87,8 @@ def new(
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         with atomic_file(path, replace=False) as file:
             file.write_text(head + text, encoding="utf-8")
-    text = f"{path}; next: telenano scenario check {path} && telenano up --scenario {path}"
+    quoted = shlex.quote(str(path))
+    text = f"{path}; next: telenano scenario check {quoted} && telenano up --scenario {quoted}"
     print_answer({"file": str(path)}, text, as_json=as_json)
 
 

@@ -21,6 +21,7 @@ from telenano.timing.clock import NEVER_NS
 from telenano.timing.freshness import LOOP_DEADLINE_NS
 from telenano.wire import TOPICS
 from telenano.wire.codec import WireError, accept
+from telenano.wire.errors import described
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
@@ -81,7 +82,7 @@ class NodeLoop:
                 self.turn()
         # code of a package may end the program
         except (Exception, SystemExit) as error:
-            text = fault_of_package(error) or f"this node failed: {type(error).__name__}: {error}"
+            text = fault_of_package(error) or f"this node failed: {described(error)}"
             self.node.event("fault", "error", " ".join(text.split()))
             raise
         finally:

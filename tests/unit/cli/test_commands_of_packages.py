@@ -114,6 +114,13 @@ def test_a_package_adds_commands_to_the_root_and_to_groups_at_any_depth(make: An
     [
         (rows(up="taker.cli:greet"), "there is a command 'up' already"),
         (rows(fine="taker.cli"), "'fine': 'taker.cli' is not words and module:function"),
+        (
+            "ROWS = {'fine': ('taker.cli:greet', None)}",
+            "'fine': None is not a sentence",
+        ),
+        ("ROWS = {'fine': 7}", "TypeError"),
+        ("ROWS = {7: ('taker.cli:greet', 'Greet.')}", "AttributeError"),
+        ("ROWS = 7", "AttributeError"),
         ("ROWS = 3", "AttributeError"),
     ],
 )

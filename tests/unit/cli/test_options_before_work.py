@@ -8,6 +8,7 @@ import math
 import os
 import resource
 import select
+import shlex
 import shutil
 import signal
 import time
@@ -160,3 +161,40 @@ def test_a_wrong_value_is_refused_by_its_option_before_work_begins() -> None:
             shutil.rmtree("out", ignore_errors=True)
     assert not wrong, "\n".join(wrong)
     assert len(refused_before) < MOST_REFUSED_BEFORE * len(CASES), refused_before
+
+
+PATHS = [
+    pytest.param(words, command, parameter, id=f"{' '.join(words)} {parameter.opts[0]}")
+    for words, command in commands()
+    for parameter in command.params
+    if parameter.type_descriptor.annotation is Path
+]
+
+
+@pytest.mark.parametrize(("words", "command", "parameter"), PATHS)
+def test_an_empty_path_is_refused_and_not_taken_for_the_current_folder(
+    words: tuple[str, ...], command: Any, parameter: Any, tmp_path: Path
+) -> None:
+    is_option = parameter.param_type_name == "option"
+    # A path that is no option is the first or the last of those that a command has.
+    before = [str(DEMO_RECORDING) for each in command.params if each.param_type_name == "argument"]
+    place = (
+        [each.name for each in command.params if each.param_type_name == "argument"].index(parameter.name)
+        if (not is_option)
+        else 0
+    )
+    asked = [*words, f"{parameter.opts[0]}="] if is_option else [*words, *before[:place], ""]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 2
+    assert "is empty" in result.output or "missing" in result.output, result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_command_that_is_printed_can_be_pasted(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["scenario", "new", "mine", "--out", "no; such.yaml"])
+    shown = result.output.partition("next: ")[2]
+    assert shlex.split(shown.replace(" && ", " ")) == [
+        *("telenano", "scenario", "check", "no; such.yaml"),
+        *("telenano", "up", "--scenario", "no; such.yaml"),
+    ]
+    assert CliRunner().invoke(app, ["scenario", "check", "no; such.yaml"]).exit_code == 0

@@ -182,3 +182,16 @@ def test_an_error_is_attributed_to_the_package_whose_code_was_called_last(entrie
     said = plugins.fault_of_package(caught.value)
     assert said == "the package pack 1.2 failed (pack_f, line 2, in step): ZeroDivisionError: division by zero"
     assert plugins.fault_of_package(ValueError("ours")) == ""
+
+
+class WordlessError(Exception):
+    """An error of a package whose text cannot be made."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("and this one neither")
+
+
+def test_an_error_without_words_is_named_by_its_class() -> None:
+    assert plugins.fault_of_import(WordlessError()) == "WordlessError, whose text cannot be made"
+    assert plugins.fault_of_import(ValueError()) == "ValueError"
+    assert plugins.fault_of_import(ValueError("no licence")) == "ValueError: no licence"

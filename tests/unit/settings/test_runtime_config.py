@@ -8,6 +8,7 @@ import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
+from telenano.files.yaml_text import YamlError, yaml_value
 from telenano.settings.config import (
     environment_overrides,
     flag_overrides,
@@ -292,3 +293,23 @@ def test_a_long_value_is_quoted_in_part(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="duration_s: Input should be a valid number in s, got 'xxx") as error:
         validate(Scenario, {"name": "a", "description": "b", "duration_s": "x" * 100_000}, "a.yaml")
     assert len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name: "\\uD800"',
+        '"a\\uDC00": 1',
+        'deep: [1, {in: ["x", "\\uDBFF\\uDBFF"]}]',
+        'one: &a ["\\uD834"]\ntwo: *a',
+        '? ["\\uD800"]\n: 1',
+        '!!str "\\ud800"',
+    ],
+)
+def test_half_of_a_character_is_refused_by_its_line_wherever_it_stands(text: str) -> None:
+    with pytest.raises(YamlError, match=r"in line \d is half of a character"):
+        yaml_value(f"first: 1\n{text}" if text.startswith("name") else text)
+
+
+def test_a_character_beyond_the_first_65536_is_one() -> None:
+    assert yaml_value('name: "\\U0001D11E"') == {"name": "\U0001d11e"}

@@ -112,6 +112,16 @@ def test_after_a_stall_the_newest_samples_are_left() -> None:
     assert command["t0"] == pytest.approx(1.5)
 
 
+def test_the_health_of_a_node_is_shown_however_much_its_counts_have_reached() -> None:
+    feed = Feed()
+    health = golden("node/health")
+    row = {**health["inputs"][0], "lost": 2**63 - 1}
+    feed.record(seen("node/health", "afm_node@slave", inputs=[row] * 3, rejected={"a": 2**63 - 1, "b": 2**63 - 1}))
+    node = feed.take()["nodes"]["afm_node@slave"]
+    assert (node["lost"], node["rejected"]) == (2**63 - 1, 2**63 - 1)
+    assert feed.left_out.rejected == {}
+
+
 def test_a_node_that_has_ended_is_shown_as_ended() -> None:
     feed = Feed()
     feed.record(seen("node/health", "afm_node@slave"))
