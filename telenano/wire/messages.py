@@ -166,7 +166,10 @@ SampleAgeS = Annotated[
 ]
 HandArmed = Annotated[
     bool | None,
-    about("The hand was armed in the sample of hand_seq: a tip follows no other command; absent counts as false"),
+    about(
+        "The hand was armed in the sample of hand_seq, and had a fresh answer of the tip's site at most 0.35 s before: "
+        "a tip follows no other command; absent counts as false"
+    ),
 ]
 
 

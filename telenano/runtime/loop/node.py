@@ -123,6 +123,16 @@ class Node(ABC):
         """Whether the node is in emergency stop, until it is armed."""
         return False
 
+    @property
+    def kept_stop_for(self) -> str:
+        """The device that an emergency stop in the file of this node (`NodeContext.kept_stop`) is for."""
+        return self.context.key
+
+    @property
+    def kept_stop_id(self) -> str:
+        """The id of a stop that this node keeps for another one, and so has taken over from its file."""
+        return ""
+
     def capture(self) -> Any:
         """Return, as `state_kind`, all that the outputs depend on besides the inputs to come.
 

@@ -19,7 +19,7 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings.plugins import fault_of_package
 from telenano.timing.clock import NEVER_NS
 from telenano.timing.freshness import LOOP_DEADLINE_NS
-from telenano.wire import TOPICS
+from telenano.wire import TOPICS, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
 from telenano.wire.received import Received
@@ -159,10 +159,12 @@ class NodeLoop:
             control = None
         if not isinstance(control, SessionControl) or control.command != "estop":
             # A file that cannot be read is still there because a person stopped the node.
-            control = stop_of(self.node.context.key, now_ns)
-        if control.id != latch.newest_id:
+            control = stop_of(self.node.kept_stop_for, now_ns)
+            payload = encode(control)
+        if control.id not in (latch.newest_id, self.node.kept_stop_id):
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
-            self.node.event("mode", "warning", "an emergency stop that was kept for this device is in force")
+            text = f"an emergency stop that was kept for {self.node.kept_stop_for} is in force"
+            self.node.event("mode", "warning", text)
 
     def _act_on_deadline(self, now_ns: int) -> None:
         self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)
