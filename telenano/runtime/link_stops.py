@@ -25,7 +25,7 @@ _UNREACHED = 5
 
 
 class FarStopState(NamedTuple):
-    """The stop that is kept, as it was sent, empty for none; copies of it, when the next is due [ns]; last id obeyed."""
+    """The stop that is kept, as it was sent, empty for none; its copies, when the next is due [ns]; last id obeyed."""
 
     payload: bytes = b""
     copies: int = 0

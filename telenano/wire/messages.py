@@ -460,7 +460,7 @@ class LinkFate(Record):
     queue_ns: Annotated[Count, about("Part of it spent in the queue of a rate limit or delivery trace [ns]")]
     held_ns: Annotated[Count, about("Part of it spent waiting for the end of an outage [ns]")]
     dropped: Annotated[
-        Name, about("What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue; else empty")
+        Name, about("What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue, stop; else empty")
     ]
     duplicated: Annotated[bool, about("A duplicate was made of it")]
     reordered: Annotated[bool, about("It was released before a message of its topic that had arrived earlier")]

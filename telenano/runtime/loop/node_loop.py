@@ -64,6 +64,7 @@ class NodeLoop:
         # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
         # may have been ended before it could send.
         self._may_be_kept = True
+        self._told_of_file = False
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
@@ -151,7 +152,16 @@ class NodeLoop:
         """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
         self._may_be_kept = False
         latch, now_ns = self._commands.latch, self._clock.now_ns()
-        if (payload := latch.kept()) is None:
+        try:
+            payload = latch.kept()
+        except OSError as error:
+            if not self._told_of_file:
+                text = f"{latch.path}: {error.strerror}: no emergency stop is kept there; remove it"
+                self.node.event("fault", "warning", text)
+            self._told_of_file = True
+            return
+        self._told_of_file = False
+        if payload is None:
             return
         try:
             control = accept("session/control", payload)
@@ -163,8 +173,8 @@ class NodeLoop:
             payload = encode(control)
         if control.id not in (latch.newest_id, self.node.kept_stop_id):
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
-            text = f"an emergency stop that was kept for {self.node.kept_stop_for} is in force"
-            self.node.event("mode", "warning", text)
+            device = "this device" if self.node.kept_stop_for == self.node.context.key else self.node.kept_stop_for
+            self.node.event("mode", "warning", f"an emergency stop that was kept for {device} is in force")
 
     def _act_on_deadline(self, now_ns: int) -> None:
         self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)
