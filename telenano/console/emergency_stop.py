@@ -230,9 +230,14 @@ def emergency_stop(
     missing = sorted(expected - set(answers))
     if missing:
         # The stop is kept once more, because an earlier arming may have removed the first copy.
-        kept = [device for device in keep_stop(rig, reach, target, identifier) if device in missing]
-        later = f": {', '.join(kept)} will stop as soon as it continues or is started again" if kept else ""
-        raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s{later}")
+        keepers = keep_stop(rig, reach, target, identifier)
+        later = [
+            f"{device} will stop as soon as it continues or is started again" for device in keepers if device in missing
+        ]
+        if _LINK in keepers and TIP in missing:
+            later.append(f"the link sends it to {TIP} until that has obeyed it, and no sample of the hand before")
+        text = f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s"
+        raise RigError(": ".join([text, *(["; ".join(later)] if later else [])]))
     return answers
 
 

@@ -288,10 +288,9 @@ class DelayNode(Node):
         """The node that a stop in the file of this process is for."""
         return TIP
 
-    @property
-    def kept_stop_id(self) -> str:
-        """The id of the stop that this process has taken over from its file."""
-        return self._stop.identifier
+    def has_taken_over(self, identifier: str) -> bool:
+        """Return whether a stop of this id is kept already, or was obeyed."""
+        return self._stop.knows(identifier)
 
     def _send_stop(self, now_ns: int) -> None:
         """Send the stop that is kept once more, if it is time, and report once that the instrument does not answer."""

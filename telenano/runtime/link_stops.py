@@ -60,6 +60,12 @@ class FarStop:
         """The id of the stop that is kept, empty for none."""
         return "" if self._stop is None else self._stop.id
 
+    def knows(self, identifier: str) -> bool:
+        """Return whether a stop of this id is kept, or was obeyed: then nothing has to be kept in the file."""
+        if identifier == self._state.obeyed and self._stop is None and self._path is not None:
+            kept_stop.forget(self._path)
+        return identifier in (self.identifier, self._state.obeyed)
+
     @property
     def due_ns(self) -> int:
         """When the next copy is due, on the monotonic clock [ns]."""

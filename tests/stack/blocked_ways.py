@@ -35,6 +35,8 @@ _ARRIVES_AT = {"there": ("slave",), "back": ("master",), "both": ("slave", "mast
 BLOCKED = tuple(f"{what}_{way}" for what in _PROTOCOLS for way in _ARRIVES_AT)
 RELAY_KILLED = "relay_killed"
 WAYS = ("cable", "direct", "relayed")
+# The faults that a topology can have.
+FAULTS_OF = {way: BLOCKED if way == "cable" else (*BLOCKED, RELAY_KILLED) for way in WAYS}
 ENDS = {"master": "delay_node@master", "slave": "controller@slave"}
 # How long a fault lasts [s]. Where datagrams cross, the loop goes on until the ends miss the connection over TCP, for
 # five seconds over a network that has lost datagrams.
@@ -47,18 +49,15 @@ class Outcome(NamedTuple):
 
     tip_s, hand_s: from its beginning to the first tip that does not follow, and the first hand that is off, None where
     there is none; tip_unanswered_s, hand_unanswered_s: the longest time since the last answer that reached the hand for
-    which the tip followed, and the hand was driven.
+    which the tip followed, and the hand was driven; late_s: the longest time between two states of hand or tip, because
+    a busy machine lets each of them decide later.
     """
 
     tip_s: float | None
     hand_s: float | None
     tip_unanswered_s: float
     hand_unanswered_s: float
-
-
-def faults_of(way: str) -> tuple[str, ...]:
-    """Return the faults that a topology can have."""
-    return BLOCKED if way == "cable" else (*BLOCKED, RELAY_KILLED)
+    late_s: float
 
 
 def sites_of(way: str, folder: Path) -> TwoSites:
@@ -130,6 +129,8 @@ def outcome(rig: TwoSites, begin_ns: int, end_ns: int) -> Outcome:
         _first_s(begin_ns, [hand.t_ns for hand in hands if hand.mode == "off" and hand.t_ns > begin_ns]),
         _longest_s(following, answers),
         _longest_s([at_ns for at_ns in driven if at_ns > begin_ns], answers),
+        max(now.t_ns - before.t_ns for states in (hands, tips) for before, now in itertools.pairwise(states))
+        / NS_PER_S,
     )
 
 
@@ -188,7 +189,7 @@ def main() -> None:
         rig = sites_of(given.way, Path(folder))
         try:
             started(rig, given.way)
-            for name in given.faults.split(",") if given.faults else faults_of(given.way):
+            for name in given.faults.split(",") if given.faults else FAULTS_OF[given.way]:
                 found = injected(rig, name)
                 rounded = {key: value if value is None else round(value, 3) for key, value in found._asdict().items()}
                 sys.stdout.write(json.dumps({"way": given.way, "fault": name, **rounded}) + "\n")

@@ -128,10 +128,9 @@ class Node(ABC):
         """The device that an emergency stop in the file of this node (`NodeContext.kept_stop`) is for."""
         return self.context.key
 
-    @property
-    def kept_stop_id(self) -> str:
-        """The id of a stop that this node keeps for another one, and so has taken over from its file."""
-        return ""
+    def has_taken_over(self, identifier: str) -> bool:
+        """Return whether this node has taken over a stop of this id, which is for another one, from its file."""
+        return False
 
     def capture(self) -> Any:
         """Return, as `state_kind`, all that the outputs depend on besides the inputs to come.

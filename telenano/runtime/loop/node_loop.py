@@ -171,7 +171,7 @@ class NodeLoop:
             # A file that cannot be read is still there because a person stopped the node.
             control = stop_of(self.node.kept_stop_for, now_ns)
             payload = encode(control)
-        if control.id not in (latch.newest_id, self.node.kept_stop_id):
+        if control.id != latch.newest_id and not self.node.has_taken_over(control.id):
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
             device = "this device" if self.node.kept_stop_for == self.node.context.key else self.node.kept_stop_for
             self.node.event("mode", "warning", f"an emergency stop that was kept for {device} is in force")

@@ -215,7 +215,12 @@ class World:
         for key in (LINK, TIP):
             if key in self.loops:
                 self.loops[key].turn()
-        if self.owed_ns is None and self.mode != "estop" and LINK in self.loops and self.loops[LINK].node.kept_stop_id:
+        if (
+            self.owed_ns is None
+            and self.mode != "estop"
+            and LINK in self.loops
+            and self.loops[LINK].node._stop.identifier
+        ):  # type: ignore[attr-defined]
             # what a console sent is given once the link has taken it: a killed process has not
             self.owed_ns = now_ns
         self._judge(now_ns)
@@ -314,6 +319,23 @@ def check(order: list[tuple[int, str]], way_ms: int) -> None:
 @pytest.mark.parametrize("way_ms", [0, 20, 250])
 def test_a_stop_that_the_network_has_lost_is_obeyed_first(order: list[tuple[int, str]], way_ms: int) -> None:
     check(order, way_ms)
+
+
+def test_a_stop_that_is_kept_once_more_after_it_was_obeyed_is_not_sent_again() -> None:
+    """Write the file late, as a sender does that has not heard the answer in its five seconds."""
+    with world() as here:
+        here.run(100 * MS)
+        here.stop(by_file=True)
+        content = here.kept[LINK].read_bytes()
+        here.run(300 * MS)
+        assert here.mode == "estop"
+        assert not here.kept[LINK].exists()
+        here.kept[LINK].write_bytes(content)
+        here.run(1000 * MS)
+        assert not here.kept[LINK].exists()
+        here.arm()
+        here.run(1500 * MS)
+        assert here.mode == "follow"
 
 
 QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large]
