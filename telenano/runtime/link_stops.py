@@ -18,19 +18,24 @@ from telenano.wire.codec import accept
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import TIP, is_meant
 
-# A copy has a number and a time of its own, because a reader drops what looks like a repetition.
+# A copy has a time of its own, because a reader drops what looks like a repetition, and the number after that of the
+# newest message of this sender that the link has sent on, so that a reader misses none.
 _SENDER = "estop@master"
 # An instrument that has not answered this number of copies cannot be reached.
 _UNREACHED = 5
 
 
 class FarStopState(NamedTuple):
-    """The stop that is kept, as it was sent, empty for none; its copies, when the next is due [ns]; last id obeyed."""
+    """The stop that is kept, as it was sent, empty for none; its copies, when the next is due [ns]; last id obeyed.
+
+    number: that of the newest message of the sender of copies, -1 before it.
+    """
 
     payload: bytes = b""
     copies: int = 0
     due_ns: int = NEVER_NS
     obeyed: str = ""
+    number: int = -1
 
 
 class FarStop:
@@ -84,7 +89,13 @@ class FarStop:
             payload: The same as it was sent.
             now_ns: The monotonic time [ns].
         """
-        if not is_meant(TIP, control.target) or control.id in (self.identifier, self._state.obeyed):
+        if control.src == _SENDER:
+            self._state = self._state._replace(number=control.seq)
+        if not is_meant(TIP, control.target) or control.id == self._state.obeyed:
+            return ""
+        if control.id == self.identifier:
+            # its sender still repeats it
+            self._state = self._state._replace(due_ns=now_ns + RESEND_NS)
             return ""
         self._stop = control
         self._state = self._state._replace(payload=payload, copies=0, due_ns=now_ns + RESEND_NS)
@@ -94,7 +105,7 @@ class FarStop:
         """Return whether an event is the first word of the instrument that it has obeyed the stop that is kept."""
         is_answer = self._stop is not None and event.src == TIP and event.kind == "ack" and event.id == self._stop.id
         if is_answer:
-            self._state = FarStopState(obeyed=event.id)
+            self._state = FarStopState(obeyed=event.id, number=self._state.number)
             self._stop = None
             if self._path is not None:
                 kept_stop.forget(self._path)
@@ -117,6 +128,6 @@ class FarStop:
         """
         if self._stop is None or now_ns < self._state.due_ns:
             return None
-        number = self._state.copies
-        self._state = self._state._replace(copies=number + 1, due_ns=now_ns + RESEND_NS)
+        number = self._state.number + 1
+        self._state = self._state._replace(copies=self._state.copies + 1, due_ns=now_ns + RESEND_NS, number=number)
         return encode(msgspec.structs.replace(self._stop, src=_SENDER, seq=number, t_ns=t_ns))

@@ -55,11 +55,11 @@ class _Bus:
     def __init__(self, world: "World", key: str) -> None:
         self._world, self._key = world, key
         self.waiting: list[Received] = []
-        self._trackers: dict[tuple[str, str], SequenceTracker] = {}
+        self.trackers: dict[tuple[str, str], SequenceTracker] = {}
 
     def bring(self, topic: str, message: Message) -> None:
         """Have a message wait, unless its number says that it is a repetition."""
-        tracker = self._trackers.setdefault((topic, message.src), SequenceTracker())
+        tracker = self.trackers.setdefault((topic, message.src), SequenceTracker())
         if tracker.accept(message.seq, message.t_ns) is not Arrival.DUPLICATE:
             self.waiting.append(Received(topic, message, encode(message), self._world.clock.now_ns(), Arrival.NEXT))
 
@@ -319,6 +319,23 @@ def check(order: list[tuple[int, str]], way_ms: int) -> None:
 @pytest.mark.parametrize("way_ms", [0, 20, 250])
 def test_a_stop_that_the_network_has_lost_is_obeyed_first(order: list[tuple[int, str]], way_ms: int) -> None:
     check(order, way_ms)
+
+
+def test_what_the_link_repeats_is_no_loss_to_its_reader() -> None:
+    """Repeat a stop over a long way, as `telenano estop` and the link do by turns, and then another one."""
+    with world(250 * MS) as here:
+        here.run(100 * MS)
+        for _ in range(2):
+            fields: dict[str, Any] = {"id": f"stop-{here.clock.now_ns()}", "command": "estop", "target": "*"}
+            for number in range(8):
+                here._numbers["session/control", "estop@master"] = number - 1
+                here.give("session/control", src="estop@master", parameters={}, **fields)
+                here.run((60 if number % 3 else 420) * MS)
+            here.run(1500 * MS)
+            assert here.mode == "estop"
+        tracker = here.buses[TIP].trackers["session/control", "estop@master"]
+        assert (tracker.lost, tracker.gaps) == (0, 0)
+        assert tracker.received > 16
 
 
 def test_a_stop_that_is_kept_once_more_after_it_was_obeyed_is_not_sent_again() -> None:
