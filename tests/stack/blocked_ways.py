@@ -107,7 +107,7 @@ def fault(rig: TwoSites, name: str) -> Iterator[None]:
 
 def _states(site: Site, topic: str, first_ns: int, last_ns: int) -> list[Any]:
     """Return the states that a device sent between two times, by the clock of their stamps."""
-    found = (message.decode() for message in site.recording().messages(topic, first_ns))
+    found: list[Any] = [message.decode() for message in site.recording().messages(topic, first_ns)]
     return sorted((state for state in found if first_ns <= state.t_ns < last_ns), key=lambda state: state.t_ns)
 
 

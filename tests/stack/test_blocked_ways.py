@@ -77,7 +77,7 @@ def test_a_stop_that_cannot_cross_is_obeyed_before_anything_follows(
         assert stopped.returncode != 0
     begin_ns = min(control.t_ns for control in stops(sites))
     sites.wait_until(lambda: modes(sites, time.time_ns() - NS_PER_S) == {"estop"}, "an instrument in emergency stop")
-    since = [message.decode() for message in sites.slave.recording().messages("afm/state", begin_ns)]
+    since: list[Any] = [message.decode() for message in sites.slave.recording().messages("afm/state", begin_ns)]
     followed = [state.t_ns for state in since if state.t_ns > begin_ns and state.mode == "follow"]
     # It went on for no longer than a sample counts, by the samples that had crossed before.
     gaps_ns = [now.t_ns - old.t_ns for old, now in pairwise(since)]
@@ -94,7 +94,7 @@ def test_a_stop_that_cannot_cross_is_obeyed_before_anything_follows(
 
 def stops(sites: TwoSites) -> list[Any]:
     """Give the stops that the master's site has sent."""
-    found = (message.decode() for message in sites.master.recording().messages("session/control"))
+    found: list[Any] = [message.decode() for message in sites.master.recording().messages("session/control")]
     return [control for control in found if control.command == "estop"]
 
 

@@ -366,7 +366,7 @@ def test_a_stop_that_is_not_obeyed_is_sent_again_and_holds_back_the_hand_and_wis
     sent = [payload for topic, payload in link.to_slave.sent if topic == "session/control"]
     assert sent[0] == stop
     # copies with numbers and times of their own, and what moves nothing
-    found = [decode("session/control", payload) for payload in sent]
+    found: list[Any] = [decode("session/control", payload) for payload in sent]
     assert {(message.command, message.id) for message in found} == {("estop", "stop"), ("stop", "end")}
     copies = [message for message in found[1:] if message.command == "estop"]
     assert [message.seq for message in copies] == list(range(len(copies)))

@@ -63,7 +63,7 @@ class _Bus:
         if tracker.accept(message.seq, message.t_ns) is not Arrival.DUPLICATE:
             self.waiting.append(Received(topic, message, encode(message), self._world.clock.now_ns(), Arrival.NEXT))
 
-    def publish(self, topic: str, **fields: Any) -> None:
+    def publish(self, topic: str, **fields: Any) -> Any:
         if topic == "session/event":
             self._world.published(self._key, topic, self._world.message(topic, self._key, **fields))
 
@@ -215,12 +215,8 @@ class World:
         for key in (LINK, TIP):
             if key in self.loops:
                 self.loops[key].turn()
-        if (
-            self.owed_ns is None
-            and self.mode != "estop"
-            and LINK in self.loops
-            and self.loops[LINK].node._stop.identifier
-        ):  # type: ignore[attr-defined]
+        link: Any = self.loops[LINK].node if LINK in self.loops else None
+        if self.owed_ns is None and self.mode != "estop" and link is not None and link._stop.identifier:
             # what a console sent is given once the link has taken it: a killed process has not
             self.owed_ns = now_ns
         self._judge(now_ns)
