@@ -22,12 +22,17 @@ from telenano.laws.lateral import (
 )
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import NodeContext
+from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 from telenano.wire.node_state import FindInput
 from telenano.wire.received import Received
 
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")
+# A hand that no fresh answer has reached for this time feels nothing, and the tip does not follow it [ns]. With the
+# 50 ms for which an answer is fresh, and the 50 ms after which the instrument holds, the tip stops following within
+# 0.5 s of the last answer, beyond the round trip that the link reports.
+UNANSWERED_NS = 350_000_000
 # The hand comes to rest like a free virtual mass while this half waits for the other one.
 _COASTING_S = 0.005
 # A sample that drifts faster parts hand and tip by more than 0.1 mm in a quarter of a minute, at a scale of 1.5e-6
@@ -47,8 +52,9 @@ class MasterState(NamedTuple):
     drifts: whether the newest warning of a drift stands; across: the lateral path, where it has a mode of its own, and
     sent_m, its reference as it was sent last [m]; hand, reference: the newest sample, and the newest reference;
     tip_reference_m: the last one sent to the slave [m]; switch_s: time since a change of law [s]; armed: whether the
-    hand was armed in its newest sample; answered: number and time stamp [ns] of the sample of the hand that the newest
-    answer descends from.
+    hand was armed in its newest sample, and feels the tip; answered: number and time stamp [ns] of the sample of the
+    hand that the newest answer descends from; felt_ns: time stamp of the newest sample in which the hand had a fresh
+    answer [ns], 0 before the first, -1 where an older recording does not say.
     """
 
     half: HalfState
@@ -63,12 +69,16 @@ class MasterState(NamedTuple):
     across: LateralMasterState
     sent_m: tuple[float, float]
     drifts: bool
+    felt_ns: int = -1
 
 
 class MasterController(ControllerHalf):
     """The half at the operator's site: haptic/state in, teleop/forward out; teleop/backward in, haptic/command out.
 
     One command a tick of the hand: when the answer to the tick comes, or else at the next tick.
+
+    No answer, no following: each sample states to the slave's site that the hand is armed only while the hand feels the
+    tip. The hand itself reports the newest sample that an answer to it descends from, so its age needs no other clock.
     """
 
     inputs = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
@@ -84,6 +94,7 @@ class MasterController(ControllerHalf):
         self._tip_reference_m = 0.0
         self._switch_s = 0.0
         self._armed = False
+        self._felt_ns = 0
         self.timing = integration.master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
@@ -104,13 +115,14 @@ class MasterController(ControllerHalf):
             across=self._across,
             sent_m=self.across.sent_m,
             drifts=self._drifts,
+            felt_ns=self._felt_ns,
         )
 
     def restore(self, state: MasterState, find: FindInput) -> None:
         self.restore_half(state.half)
         self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
         self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
-        self._armed = state.armed
+        self._armed, self._felt_ns = state.armed, state.felt_ns
         self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
         self._across, self.across.sent_m, self._drifts = state.across, state.sent_m, state.drifts
 
@@ -189,7 +201,7 @@ class MasterController(ControllerHalf):
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
         """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on the way."""
         self._hand_stamp = (message.seq, message.t_ns)
-        self._armed = message.armed is True
+        self._armed = self._feels(message) and message.armed is True
         following = self.hand.following
         self.hand = HandSample(
             to_paper_axis(message.position_m),
@@ -213,6 +225,18 @@ class MasterController(ControllerHalf):
         counts = not begins and following and self.hand.following and self.reference.active
         count = energy.with_inflow if counts and not self.switching else energy.moved_to
         self.port = count(self.port, self.hand.position_m, self.hand.force_n)
+
+    def _feels(self, message: HapticState) -> bool:
+        """Return whether a fresh answer of the tip's site had reached the hand at a sample, or shortly before it."""
+        age_s = self.freshness.answer_age_s(message.t_ns, message.answered_t_ns)
+        if self._felt_ns < 0 or age_s <= DEADLINES_S["teleop/backward"]:
+            self._felt_ns = message.t_ns
+        feels = self._felt_ns > 0 and 0 <= message.t_ns - self._felt_ns <= UNANSWERED_NS
+        if self._armed and message.armed is True and not feels:
+            silent_s = (message.t_ns - self._felt_ns) * 1e-9
+            text = f"no fresh answer has reached the hand for {silent_s * 1e3:.0f} ms: the tip does not follow it"
+            self.event("fault", "warning", text, unanswered_s=silent_s)
+        return feels
 
     def _send_signal(self, dt_s: float) -> None:
         hand = self.hand._replace(following=False) if self.switching else self._guided_hand()

@@ -19,7 +19,7 @@ from telenano.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_s
 from telenano.runtime.loop.kept_stop import keep
 from telenano.timing.clock import SystemClock
 from telenano.wire.errors import RigError
-from telenano.wire.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
+from telenano.wire.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, TIP, is_meant, name_of, site_of
 
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
@@ -230,9 +230,14 @@ def emergency_stop(
     missing = sorted(expected - set(answers))
     if missing:
         # The stop is kept once more, because an earlier arming may have removed the first copy.
-        kept = [device for device in keep_stop(rig, reach, target, identifier) if device in missing]
-        later = f": {', '.join(kept)} will stop as soon as it continues or is started again" if kept else ""
-        raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s{later}")
+        keepers = keep_stop(rig, reach, target, identifier)
+        later = [
+            f"{device} will stop as soon as it continues or is started again" for device in keepers if device in missing
+        ]
+        if _LINK in keepers and TIP in missing:
+            later.append(f"the link sends it to {TIP} until that has obeyed it, and no sample of the hand before")
+        text = f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s"
+        raise RigError(": ".join([text, *(["; ".join(later)] if later else [])]))
     return answers
 
 
@@ -243,7 +248,10 @@ def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list
         The devices that it is kept for. A file that cannot be written is no reason not to send the stop.
     """
     absent = reach.absent if reach.direct or reach.by_link or rig.is_supervised() else ()
-    devices = (*reach.direct, *absent)
+    # For a device of the other site the link keeps it, which may be about to be started again.
+    is_far = TIP in (*reach.by_link, *reach.by_console)
+    link = (_LINK,) if is_far and _LINK in rig.endpoints and (reach.by_link or rig.is_supervised()) else ()
+    devices = (*reach.direct, *absent, *link)
     messages = {device: _Sender(site_of(device), identifier, target, ()).message() for device in devices}
     return [device for device, message in messages.items() if not keep(kept_stop_path(rig.endpoints[device]), message)]
 

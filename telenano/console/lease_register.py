@@ -10,12 +10,15 @@ from pathlib import Path
 
 from telenano.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
 from telenano.files.atomic_files import changed
+from telenano.files.regular_files import open_regular, read_regular
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.wire.errors import ConfigError, RefusedError, RigError
 
 NAME_VARIABLE = "TELENANO_NAME"
 _FILE = "lease"
+# A lease is far smaller.
+_MOST_BYTES = 65_536
 
 Step = Callable[[Lease, int], Lease]
 
@@ -64,17 +67,21 @@ class LeaseRegister:
             is_only_seen = lease._replace(seen_ns=known.seen_ns) == known
             return None if lease == known or (is_only_seen and self._is_noted(lease.seen_ns)) else packed(lease)
 
-        changed(self._path, changed_bytes, is_forced=False)
+        changed(self._path, changed_bytes, read=self._content, is_forced=False)
         return lease
 
     @property
     def _path(self) -> Path:
         return (self._folder or runtime_directory()) / _FILE
 
+    @staticmethod
+    def _content(path: Path) -> bytes:
+        return read_regular(path, _MOST_BYTES, follows_links=False)
+
     def _read(self) -> Lease:
         """Return the lease as it was kept; its holder was seen at the time of the file, if that is later."""
-        with self._path.open("rb") as file:
-            lease, seen_ns = unpacked(file.read()), os.fstat(file.fileno()).st_mtime_ns
+        with open_regular(self._path, follows_links=False) as file:
+            lease, seen_ns = unpacked(file.read(_MOST_BYTES)), os.fstat(file.fileno()).st_mtime_ns
         # The time of a file that was just written is that of the calendar, which is far ahead of the monotonic clock.
         return lease._replace(seen_ns=seen_ns) if lease.seen_ns < seen_ns <= time.monotonic_ns() else lease
 

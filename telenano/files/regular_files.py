@@ -12,21 +12,26 @@ from typing import BinaryIO
 
 
 class NotRegularError(OSError):
-    """What stands at a path is a pipe, socket or device; `strerror` reports it in words."""
+    """What stands at a path is a pipe, socket or device, or a link where none counts; `strerror` says it in words."""
 
 
-def open_regular(path: Path) -> BinaryIO:
+def open_regular(path: Path, *, follows_links: bool = True) -> BinaryIO:
     """Open a regular file for reading.
+
+    Args:
+        path: The path of the file.
+        follows_links: False for a file that this project alone writes, in whose place a link is none of it.
 
     Raises:
         OSError: The file cannot be opened.
         IsADirectoryError: It is a folder.
-        NotRegularError: It is a pipe, a socket or a device.
+        NotRegularError: It is a pipe, a socket or a device, or a link and none is followed.
     """
     # The check comes before opening, which a device may answer by an action.
-    _require_regular(path, path.stat().st_mode)
-    # Other systems have neither flag; a file that appears between the two calls must not keep this process.
+    _require_regular(path, path.stat(follow_symlinks=follows_links).st_mode)
+    # Other systems have no such flags; a file that appears between the two calls must not keep this process.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    flags |= 0 if follows_links else getattr(os, "O_NOFOLLOW", 0)
     file = os.fdopen(os.open(path, flags), "rb")
     try:
         _require_regular(path, os.fstat(file.fileno()).st_mode)
@@ -36,13 +41,13 @@ def open_regular(path: Path) -> BinaryIO:
     return file
 
 
-def read_regular(path: Path, most_bytes: int) -> bytes:
-    """Return the content of a regular file.
+def read_regular(path: Path, most_bytes: int, *, follows_links: bool = True) -> bytes:
+    """Return the content of a regular file; arguments as those of `open_regular`.
 
     Raises:
         OSError: The file cannot be read, or has more than most_bytes; its `strerror` then names both sizes.
     """
-    with open_regular(path) as file:
+    with open_regular(path, follows_links=follows_links) as file:
         # A file that the kernel makes up while it is read states no size.
         content = file.read(most_bytes + 1)
         if len(content) > most_bytes:
@@ -89,5 +94,7 @@ def is_own_path(path: Path) -> bool:
 def _require_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if stat.S_ISLNK(mode):
+        raise NotRegularError(errno.ELOOP, "it is a link, and must be a regular file", str(path))
     if not stat.S_ISREG(mode):
         raise NotRegularError(errno.EINVAL, "it is a pipe, socket or device, and must be a regular file", str(path))

@@ -22,7 +22,8 @@ _SHARED = Path("/run/lock")
 _TURN_WAIT_S = 1.0
 # The lock of the turn is tried at this interval.
 _TURN_LOOK_S = 0.005
-_OPEN = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+# A pipe that another user puts there must not keep a rig from starting.
+_OPEN = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def shared_folder() -> Path:
@@ -107,6 +108,9 @@ def _turn(folder: Path) -> Iterator[None]:
 def _locked(path: Path) -> int | None:
     """Return a descriptor that holds the lock of a file; None where another process holds it, or it cannot be had."""
     try:
+        # The check comes before opening, which a device may answer by an action.
+        if path.exists() and not path.is_file():
+            return None
         descriptor = _opened(path)
     except OSError:
         return None

@@ -32,7 +32,7 @@ from telenano.runtime.wiring import beside as beside_process
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
-from telenano.wire.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
+from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP
 
 Observer = Callable[[RigNode], None]
 # A recording of a minute has so much: its report takes seconds.
@@ -156,8 +156,12 @@ def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
 
 
 def forget_stops(plan: Plan) -> None:
-    """Keep no emergency stop for the devices of a rig that is started, or has been ended, as a whole."""
-    for node in set(plan.nodes) & set(DEVICES):
+    """Keep no emergency stop for the devices of a rig that is started, or has been ended, as a whole.
+
+    One that the link keeps for an instrument at another site stays: that may run, and has not obeyed it.
+    """
+    nodes = set(plan.nodes) & set(KEEPERS if TIP in plan.nodes else DEVICES)
+    for node in nodes:
         if (path := plan.book.kept_stop(node)) is not None:
             forget(path)
 

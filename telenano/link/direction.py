@@ -110,6 +110,24 @@ class DirectionEngine:
         heap = self._heap
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
 
+    def leave_out(self, now_ns: int, topic: str, payload: bytes, seq: int, src: str, cause: str) -> None:
+        """Drop a message that arrived at now_ns [ns] for a cause that is no impairment, which its fate names."""
+        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
+        self._figures.messages_in += 1
+        self._figures.bytes_in += len(payload)
+        self._arrivals += 1
+        message = InFlight(
+            pipeline=pipeline,
+            order=self._arrivals,
+            seq=seq,
+            copy=0,
+            payload=payload,
+            arrived_ns=now_ns,
+            ready_ns=now_ns,
+            src=src,
+        )
+        self._drop(message, cause)
+
     @classmethod
     def fates(
         cls,
@@ -457,7 +475,7 @@ class DirectionEngine:
         heappush(self._heap, (release_ns, self._pushed, Release(pipeline.topic, message.payload, fate)))
 
     def _drop(self, message: InFlight, cause: str) -> None:
-        self._figures.dropped[cause] += 1
+        self._figures.dropped[cause] = self._figures.dropped.get(cause, 0) + 1
         self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
 
 

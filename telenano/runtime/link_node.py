@@ -11,15 +11,17 @@ from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine, LinkState
 from telenano.link.fate import Direction, Fate, Release
 from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.link_stops import FarStop, FarStopState
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
 from telenano.timing.clock_offset import OffsetFilter, OffsetState
 from telenano.wire import TOPICS
+from telenano.wire.codec import WireError, accept
 from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import ClockPong, LinkDirection, LinkFate, Message, SessionControl
+from telenano.wire.messages import ClockPong, LinkDirection, LinkFate, Message, SessionControl, SessionEvent
 from telenano.wire.node_state import FindInput
-from telenano.wire.nodes import LINK
+from telenano.wire.nodes import LINK, TIP
 from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
@@ -32,6 +34,9 @@ _CLOCK_WINDOW = 64
 FATES_AT_ONCE = 32
 # This number of rows fit into a message, with a margin.
 _MOST_FATES = 1000
+# What the link drops while the instrument has not obeyed an emergency stop; its fate names this cause.
+_HELD_BACK = ("teleop/forward", "session/control")
+_STOP = "stop"
 
 
 class SiteEndpoint(Protocol):
@@ -61,7 +66,8 @@ class DelayNodeState(NamedTuple):
 
     Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps by second
     that it follows from; when the newest answer was sent and received [ns], 0 before it; the command that began the
-    session; when the next report is due [ns], and how many messages it has to tell of.
+    session; when the next report is due [ns], and how many messages it has to tell of; the emergency stop that the
+    instrument has not obeyed yet.
     """
 
     engine: LinkState
@@ -73,10 +79,14 @@ class DelayNodeState(NamedTuple):
     session_id: str
     status_ns: int
     unreported: int
+    stop: FarStopState = FarStopState()
 
 
 class DelayNode(Node):
-    """Forwards messages between the sites when the engine releases them, and reports on link/status."""
+    """Forwards messages between the sites when the engine releases them, and reports on link/status.
+
+    An emergency stop for the instrument is kept until the instrument has obeyed it (`FarStop`).
+    """
 
     inputs = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -130,6 +140,7 @@ class DelayNode(Node):
         self._between = ONE_MACHINE
         self._spans_machines, self._send_train = spans_machines, send_train
         self._unreported = 0
+        self._stop = FarStop(context.kept_stop)
         # These tasks report what happened to the messages of each direction.
         self._fates: tuple[Task, ...] = tuple(partial(self._publish_fates, way) for way in self._ways)
         # The report has the state of the link as well, its delays, which late readers need and which the clocks change,
@@ -141,7 +152,7 @@ class DelayNode(Node):
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
-        due_ns = min(self._status.deadline_ns, self.freshness.deadline_ns())
+        due_ns = min(self._status.deadline_ns, self.freshness.deadline_ns(), self._stop.due_ns)
         return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
@@ -155,6 +166,16 @@ class DelayNode(Node):
             return
         message = received.message
         is_stop = type(message) is SessionControl and message.command == "estop"
+        if type(message) is SessionControl and is_stop:
+            if fault := self._stop.record(message, received.payload, self.clock.monotonic_ns()):
+                self.event("fault", "warning", fault)
+        elif type(message) is SessionEvent:
+            self._note_answer(message)
+        elif received.topic in _HELD_BACK and self._stop.holds_back(message):
+            self._forward.engine.leave_out(
+                received.received_ns, received.topic, received.payload, message.seq, message.src, _STOP
+            )
+            return
         if type(message) is SessionControl and message.command == "start" and message.id != self._session_id:
             # The hand's force profile begins with the first of the repetitions, at this side of the link.
             self._session_id = message.id
@@ -177,6 +198,7 @@ class DelayNode(Node):
         epoch_ns = now_ns + self.clock.epoch_offset_ns
         for way in self._ways:
             self._send(way, way.engine.due(epoch_ns))
+        self._send_stop(now_ns)
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
             for task in self._report:
@@ -193,6 +215,7 @@ class DelayNode(Node):
             session_id=self._session_id,
             status_ns=self._status.deadline_ns,
             unreported=self._unreported,
+            stop=self._stop.capture(),
         )
 
     def restore(self, state: DelayNodeState, find: FindInput) -> None:
@@ -202,6 +225,7 @@ class DelayNode(Node):
         self._offset.restore(state.clock)
         self._answer, self._session_id = state.answer, state.session_id
         self._status.deadline_ns = state.status_ns
+        self._stop.restore(state.stop)
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
@@ -242,11 +266,48 @@ class DelayNode(Node):
             return
         declared, newest = self._declared(way), self._newest[way.endpoint]
         for release in releases:
+            if way is self._forward and self._stop.identifier and self._is_void(release):
+                continue
             if declared.changed_by(release):
                 self._declare(way)
             way.outlet.send(release.topic, release.payload)
             newest[release.topic] = release.fate
         self._forwarded[way.endpoint] += len(releases)
+
+    def _is_void(self, release: Release) -> bool:
+        """Return whether a stop that came later voids what the link has delayed: a command that begins a motion."""
+        if release.topic != "session/control":
+            return False
+        try:
+            return self._stop.holds_back(accept(release.topic, release.payload))
+        except WireError:
+            return False
+
+    @property
+    def kept_stop_for(self) -> str:
+        """The node that a stop in the file of this process is for."""
+        return TIP
+
+    def has_taken_over(self, identifier: str) -> bool:
+        """Return whether a stop of this id is kept already, or was obeyed."""
+        return self._stop.knows(identifier)
+
+    def _send_stop(self, now_ns: int) -> None:
+        """Send the stop that is kept once more, if it is time, and report once that the instrument does not answer."""
+        was_unreached = self._stop.is_unreached
+        if (payload := self._stop.copy(now_ns, self.clock.now_ns())) is None:
+            return
+        self._forward.outlet.send("session/control", payload)
+        self._forwarded[self._forward.endpoint] += 1
+        if self._stop.is_unreached and not was_unreached:
+            text = f"{TIP} has not answered an emergency stop: it is kept and sent until it has, and no sample crosses"
+            self.event("link", "warning", text)
+
+    def _note_answer(self, event: SessionEvent) -> None:
+        """Forget the stop that is kept once the instrument has obeyed it."""
+        was_unreached = self._stop.is_unreached
+        if self._stop.note_event(event) and was_unreached:
+            self.event("link", "info", f"{TIP} has obeyed the emergency stop that was kept for it")
 
     def _declared(self, way: DirectionPath) -> DeclaredDelay:
         return self._forward_delay if way is self._forward else self._backward_delay

@@ -126,7 +126,8 @@ class Freshness:
             return
         forward, backward = self._forward, self._backward
         for history in (forward, backward):
-            history.forget_before(self._judged_ns)
+            # What the hand has got may be older than what the half beside it has judged, by less than a deadline.
+            history.forget_before(self._judged_ns - LOOP_DEADLINE_NS)
         (forward if message.direction == "forward" else backward).record(message.hand_t_ns, message.delay_ns)
         transit_ns = message.transit_ns
         self._between_ns = transit_ns + message.clock_ahead_ns if self._is_slave else 2 * transit_ns
@@ -166,6 +167,19 @@ class Freshness:
         if type(command) is HapticCommand and command.mode == "off":
             return command_age_s
         return self.age_s(now_ns, command.hand_t_ns, command_age_s)
+
+    def answer_age_s(self, sampled_ns: int, answered_ns: int) -> float:
+        """Return the age of the newest answer that a hand has at one of its samples [s]; inf before the first.
+
+        Both stamps are of the hand: that of the sample, and that of the one which the answer descends from. So what the
+        hand has felt is known without any other clock. A sample that is played from a recording has no age here.
+        """
+        if self.allow_replay and sampled_ns < self._oldest_ns:
+            return 0.0
+        if not answered_ns:
+            return math.inf
+        is_newest = answered_ns >= self._newest_from_ns
+        return age_s(sampled_ns, answered_ns + (self._newest_lag_ns if is_newest else self.lag_ns(answered_ns)))
 
     def stamp_ns(self, t_ns: int, received_ns: int) -> int:
         """Return the time from which a message counts [ns]: its own stamp, or of a played one that of its reception.

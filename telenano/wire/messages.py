@@ -162,7 +162,10 @@ SampleAgeS = Annotated[
 ]
 HandArmed = Annotated[
     bool | None,
-    about("The hand was armed in the sample of hand_seq: a tip follows no other command; absent counts as false"),
+    about(
+        "The hand was armed in the sample of hand_seq, and had a fresh answer of the tip's site at most 0.35 s before: "
+        "a tip follows no other command; absent counts as false"
+    ),
 ]
 
 
@@ -453,7 +456,7 @@ class LinkFate(Record):
     queue_ns: Annotated[Count, about("Part of it spent in the queue of a rate limit or delivery trace [ns]")]
     held_ns: Annotated[Count, about("Part of it spent waiting for the end of an outage [ns]")]
     dropped: Annotated[
-        Name, about("What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue; else empty")
+        Name, about("What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue, stop; else empty")
     ]
     duplicated: Annotated[bool, about("A duplicate was made of it")]
     reordered: Annotated[bool, about("It was released before a message of its topic that had arrived earlier")]

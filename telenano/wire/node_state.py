@@ -4,7 +4,8 @@ A node declares all that its outputs depend on besides its inputs: `capture` ret
 `state_kind`, `restore` takes one, and `state_version` counts what its values have meant. Its fields are plain values,
 arrays, settings, messages, structs, and NamedTuples of these. What the settings choose, such as a law, a sample or a
 program, keeps its state in a `Part`. The bytes hold the names of the fields and no name of an attribute, class or
-module, so these may change without ending a re-run.
+module, so these may change without ending a re-run. Fields at the end of `state_kind` that have a default may be
+missing from the state of an older recording.
 """
 
 from collections.abc import Callable, Iterator
@@ -92,7 +93,7 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
         version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
         if version != node.state_version:
             raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
-        _compare(names, _declared(node.state_kind))
+        _compare(names, _declared_for(node.state_kind, len(names)))
         node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
     except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
@@ -115,6 +116,17 @@ def _declared(kind: Any) -> tuple[str, ...]:
         for field, hint in _hints(kind).items()
         for name in (field, *(f"{field}.{inner}" for within in _kinds(hint) for inner in _declared(within)))
     )
+
+
+def _declared_for(kind: Any, recorded: int) -> tuple[str, ...]:
+    """Return the names of a kind of state, without fields at its end that an older state of fewer names may lack."""
+    names, hints = _declared(kind), _hints(kind)
+    for field in reversed(kind._fields):
+        if len(names) <= recorded or field not in kind._field_defaults:
+            break
+        own = 1 + sum(len(_declared(within)) for within in _kinds(hints[field]))
+        names = names[:-own]
+    return names
 
 
 def _names(state: Any) -> tuple[str, ...]:

@@ -72,6 +72,8 @@ RECORDER = "recorder@master"
 FAR_RECORDER = "recorder@slave"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"
+# These nodes keep an emergency stop in a file until it is obeyed: each device its own, the link that of the far one.
+KEEPERS = (*DEVICES, f"{LINK}@master")
 # The link ends in this node at the slave's site when messages cross as datagrams.
 FAR_END = "controller@slave"
 

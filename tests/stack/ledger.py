@@ -72,15 +72,27 @@ FAULTS = {
     "the line becomes 1 Mbit/s in a session": "named with its queue; samples are left out until the queue is gone",
     "a line of 256 kbit/s": "`up` refuses, with the numbers",
     "UDP is blocked in a session, 20 ms each way": "the loop goes on over TCP, and stands still for at most 100 ms",
-    "TCP is cut between the sites, and UDP is not": "no sample counts where no emergency stop could cross: tip holds, "
+    "TCP is cut between the sites, and UDP is not": "once the ends miss the connection no sample counts: tip holds, "
     "then withdraws, hand let go",
+    **{
+        f"each way and each transport between the sites blocked, alone and together, {over}": "the tip follows at most "
+        "0.5 s, and the hand is driven at most 0.1 s, beyond the last answer that has reached the hand"
+        for over in ("over a cable", "past a relay", "through a relay")
+    },
+    "the relay is killed while the datagrams go past it": "hand and tip feel each other until the ends miss the "
+    "connection; then no sample counts: hand let go, tip holds, then withdraws",
+    **{
+        f"an emergency stop for the tip while {what}": "the link keeps it: no sample passes, and the tip follows "
+        "nothing until it has obeyed the stop"
+        for what in ("nothing crosses between the sites", "no TCP crosses between the sites")
+    },
     "a flood into a link that stands still and holds, `link set` in the middle, an emergency stop, kill -9": "no more "
     "waits than the queue's limit, what is dropped is counted, the stop is not held, settings hold from then on; "
     "started again the link holds nothing",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
-    "the relay is killed and started again": "hand let go, tip holds, then withdraws; joined again without a restart "
-    "of the sites, the tip waits to be armed",
+    "the relay is killed and started again": "where the datagrams go through it: hand let go, tip holds, then "
+    "withdraws; joined again without a restart of the sites, the tip waits to be armed",
     "a relay that drops, repeats, holds back, forges and floods": "genuine samples alone are obeyed, none after "
     "a newer one; the rest is refused and counted; the link stays with datagrams",
     "an arm that waited in a stopped AFM": "refused and answered; the tip stays in emergency stop",

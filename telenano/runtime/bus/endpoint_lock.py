@@ -1,7 +1,9 @@
 """The lock of an ipc endpoint: libzmq itself would silently take the socket away from a running process."""
 
 import contextlib
+import errno
 import os
+import stat
 from pathlib import Path
 from typing import IO
 
@@ -70,7 +72,7 @@ class EndpointLock:
             lock.close()
 
     def _open(self, endpoint: str) -> IO[str]:
-        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
         try:
             self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             try:
@@ -79,6 +81,9 @@ class EndpointLock:
                 # Another rig has just removed the folder of one that had ended.
                 self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
                 descriptor = os.open(self._path, flags, 0o644)
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                os.close(descriptor)
+                raise OSError(errno.EINVAL, "it is a pipe, socket or device, and must be a regular file")
             return os.fdopen(descriptor, "r+")
         except OSError as error:
             raise EndpointError(f"{endpoint}: {self._path} cannot be opened: {error.strerror}") from error

@@ -58,7 +58,7 @@ class EstopLatch:
             kept_stop.forget(self.path)
 
     def kept(self) -> bytes | None:
-        """Return the stop that is kept, None where there is none."""
+        """Return the stop that is kept, None where there is none; errors as those of `kept_stop.kept`."""
         return None if self.path is None else kept_stop.kept(self.path)
 
     def reason_against(self, quoted: str | None, now_ns: int) -> str:

@@ -10,6 +10,7 @@ import contextlib
 from pathlib import Path
 
 from telenano.files.atomic_files import write_whole
+from telenano.files.regular_files import NotRegularError, read_regular
 
 # A session/control of an emergency stop is far smaller.
 _LARGEST = 4096
@@ -28,12 +29,18 @@ def keep(path: Path, payload: bytes) -> str:
 
 
 def kept(path: Path) -> bytes | None:
-    """Return the stop that is kept, None where there is none; a file that cannot be read counts as an empty one."""
+    """Return the stop that is kept, None where there is none; a file that cannot be read counts as an empty one.
+
+    Raises:
+        NotRegularError: A pipe, a socket, a device or a link stands there, which no stop was written to: whoever keeps
+            one replaces it. IsADirectoryError means the same of a folder, in whose place none can be kept.
+    """
     try:
-        with path.open("rb") as file:
-            return file.read(_LARGEST)
+        return read_regular(path, _LARGEST, follows_links=False)
     except FileNotFoundError:
         return None
+    except (NotRegularError, IsADirectoryError):
+        raise
     except OSError:
         return b""
 

@@ -123,6 +123,15 @@ class Node(ABC):
         """Whether the node is in emergency stop, until it is armed."""
         return False
 
+    @property
+    def kept_stop_for(self) -> str:
+        """The device that an emergency stop in the file of this node (`NodeContext.kept_stop`) is for."""
+        return self.context.key
+
+    def has_taken_over(self, identifier: str) -> bool:
+        """Return whether this node has taken over a stop of this id, which is for another one, from its file."""
+        return False
+
     def capture(self) -> Any:
         """Return, as `state_kind`, all that the outputs depend on besides the inputs to come.
 

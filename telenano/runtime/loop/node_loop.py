@@ -19,7 +19,7 @@ from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings.plugins import fault_of_package
 from telenano.timing.clock import NEVER_NS
 from telenano.timing.freshness import LOOP_DEADLINE_NS
-from telenano.wire import TOPICS
+from telenano.wire import TOPICS, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.errors import described
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
@@ -65,6 +65,7 @@ class NodeLoop:
         # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
         # may have been ended before it could send.
         self._may_be_kept = True
+        self._told_of_file = False
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
@@ -152,7 +153,16 @@ class NodeLoop:
         """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
         self._may_be_kept = False
         latch, now_ns = self._commands.latch, self._clock.now_ns()
-        if (payload := latch.kept()) is None:
+        try:
+            payload = latch.kept()
+        except OSError as error:
+            if not self._told_of_file:
+                text = f"{latch.path}: {error.strerror}: no emergency stop is kept there; remove it"
+                self.node.event("fault", "warning", text)
+            self._told_of_file = True
+            return
+        self._told_of_file = False
+        if payload is None:
             return
         try:
             control = accept("session/control", payload)
@@ -160,10 +170,12 @@ class NodeLoop:
             control = None
         if not isinstance(control, SessionControl) or control.command != "estop":
             # A file that cannot be read is still there because a person stopped the node.
-            control = stop_of(self.node.context.key, now_ns)
-        if control.id != latch.newest_id:
+            control = stop_of(self.node.kept_stop_for, now_ns)
+            payload = encode(control)
+        if control.id != latch.newest_id and not self.node.has_taken_over(control.id):
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
-            self.node.event("mode", "warning", "an emergency stop that was kept for this device is in force")
+            device = "this device" if self.node.kept_stop_for == self.node.context.key else self.node.kept_stop_for
+            self.node.event("mode", "warning", f"an emergency stop that was kept for {device} is in force")
 
     def _act_on_deadline(self, now_ns: int) -> None:
         self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)

@@ -26,7 +26,7 @@ from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.settings.package_topics import topics_by_name
 from telenano.timing.clock import Clock, SystemClock
 from telenano.wire.errors import ConfigError, EndpointError
-from telenano.wire.nodes import DEVICES, FAR_END, Site, is_console, site_of
+from telenano.wire.nodes import DEVICES, FAR_END, KEEPERS, Site, is_console, site_of
 
 SITES = ("master", "slave")
 # A participant that only listens has this name, which is in no site file.
@@ -149,8 +149,8 @@ class Participant:
         return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop(), period_s=self.period_s)
 
     def kept_stop(self) -> Path | None:
-        """Return where emergency stops of a device are kept; None for other nodes, and without an ipc endpoint."""
-        return self.book.kept_stop(self.key) if self.key in DEVICES else None
+        """Return where stops of a device, or of the link for the far one, are kept; None without an ipc endpoint."""
+        return self.book.kept_stop(self.key) if self.key in KEEPERS else None
 
     @classmethod
     @contextlib.contextmanager

@@ -245,6 +245,22 @@ def test_a_device_that_does_not_answer_is_named(
     assert (kept.src, kept.command, kept.target) == ("estop@slave", "estop", "*")
 
 
+def test_a_stop_for_the_other_site_is_kept_at_the_link(
+    run: Callable[..., Device], site_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("telenano.console.emergency_stop._DEADLINE_S", 0.3)
+    run(HAND)
+    # the link takes it, and nobody answers from beyond it
+    run(LINK)
+    assert run_estop(EstopRequest(site="master", site_file=site_file)) == 1
+    later = f"the link sends it to {TIP} until that has obeyed it, and no sample of the hand before"
+    assert capsys.readouterr().err == f"telenano: {TIP} did not answer estop within 0.3 s: {later}\n"
+    kept = decode("session/control", (site_file.parent / f"{LINK}.estop.kept").read_bytes())
+    assert isinstance(kept, SessionControl)
+    assert (kept.src, kept.command, kept.target) == ("estop@master", "estop", "*")
+    assert not (site_file.parent / f"{TIP}.estop.kept").exists()
+
+
 class Endless:
     """A socket at which something waits always."""
 

@@ -338,10 +338,49 @@ def test_an_emergency_stop_goes_through_at_once_whatever_the_link_does_and_what_
     assert link.to_slave.sent == []
     stop = link.receive("session/control", "console@master", **{**control, "command": "estop", "id": "stop"})
     assert link.to_slave.sent == [("session/control", stop)]
-    link.pass_ms(5000)
+    link.pass_ms(150)
+    ack = {"id": "stop", "kind": "ack", "level": "info", "text": "stopped", "data": {"command": "estop"}}
+    link.receive("session/event", "afm_node@slave", **ack)
+    link.pass_ms(4850)
     sent = [payload for topic, payload in link.to_slave.sent if topic == "session/control"]
     assert sent == [stop]
     link.pass_ms(400)
     sent = [payload for topic, payload in link.to_slave.sent if topic == "session/control"]
     assert sent == [stop, waiting]
     assert len(link.delivered(link.to_slave)) == 3
+
+
+def test_a_stop_that_is_not_obeyed_is_sent_again_and_holds_back_the_hand_and_wishes_to_move(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.3})
+    control = fields_of("session/control", target="*", parameters={}, command="arm", id="before")
+    link.receive("session/control", "console@master", **control)
+    stop = link.receive("session/control", "console@master", **{**control, "command": "estop", "id": "stop"})
+    for number in range(10):
+        link.receive("teleop/forward", "controller@master", **HALF)
+        link.receive("session/control", "console@master", **{**control, "id": f"arm{number}"})
+        program = {"command": "set", "target": "afm_node", "parameters": {"program": "scan"}}
+        link.receive("session/control", "console@master", **{**control, **program, "id": f"scan{number}"})
+        link.pass_ms(100)
+    link.receive("session/control", "console@master", **{**control, "command": "stop", "id": "end"})
+    link.pass_ms(400)
+    sent = [payload for topic, payload in link.to_slave.sent if topic == "session/control"]
+    assert sent[0] == stop
+    # copies with numbers and times of their own, and what moves nothing
+    found: list[Any] = [decode("session/control", payload) for payload in sent]
+    assert {(message.command, message.id) for message in found} == {("estop", "stop"), ("stop", "end")}
+    copies = [message for message in found[1:] if message.command == "estop"]
+    assert [message.seq for message in copies] == list(range(len(copies)))
+    assert len(copies) == 7
+    assert link.delivered(link.to_slave) == []
+    fates = [fate for message in link.bench.take("link/fates") for fate in message.fates]
+    assert {fate.dropped for fate in fates if fate.topic == "teleop/forward"} == {"stop"}
+    # a stop of another id is no answer to this one
+    ack = {"kind": "ack", "level": "info", "text": "stopped", "data": {"command": "estop"}}
+    link.receive("session/event", "afm_node@slave", **ack, id="another")
+    link.receive("teleop/forward", "controller@master", **HALF)
+    link.pass_ms(350)
+    assert link.delivered(link.to_slave) == []
+    link.receive("session/event", "afm_node@slave", **ack, id="stop")
+    link.receive("teleop/forward", "controller@master", **HALF)
+    link.pass_ms(350)
+    assert len(link.delivered(link.to_slave)) == 1

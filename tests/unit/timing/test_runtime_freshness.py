@@ -1,5 +1,7 @@
 """The age of the hand's sample, less what link and clocks account for; its histories, and a hold-up."""
 
+import math
+
 import msgspec
 import pytest
 
@@ -181,3 +183,30 @@ def test_a_stall_is_longer_than_the_deadline_of_the_loop_and_has_a_turn_before_i
     late_ns = LATER_NS + 2 * LOOP_DEADLINE_NS + 1
     assert detector.stalled_s(late_ns) == pytest.approx((LOOP_DEADLINE_NS + 1) * 1e-9, rel=1e-12, abs=0.0)
     assert detector.stalled_s(late_ns) == 0.0
+
+
+@pytest.mark.parametrize("behind", [0, 1, 20, 45])
+def test_the_answer_that_a_hand_has_is_as_old_as_beyond_the_delay_of_its_own_sample(behind: int) -> None:
+    """Change the delay with every sample, while the half judges newer answers than the hand has."""
+    freshness = Freshness("controller@master", START_NS)
+    for number in range(200):
+        hand_ns = START_NS + number * MS
+        for direction, delay_ms in (("forward", 100 + number % 7), ("backward", 100 + number % 11)):
+            freshness.record(told(direction, hand_ns, delay_ms))
+        freshness.age_s(hand_ns, hand_ns)
+        answered = number - behind
+        if answered < 0:
+            continue
+        trip_ms = 200 + answered % 7 + answered % 11
+        for late_ms in (0, 3, 60):
+            sampled_ns = START_NS + (answered + trip_ms + late_ms) * MS
+            age_s = freshness.answer_age_s(sampled_ns, START_NS + answered * MS)
+            assert age_s == pytest.approx(1e-3 * late_ms, abs=1e-9)
+
+
+def test_a_hand_without_an_answer_has_felt_nothing_and_a_played_one_all_that_it_did() -> None:
+    freshness = Freshness("controller@master", START_NS)
+    assert freshness.answer_age_s(START_NS, 0) == math.inf
+    assert freshness.answer_age_s(START_NS - 2_000 * MS, 0) == 0.0
+    # a live hand whose last answer is from long before this half began
+    assert freshness.answer_age_s(START_NS, START_NS - 5_000 * MS) == pytest.approx(5.0)

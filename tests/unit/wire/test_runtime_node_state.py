@@ -228,6 +228,29 @@ def test_a_state_of_another_version_or_with_other_fields_is_refused(change: tupl
         restore(renamed(source.replace(*change)), pack(node))
 
 
+ADDED = "law: Part\n    felt: History = History(-1, ())\n    left: int = -1"
+
+
+@pytest.mark.parametrize(
+    ("recorded", "lacks"), [("law: Part", ""), (ADDED.rpartition("\n")[0], ""), (ADDED.replace("left", "lost"), "left")]
+)
+def test_fields_at_the_end_with_a_default_may_be_missing_from_an_older_state(recorded: str, lacks: str) -> None:
+    newer = (
+        SOURCE.replace("law: Part", ADDED)
+        .replace("part(self._law))", "part(self._law), *self.added)")
+        .replace("state.law.like(self._law)", "state.law.like(self._law)\n        self.added = state.felt, state.left")
+    )
+    older = SOURCE.replace("law: Part", recorded)
+    node = renamed(newer)
+    if lacks:
+        with pytest.raises(RecordingError, match=f"lacks {lacks}"):
+            restore(node, pack(renamed(older)))
+        return
+    restore(node, pack(renamed(older)))
+    assert [tuple(node.added[0]), node.added[1]] == [(-1, ()), -1]
+    assert pack(node) != pack(renamed(older))
+
+
 class Tip(NamedTuple):
     """A state of a part that is not that of the hand."""
 

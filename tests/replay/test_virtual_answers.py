@@ -1,0 +1,161 @@
+"""No answer, no following: a hand that no answer reaches moves no tip, under each law and over each delay."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from virtual_rig import LINK_ENDPOINT, LINK_NODE, QuietLog, Timing, VirtualRig
+
+from telenano.laws.config import KNOWN_LAWS
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.realtime import RealtimeStatus
+
+HAND, TIP, MASTER_HALF = "haptic_node@master", "afm_node@slave", "controller@master"
+NS_PER_S = 1_000_000_000
+TIP_S, HAND_S = 0.5, 0.1
+# from the decision of a device to its state, and what the link rounds of the delay that it reports
+GRAIN_S = 0.002
+# nothing late and nothing random, and the link a node of its own
+TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
+# A hand that is moved over a sample, which no law makes unstable over a long way.
+WAY = [{"time_s": 0.0, "position_m": 0.0}, {"time_s": 0.2, "position_m": 1e-3}]
+
+
+class Session(VirtualRig):
+    """A hand that moves the tip over a link whose ways can be blocked, or become longer without a report of it [s]."""
+
+    def __init__(self, law: str, link_s: float) -> None:
+        scenario = {
+            "name": "virtual",
+            "description": "A hand moves the tip, and answers stay away",
+            "duration_s": 60.0,
+            "haptic_node": {"operator": {"kind": "impedance", "path": WAY}},
+            "afm_node": {"rest_distance_m": 50e-9},
+            "controller": {"law": law},
+            "delay_node": {way: {"delay_s": link_s} for way in ("forward", "backward")},
+        }
+        self.blocked: set[str] = set()
+        self.late_s: dict[str, float] = {}
+        super().__init__(None, 1, (), TIMING, scenario)
+        self.link_s, self.time_s = link_s, 0.0
+        self.run(0.15 + 2.0 * link_s)
+        self.command("arm", "*")
+        self.run(0.15 + 2.0 * link_s)
+        self.command("start", HAND)
+        self.run(0.6 + 4.0 * link_s)
+
+    def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
+        """Lose what leaves the link where the way is blocked, and bring it later where the way has become longer."""
+        if endpoint not in self.blocked:
+            super().forward(endpoint, topic, payload)
+
+    def _deliver(self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int) -> None:
+        super()._deliver(sender, key, topic, payload, sent_ns + round(1e9 * self.late_s.get(sender, 0.0)))
+
+    def restart(self, key: str) -> None:
+        """Begin a process again, which knows nothing of the one before."""
+        node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key), period_s=1e-3))
+        self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
+
+    def run(self, duration_s: float) -> None:
+        self.time_s += duration_s
+        self.run_until(self.time_s)
+
+    def states(self, topic: str, src: str, since_ns: int) -> list[Any]:
+        return [state for state in self.received(topic, src) if state.t_ns >= since_ns]
+
+    def unanswered_s(self, since_ns: int, is_meant: Callable[[Any], bool], topic: str, src: str) -> float:
+        """Give the longest time from the newest answer that the hand had to a state of a device that is meant [s]."""
+        hands = self.received("haptic/state", HAND)
+        answered = [now.t_ns for old, now in pairwise(hands) if now.answered_t_ns > old.answered_t_ns]
+        meant = [state.t_ns for state in self.states(topic, src, since_ns) if is_meant(state)]
+        return max((t_ns - max(at_ns for at_ns in answered if at_ns <= t_ns) for t_ns in meant), default=0) / NS_PER_S
+
+
+def follows(state: Any) -> bool:
+    return bool(state.mode == "follow")
+
+
+def is_driven(state: Any) -> bool:
+    return bool(state.mode != "off")
+
+
+BACK, THERE = {LINK_NODE}, {LINK_ENDPOINT}
+
+
+@pytest.mark.grid(law="virtual_impedance")
+@pytest.mark.parametrize(
+    ("link_s", "blocked"),
+    [(0.0, BACK), (0.02, BACK), (0.25, BACK), (0.02, THERE), (0.02, BACK | THERE)],
+    ids=["back", "back, 20 ms", "back, 250 ms", "there", "both"],
+)
+@pytest.mark.parametrize("law", sorted(KNOWN_LAWS))
+def test_the_tip_follows_no_hand_that_no_answer_reaches(law: str, link_s: float, blocked: set[str]) -> None:
+    rig = Session(law, link_s)
+    try:
+        before = rig.states("afm/state", TIP, rig.clock.now_ns() - NS_PER_S // 10)
+        assert {state.mode for state in before} == {"follow"}
+        since_ns = rig.clock.now_ns()
+        rig.blocked |= blocked
+        rig.run(0.8 + 2.0 * link_s)
+        assert rig.unanswered_s(since_ns, is_driven, "haptic/state", HAND) <= HAND_S + GRAIN_S
+        assert rig.unanswered_s(since_ns, follows, "afm/state", TIP) <= TIP_S + link_s + GRAIN_S
+        # it was withdrawn, and nothing moves it once answers come again
+        rig.blocked.clear()
+        rig.run(0.2 + 2.0 * link_s)
+        assert rig.received("afm/state", TIP)[-1].mode == "retracted"
+        rig.command("arm", TIP, rig.received("afm/state", TIP)[-1])
+        rig.run(0.2 + 4.0 * link_s)
+        assert rig.received("afm/state", TIP)[-1].mode == "follow"
+    finally:
+        rig.close()
+
+
+def test_a_short_silence_of_the_other_site_withdraws_nothing() -> None:
+    rig = Session("virtual_impedance", 0.02)
+    try:
+        since_ns = rig.clock.now_ns()
+        rig.blocked |= BACK
+        rig.run(0.25)
+        rig.blocked.clear()
+        rig.run(0.5)
+        assert {state.mode for state in rig.states("afm/state", TIP, since_ns)} == {"follow"}
+        assert "off" in {state.mode for state in rig.states("haptic/state", HAND, since_ns)}
+        assert rig.received("haptic/state", HAND)[-1].mode != "off"
+    finally:
+        rig.close()
+
+
+@pytest.mark.parametrize("way", ["forward", "backward"])
+def test_answers_that_come_too_late_for_the_hand_are_none(way: str) -> None:
+    """Let a way become longer by more than a deadline, and nobody report it: the hand stays off, and the tip holds."""
+    rig = Session("virtual_impedance", 0.02)
+    try:
+        since_ns = rig.clock.now_ns()
+        rig.late_s[LINK_ENDPOINT if way == "forward" else LINK_NODE] = 0.06
+        rig.run(1.0)
+        assert rig.states("haptic/state", HAND, since_ns)[-1].mode == "off"
+        assert rig.states("afm/state", TIP, since_ns)[-1].mode == "retracted"
+        driven = [state.t_ns for state in rig.states("haptic/state", HAND, since_ns) if is_driven(state)]
+        moved = [state.t_ns for state in rig.states("afm/state", TIP, since_ns) if follows(state)]
+        assert max(moved) - max(driven) <= (TIP_S + rig.link_s) * NS_PER_S
+    finally:
+        rig.close()
+
+
+def test_a_restarted_half_takes_no_answer_of_before_for_a_fresh_one() -> None:
+    """Build a new master half while nothing comes back: the hand has had an answer, and long ago."""
+    rig = Session("virtual_impedance", 0.02)
+    try:
+        rig.blocked |= BACK
+        rig.run(2.0)
+        rig.restart(MASTER_HALF)
+        since_ns = rig.clock.now_ns()
+        rig.run(0.5)
+        sent = rig.states("teleop/forward", MASTER_HALF, since_ns)
+        assert len(sent) > 100
+        assert not any(message.hand_armed for message in sent)
+    finally:
+        rig.close()
