@@ -354,7 +354,6 @@ def test_a_stop_that_is_kept_once_more_after_it_was_obeyed_is_not_sent_again() -
 QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
-@pytest.mark.slow("an emergency stop is tried in many orders at every commit")
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=QUIET)
 @given(ORDERS, st.sampled_from([0, 20, 250]))
 def test_a_stop_is_obeyed_before_anything_follows_however_late(order: list[tuple[int, str]], way_ms: int) -> None:
