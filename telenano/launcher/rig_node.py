@@ -11,6 +11,7 @@ from telenano.launcher.processes import StopObserver
 from telenano.launcher.recorder_wait import has_last
 from telenano.launcher.shown_watch import ShownWatch
 from telenano.launcher.supervisor import Supervisor
+from telenano.runtime.bus.places import PlaceNotice
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.codec import fields_of
@@ -120,6 +121,9 @@ class RigNode(Node):
             self._record_health(message)
         elif isinstance(message, SessionEvent):
             self.events.append(message)
+            if message.kind == "fault" and message.data.get("state") in ("lost", "made_again"):
+                # What others do to the sockets of a node is for the person who runs the rig.
+                self.reports.append(f"{message.src}: {message.text}")
             if message.kind == "recording" and name_of(message.src) == name_of(RECORDER):
                 self._note_recording(message)
             if read_end(fields_of(message)) is not None:
@@ -141,10 +145,23 @@ class RigNode(Node):
             self.supervisor.restart_due(self.report)
         for change in self.liveness.check():
             self._report_change(change)
+        self._look_after_name()
         self.advance()
         if self.shown is not None and (warning := self.shown.look(runs=self.phase == "running")):
             self.report("warning", warning.text, **warning.facts)
         self.observe(self)
+
+    def on_place(self, notice: PlaceNotice) -> None:
+        """Report what has become of a path of the launcher; the rig ends where its name cannot be had again."""
+        self.report(notice.level, notice.text, path=notice.path, state=notice.state)
+
+    def _look_after_name(self) -> None:
+        """End the rig when no command reaches it any more: its devices are made safe, as at any end."""
+        places = self.context.places
+        if places is not None and places.given_up and not self._failure:
+            text = f"no command reaches this rig any more: {places.obstacle}"
+            self._failure = f"{text}; its devices were made safe, and it ends"
+            self.report("error", self._failure)
 
     def make_safe(self) -> None:
         """Stop own nodes in order; also when the launcher itself failed."""

@@ -204,6 +204,11 @@ class CommandClient:
         return tuple(self._commands)
 
     @property
+    def is_awaited(self) -> bool:
+        """Whether nodes are named that have to answer the command in hand, or the last one."""
+        return bool(self._expected)
+
+    @property
     def has_all_answers(self) -> bool:
         """Whether every node that has to answer the command in hand, or the last one, has answered."""
         return self._expected <= set(self.answers)
@@ -361,6 +366,7 @@ class CommandHandler:
         *,
         is_latched: Callable[[], bool] = lambda: False,
         kept: Path | None = None,
+        obstacle: Callable[[], str] = lambda: "",
     ) -> None:
         """Take commands for `node` (node@site).
 
@@ -371,6 +377,8 @@ class CommandHandler:
             event: Publishes a session/event.
             is_latched: Whether the node is in emergency stop.
             kept: The file in which the newest emergency stop is kept until the node is armed.
+            obstacle: Returns why an emergency stop might not reach the node now, empty where it does. Nothing may then
+                begin a motion.
         """
         self.latch = EstopLatch(kept)
         self._node = node
@@ -378,6 +386,7 @@ class CommandHandler:
         self._execute = execute
         self._event = event
         self._is_latched = is_latched
+        self._obstacle = obstacle
         self._answers: OrderedDict[str, _Answer] = OrderedDict()
         self._stalled_s = 0.0
         self._distrust_until_ns = 0
@@ -442,6 +451,8 @@ class CommandHandler:
         facts: dict[str, Scalar] = {}
         if begins_motion(control.command, control.parameters):
             facts = {**self.latch.facts(now_ns), "latched": self._is_latched()}
+            if obstacle := self._obstacle():
+                return f"{control.command} is refused: an emergency stop might not reach this node: {obstacle}", facts
             # This comes before the age, because an older client sends an expired command once more, and gives up at any
             # other refusal.
             if reason := self.latch.reason_against((control.node_latch or {}).get(self._node), now_ns):

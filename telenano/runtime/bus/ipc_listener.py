@@ -1,0 +1,93 @@
+"""The socket file of an ipc endpoint that this process has bound, known by its inode.
+
+libzmq removes what stands at the path of an endpoint when it binds and when it closes, whoever made it. A socket that
+it is given is left alone, so this module makes the listening socket, and removes it only if it is still its own.
+"""
+
+import contextlib
+import os
+import socket as sockets
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from telenano.wire.errors import EndpointError
+
+# What a socket has by default. Options that were set for connections from other machines since the socket was bound are
+# not for readers on this one.
+_PLAIN = (
+    zmq.CURVE_SERVER,
+    zmq.ZAP_DOMAIN,
+    zmq.ZAP_ENFORCE_DOMAIN,
+    zmq.AFFINITY,
+    zmq.HEARTBEAT_IVL,
+    zmq.HEARTBEAT_TIMEOUT,
+    zmq.HANDSHAKE_IVL,
+)
+# The system accepts this number of connections ahead of this process, as libzmq asks for by default.
+_BACKLOG = 100
+
+
+class IpcListener:
+    """Binds a socket of ZeroMQ to an ipc endpoint, at first and whenever its file is gone."""
+
+    def __init__(self, socket: "zmq.Socket[bytes]", endpoint: str) -> None:
+        """Bind; OSError if that is not possible."""
+        self.path = Path(endpoint.removeprefix("ipc://"))
+        self._socket, self._endpoint = socket, endpoint
+        self._options = {option: socket.get(option) for option in _PLAIN}
+        self._status = self._bind()
+
+    def lost(self) -> str:
+        """Return the path where another file or none stands there by now; empty while it is in place."""
+        return "" if self._socket.closed or self._is_in_place() else str(self.path)
+
+    def make_again(self) -> None:
+        """Bind the path once more; who is connected stays connected, because the first listener is not closed.
+
+        Raises:
+            EndpointError: It cannot be bound.
+        """
+        changed: dict[zmq.SocketOption, Any] = {
+            option: now for option, plain in self._options.items() if (now := self._socket.get(option)) != plain
+        }
+        for option in changed:
+            self._socket.set(option, self._options[option])
+        try:
+            self._status = self._bind()
+        except OSError as error:
+            raise EndpointError(f"{self._endpoint}: cannot be bound again: {error.strerror or error}") from error
+        finally:
+            for option, value in changed.items():
+                self._socket.set(option, value)
+
+    def remove(self) -> None:
+        """Remove the file, if it is still that of this process."""
+        if self._is_in_place():
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+
+    def _bind(self) -> os.stat_result:
+        with sockets.socket(sockets.AF_UNIX, sockets.SOCK_STREAM) as listening:
+            listening.setblocking(False)
+            with contextlib.suppress(FileNotFoundError):
+                # Who binds has the lock of the endpoint, so nobody uses what was left there.
+                self.path.unlink()
+            listening.bind(str(self.path))
+            status = self.path.stat()
+            listening.listen(_BACKLOG)
+            self._socket.set(zmq.USE_FD, listening.fileno())
+            try:
+                self._socket.bind(self._endpoint)
+            finally:
+                self._socket.set(zmq.USE_FD, -1)
+            # libzmq closes it from now on.
+            listening.detach()
+        return status
+
+    def _is_in_place(self) -> bool:
+        try:
+            return os.path.samestat(self._status, self.path.lstat())
+        except OSError:
+            return False
