@@ -43,7 +43,7 @@ def serve(context: "zmq.Context[zmq.Socket[bytes]]", endpoint: str) -> IpcListen
         each.set(zmq.LINGER, 0)
     try:
         listener = IpcListener(observers, fan_out_endpoint(endpoint))
-    except OSError:
+    except (OSError, zmq.ZMQError):
         node.close()
         observers.close()
         raise
@@ -70,7 +70,7 @@ def main(endpoints: Sequence[str]) -> None:
             for endpoint, listener in listeners.items():
                 # The folder is made again by the nodes, which look at whose it is.
                 if listener.lost() and _is_private(listener.path.parent):
-                    with contextlib.suppress(OSError):
+                    with contextlib.suppress(OSError, zmq.ZMQError):
                         listeners[endpoint] = serve(context, endpoint)
     for listener in listeners.values():
         listener.remove()

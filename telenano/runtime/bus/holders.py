@@ -12,7 +12,7 @@ has no time for them.
 import contextlib
 import os
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -120,16 +120,19 @@ def look() -> Look:
 
 
 def _candidates() -> Iterator[int]:
-    """Return the processes of this user that may hold locks: those that have taken one, where the kernel lists them."""
+    """Return the processes of this user that may hold locks: those that took one, and those of the project.
+
+    The latter may have a lock from a launcher that has ended. Where the kernel does not list the locks, they are all.
+    """
     try:
         rows = [line.split() for line in (_PROC / "locks").read_text().splitlines()]
-        numbers: Iterable[str] = dict.fromkeys(row[4] for row in rows if len(row) > 4 and row[1] == "FLOCK")
-        # The launcher of a rig may be gone, whose nodes have its lock and locks of their own.
+        takers = {row[4] for row in rows if len(row) > 4 and row[1] == "FLOCK"}
     except OSError:
-        numbers = [entry.name for entry in _PROC.iterdir()]
-    for number in numbers:
-        if number.isdigit() and _user_of(int(number)) == os.geteuid():
-            yield int(number)
+        takers = None
+    for number in (int(entry.name) for entry in _PROC.iterdir() if entry.name.isdigit()):
+        may_hold = takers is None or str(number) in takers or _is_of_project(number)
+        if may_hold and _user_of(number) == os.geteuid():
+            yield number
 
 
 def _held_by(process: int) -> list[Holder]:

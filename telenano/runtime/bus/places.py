@@ -63,8 +63,8 @@ class Places:
         if not lost:
             self._failures, self.obstacle = 0, ""
             return []
-        paths = ", ".join(path for _, path in lost)
-        what = f"{paths} {'was' if len(lost) == 1 else 'were'} removed or replaced while this process ran"
+        path = lost[0][1]
+        what = f"{path} was removed or replaced while this process ran"
         try:
             self._prepare()
             for place, _ in lost:
@@ -75,7 +75,7 @@ class Places:
             if self.obstacle == before:
                 return []
             text = f"{what} and cannot be made again ({error}): commands may not reach it"
-            return [PlaceNotice("error", text, lost[0][1], "lost")]
+            return [PlaceNotice("error", text, path, "lost")]
         self._failures, self.obstacle = 0, ""
         text = f"{what}; it was made again, and commands reach this process as before"
-        return [PlaceNotice("warning", text, lost[0][1], "made_again")]
+        return [PlaceNotice("warning", text, path, "made_again")]

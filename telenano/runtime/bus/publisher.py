@@ -131,6 +131,8 @@ class ZmqPublisher(_NumberingPublisher):
         try:
             bind(self.socket, endpoint, self.node)
         except EndpointError:
+            if self._listener is not None:
+                self._listener.remove()
             self._lock.release()
             raise
 
@@ -185,7 +187,7 @@ def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> IpcListener |
         if endpoint.startswith("ipc://"):
             return IpcListener(socket, endpoint)
         socket.bind(endpoint)
-    except OSError as error:
+    except (OSError, zmq.ZMQError) as error:
         socket.close()
         hint = "another process has it: stop that one or give another endpoint in the site file"
         reason = hint if error.errno == zmq.EADDRINUSE else error.strerror or error
