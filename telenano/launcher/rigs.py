@@ -79,16 +79,36 @@ class _RigName:
     """The lock of the name of a rig, and the file beside it in which the rig describes itself."""
 
     def __init__(self, name: str, lock: EndpointLock, plan: "Plan", about: Mapping[str, Any]) -> None:
-        self._name, self._site, self._lock, self._about = name, site_of(plan.launcher), lock, about
+        """Write the file; RigError where that is not possible."""
+        self._file, self._lock, self._about = _about_file(name, site_of(plan.launcher)), lock, about
+        self._status = self._written()
 
     def lost(self) -> str:
-        path = _about_file(self._name, self._site)
-        return self._lock.lost() or ("" if path.exists() else str(path))
+        return self._lock.lost() or ("" if self._is_in_place() else str(self._file))
 
     def make_again(self) -> None:
         if self._lock.lost():
             self._lock.make_again()
-        _write_about(self._name, self._site, self._about)
+        self._status = self._written()
+
+    def remove(self) -> None:
+        """Remove the file, if it is still that of this rig."""
+        if self._is_in_place():
+            with contextlib.suppress(OSError):
+                self._file.unlink()
+
+    def _written(self) -> os.stat_result:
+        try:
+            write_whole(self._file, json.dumps(self._about).encode(), is_forced=False)
+            return self._file.stat()
+        except OSError as error:
+            raise RigError(f"{self._file.parent}: cannot be written: {error.strerror}") from error
+
+    def _is_in_place(self) -> bool:
+        try:
+            return os.path.samestat(self._status, self._file.stat())
+        except OSError:
+            return False
 
 
 @contextlib.contextmanager
@@ -117,7 +137,7 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
         held: tuple[int, ...] = ()
         if plan.book.uses_runtime_directory:
             name, lock = _named(plan, show)
-            stack.callback(_leave, name, site_of(plan.launcher), lock)
+            stack.callback(_leave, name, lock)
             # Its path is longer than that of the first rig, which was checked with the site file.
             AddressBook.load(plan.site_file)
             held = lock.descriptors
@@ -127,8 +147,8 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
         place: Place | None = None
         if plan.book.uses_runtime_directory:
             about = _described(plan, tuple(sorted(claimed)), behind=behind)
-            _write_about(name, site_of(plan.launcher), about)
             place = _RigName(name, lock, plan, about)
+            stack.callback(place.remove)
         yield Own(name, tuple(sorted(claimed)), (*held, *claimed.values()), place)
 
 
@@ -194,11 +214,8 @@ def _has_ended(holder: str) -> bool:
     return False
 
 
-def _leave(name: str, site: str, lock: EndpointLock) -> None:
+def _leave(name: str, lock: EndpointLock) -> None:
     """Remove what only the running rig needs, and let the name go."""
-    if not lock.lost():
-        with contextlib.suppress(OSError):
-            _about_file(name, site).unlink()
     lock.release()
     if name != FIRST_RIG:
         with contextlib.suppress(OSError):
@@ -258,13 +275,6 @@ def _described(plan: "Plan", claimed: tuple[int, ...], *, behind: bool) -> dict[
         "processors": claimed,
         "behind": behind,
     }
-
-
-def _write_about(name: str, site: str, about: Mapping[str, Any]) -> None:
-    try:
-        write_whole(_about_file(name, site), json.dumps(about).encode(), is_forced=False)
-    except OSError as error:
-        raise RigError(f"{rig_directory(name)}: cannot be written: {error.strerror}") from error
 
 
 def running_rigs() -> list[RigFacts]:
