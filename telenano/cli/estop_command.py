@@ -208,9 +208,8 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
     elif missing and not reach.by_console:
         if kept := keep_stop(rig, reach, target, os.urandom(12).hex()):
             raise RigError(f"{', '.join(kept)} is not running: the stop is kept, and it will start in emergency stop")
-        raise RigError(
-            f"no device of the site file was found here: {absence_text(rig.seen, map(path_of, rig.endpoints.values()))}"
-        )
+        text = absence_text(rig.seen, map(path_of, rig.endpoints.values()), "telenano estop")
+        raise RigError(f"no device of the site file was found here: {text}")
     for device in reach.absent:
         sys.stderr.write(f"telenano: {device} does not run\n")
     for device in reach.unknown:

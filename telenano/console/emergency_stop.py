@@ -13,7 +13,6 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +21,7 @@ import zmq
 
 from telenano.runtime.bus.holders import Holder, Look, look
 from telenano.runtime.bus.local_endpoint import (
+    LONGEST_IPC_PATH,
     Peer,
     bound_by,
     estop_endpoint,
@@ -82,13 +82,8 @@ class LocalRig:
         self._networked = {node for node, entry in entries.items() if "network" in entry}
         local = {node: str(entry.get("local")) for node, entry in entries.items()}
         self.endpoints = {node: local_endpoint(text) for node, text in local.items() if text.startswith("ipc://")}
-        if seen is not None:
-            self.seen = seen
-
-    @cached_property
-    def seen(self) -> Look:
-        """The processes of this user that hold endpoints."""
-        return look()
+        self._given = seen
+        self.seen = look() if seen is None else seen
 
     @classmethod
     def packaged(cls, *, two_machines: bool, seen: Look | None = None) -> "LocalRig":
@@ -125,8 +120,17 @@ class LocalRig:
         return peer if peer is not None and peer.is_trusted else None
 
     def has_inlet(self, node: str) -> bool:
-        """Return whether a node runs here and takes emergency stops, at its path now or within a second."""
-        return self.inlet_of(node) is not None or bool(self.holders_of(node))
+        """Return whether a node runs here and takes emergency stops, at its path now or within a second.
+
+        A device says that by its handler of the signal; a player in its place has none. Of another node whose socket is
+        gone it is not known, and it is waited for.
+        """
+        if self.inlet_of(node) is not None:
+            return True
+        holders = self.holders_of(node)
+        if node in DEVICES:
+            return any(holder.takes_signal for holder in holders)
+        return bool(holders) and bound_by(self.endpoints[node]) is None
 
     def is_supervised(self) -> bool:
         """Return whether a launcher runs here, which starts a device again that does not run."""
@@ -144,8 +148,10 @@ class LocalRig:
         return texts
 
     def is_ours(self, node: str) -> bool:
-        """Return whether no other user can answer at the path of a node."""
+        """Return whether the path of a node can be connected to, and no other user can answer there."""
         path = path_of(self.endpoints[node])
+        if len(os.fsencode(path_of(estop_endpoint(self.endpoints[node])))) > LONGEST_IPC_PATH:
+            return False
         with suppress(OSError):
             if path.parent.stat().st_uid not in (os.geteuid(), 0):
                 return False
@@ -167,6 +173,9 @@ class LocalRig:
 
     def reach(self, target: str, site: str) -> Reach:
         """Return the way to each device that a target means, from one site, or as empty text from both at once."""
+        if self._given is None:
+            # A page stops its rig by the same object for hours.
+            self.seen = look()
         has_link = site != "slave" and self.has_inlet(_LINK)
         nodes_of: dict[str, list[str]] = {way: [] for way in Reach._fields}
         for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):

@@ -28,6 +28,7 @@ from telenano.runtime.bus.local_endpoint import (
     rig_directory,
     rigs_with_folders,
 )
+from telenano.runtime.bus.pin import Pin
 from telenano.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.settings.scenario import RealtimeConfig
@@ -81,34 +82,27 @@ class _RigName:
     def __init__(self, name: str, lock: EndpointLock, plan: "Plan", about: Mapping[str, Any]) -> None:
         """Write the file; RigError where that is not possible."""
         self._file, self._lock, self._about = _about_file(name, site_of(plan.launcher)), lock, about
-        self._status = self._written()
+        self._pin = self._written()
 
     def lost(self) -> str:
-        return self._lock.lost() or ("" if self._is_in_place() else str(self._file))
+        return self._lock.lost() or ("" if self._pin.is_in_place() else str(self._file))
 
     def make_again(self) -> None:
         if self._lock.lost():
             self._lock.make_again()
-        self._status = self._written()
+        before, self._pin = self._pin, self._written()
+        before.close()
 
     def remove(self) -> None:
         """Remove the file, if it is still that of this rig."""
-        if self._is_in_place():
-            with contextlib.suppress(OSError):
-                self._file.unlink()
+        self._pin.remove()
 
-    def _written(self) -> os.stat_result:
+    def _written(self) -> Pin:
         try:
             write_whole(self._file, json.dumps(self._about).encode(), is_forced=False)
-            return self._file.stat()
+            return Pin(self._file)
         except OSError as error:
             raise RigError(f"{self._file.parent}: cannot be written: {error.strerror}") from error
-
-    def _is_in_place(self) -> bool:
-        try:
-            return os.path.samestat(self._status, self._file.stat())
-        except OSError:
-            return False
 
 
 @contextlib.contextmanager

@@ -19,19 +19,20 @@ _OF_A_RIG = (*LAUNCHERS, *DEVICES)
 RIG_HINT = "is `telenano up` running with this site file?"
 
 
-def absence_text(seen: Look, paths: Iterable[Path], command: str = "telenano estop") -> str:
+def absence_text(seen: Look, paths: Iterable[Path], command: str = "") -> str:
     """Return why no rig was found, for a sentence that begins with what was not found.
 
     Args:
         seen: The processes of this user that hold endpoints.
         paths: Where the sockets of the rig would be.
-        command: The command that reaches a rig in another folder.
+        command: The command that is to reach a rig in another folder; empty for any.
     """
     folders = ", ".join(sorted({str(path.parent) for path in paths})) or runtime_directory()
     texts = [f"no socket in {folders} answers, and no process of this user holds one"]
     for folder, process in sorted(_elsewhere(seen).items()):
-        given = f"{RUNTIME_DIRECTORY_VARIABLE}={shlex.quote(folder)} {command}"
-        texts.append(f"a rig of this user runs in {folder} (process {process}): `{given}` reaches it")
+        given = f"{RUNTIME_DIRECTORY_VARIABLE}={shlex.quote(folder)}"
+        reached = f"`{given} {command}` reaches it" if command else f"{given} before the command reaches it"
+        texts.append(f"a rig of this user runs in {folder} (process {process}): {reached}")
     if seen.blind:
         texts.append(f"whether another one runs is not known here, because {seen.blind}")
     return "; ".join([*texts, RIG_HINT])

@@ -12,6 +12,8 @@ RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 RIG_VARIABLE = "TELENANO_RIG"
 FIRST_RIG = "main"
 MOST_RIG_LETTERS = 16
+# sun_path holds 108 bytes on Linux, with its closing zero
+LONGEST_IPC_PATH = 107
 _RIG_FOLDER = "rig-"
 _RUNTIME_PLACEHOLDER = "{runtime}"
 _ESTOP_SUFFIX = ".estop"

@@ -119,7 +119,7 @@ class Observer:
         if holders := _holders(self._book):
             nodes = ", ".join(dict.fromkeys(f"{one.node} (process {one.process})" for one in holders))
             return f"it runs all the same, and nothing was received of {nodes}; `telenano estop` stops its devices"
-        return RIG_HINT if self._book.spans_machines else absence_text(look(), _paths(self._book), "the command")
+        return RIG_HINT if self._book.spans_machines else absence_text(look(), _paths(self._book))
 
     def close(self) -> None:
         self._open.close()
@@ -162,9 +162,7 @@ def require_rig(book: AddressBook, site_file: Path) -> None:
     if _has_sockets(book):
         return
     if not (holders := _holders(book)):
-        raise RigError(
-            f"{site_file}: no rig of this site file was found here: {absence_text(look(), _paths(book), 'the command')}"
-        )
+        raise RigError(f"{site_file}: no rig of this site file was found here: {absence_text(look(), _paths(book))}")
     end_s = time.monotonic() + _BACK_S
     while not _has_sockets(book):
         if time.monotonic() >= end_s:

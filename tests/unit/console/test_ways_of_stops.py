@@ -95,10 +95,13 @@ def test_a_tip_of_the_files_for_two_machines_is_never_called_absent(monkeypatch:
 def test_a_device_that_holds_its_lock_is_reached_whether_or_not_its_socket_is_at_its_path(
     monkeypatch: pytest.MonkeyPatch, site: str
 ) -> None:
-    held = Look(tuple(Holder(7, "7", node, f"/r/{node}") for node in (HAND, TIP, LINK)))
+    held = Look(tuple(Holder(7, "7", node, f"/r/{node}", takes_signal=True) for node in (HAND, TIP, LINK)))
     whole = reach(monkeypatch, Here((HAND, TIP, LINK)), site)
     assert reach(monkeypatch, Here(seen=held), site) == whole
     assert not whole.absent
+    # A player, or a device of an older version, takes no stop by a signal.
+    other = Look(tuple(holder._replace(takes_signal=False) for holder in held.holders))
+    assert reach(monkeypatch, Here(seen=other), site).by_console
     # The lock of a rig in another folder, or in that of a container, is that of another rig.
     for other in (
         [holder._replace(path=f"/other/{holder.node}") for holder in held.holders],

@@ -17,6 +17,7 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
 from telenano.runtime.bus.holders import STOP_SIGNAL, look
 from telenano.runtime.bus.local_endpoint import bound_by, estop_endpoint, is_bound
+from telenano.runtime.bus.pin import Pin
 from telenano.runtime.bus.places import Places
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.transport import Transport
@@ -185,6 +186,22 @@ def test_a_folder_that_is_not_ours_is_not_used(folder: Path, transport: Transpor
         assert str(folder) in transport.places.obstacle
         if squat != "file":
             assert list(folder.iterdir()) == []
+
+
+def test_a_later_file_is_not_taken_for_an_earlier_one(tmp_path: Path) -> None:
+    # The number of an inode is given to the next file that is made, which is here made at once.
+    for number in range(20):
+        pins = []
+        for _ in range(2):
+            path = tmp_path / f"{number}"
+            path.write_text("")
+            pins.append(Pin(path))
+            path.unlink()
+        path.write_text("")
+        assert [pin.is_in_place() for pin in pins] == [False, False]
+        for pin in pins:
+            pin.remove()
+        assert path.exists()
 
 
 def test_a_place_that_fails_in_another_way_is_told_anew() -> None:
