@@ -207,11 +207,10 @@ def _exchange(
         raise RigError(f"{client.failure}; no node reports: {RIG_HINT}{in_force}")
     if not client.answers and not commands[-1].expected:
         meant = addressed(book, commands[-1].target, site)
-        raise RigError(f"{client.failure}: {attention.why(meant, time.monotonic())}{in_force}")
-    if client.failure and not client.has_all_answers:
-        raise RigError(f"{client.failure}{in_force}{_half_done(answers, client)}")
+        why = attention.why(meant, time.monotonic())
+        raise RigError(f"{client.failure}: {why}{in_force if attention.is_doubtful(meant) else ''}")
     if client.failure and (len(commands) > 1 or not client.refusals or not client.has_all_answers):
-        raise RigError(f"{client.failure}{_half_done(answers, client)}")
+        raise RigError(f"{client.failure}{in_force}{_half_done(answers, client)}")
     return answers
 
 
@@ -227,8 +226,7 @@ def _at_console(book: AddressBook, site_file: Path, site: Site) -> Iterator[Part
 
 def _in_force(commands: Sequence[Command], client: CommandClient, readers: int) -> str:
     """Return in words that a command without an answer may have been obeyed; empty where no node can have read it."""
-    is_answered = client.has_all_answers if client.is_awaited else bool(client.answers)
-    if is_answered or not readers:
+    if not client.is_unanswered or not readers:
         return ""
     sent = commands[len(commands) - len(client.unsent) - 1].name
     text = f"; {sent} was sent and may be in force all the same: `telenano status` shows what the devices do"
@@ -283,6 +281,10 @@ class Attention:
         else:
             reasons.append(f"{', '.join(sorted(self.last_s))} do not know it")
         return "; ".join(reasons)
+
+    def is_doubtful(self, meant: Sequence[str]) -> bool:
+        """Return whether a node may have read the command without an answer that was heard."""
+        return bool(set(meant) - set(self.last_s)) or max(self._late_s.values(), default=0.0) > _LATE_S
 
     def _note_silence(self, node: str, now_s: float) -> None:
         self._note_late(node, now_s - self.last_s.get(node, self._begun_s + _JOIN_S) - _HEALTH_S)

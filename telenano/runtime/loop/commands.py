@@ -204,9 +204,10 @@ class CommandClient:
         return tuple(self._commands)
 
     @property
-    def is_awaited(self) -> bool:
-        """Whether nodes are named that have to answer the command in hand, or the last one."""
-        return bool(self._expected)
+    def is_unanswered(self) -> bool:
+        """Whether a node that has to answer has not, neither with a refusal; or nobody where none is named."""
+        heard = {*self.answers, *self._quoted}
+        return not self._expected <= heard if self._expected else not heard
 
     @property
     def has_all_answers(self) -> bool:
