@@ -170,7 +170,7 @@ def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]
         os.environ[RIG_VARIABLE] = name
         check_runtime_directory(make=True)
         try:
-            lock = _name_lock(rig_directory(name) / f"{_LOCK}{site_of(plan.launcher)}")
+            lock = EndpointLock(f"ipc://{rig_directory(name)}/{_LOCK}{site_of(plan.launcher)}")
         except EndpointInUseError as error:
             # Another command may only be looking at a name, or tidying up after one that was killed.
             runs = may_move and str(about_rig(name, site_of(plan.launcher)).get("process")) == error.holder
@@ -187,14 +187,6 @@ def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]
         if passed:
             show(f"{passed}; this one is rig {name}: other commands reach it with --rig {name}")
         return name, lock
-
-
-def _name_lock(path: Path) -> EndpointLock:
-    """Lock the name of a rig; EndpointInUseError where a rig has it, also one whose folder was removed meanwhile."""
-    for holder in look().at(str(path)):
-        if holder.process != os.getpid():
-            raise EndpointInUseError(f"{path} is in use by process {holder.owner}", holder.owner)
-    return EndpointLock(f"ipc://{path}")
 
 
 def _has_ended(holder: str) -> bool:

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from telenano.files.optional_modules import optional_module
+from telenano.runtime.bus.holders import look
 from telenano.wire.errors import EndpointError
 
 # Windows has neither this module nor ipc endpoints; recordings and studies need neither.
@@ -31,6 +32,8 @@ class EndpointLock:
         self._socket = Path(endpoint.removeprefix("ipc://")) if endpoint.startswith("ipc://") else None
         self._path = Path(f"{self._socket}.lock")
         self._endpoint, self._node = endpoint, node or self._path.name.removesuffix(".lock")
+        if self._socket is not None:
+            self._refuse_if_held(self._socket)
         self._descriptor = None if self._socket is None else self._acquire()
 
     @property
@@ -63,6 +66,16 @@ class EndpointLock:
         os.close(self._descriptor)
         self._descriptor = None
 
+    def _refuse_if_held(self, path: Path) -> None:
+        """Raise EndpointInUseError where another process holds the endpoint whose lock file somebody has removed."""
+        for holder in look().at(str(path)):
+            if holder.process != os.getpid():
+                raise self._in_use(holder.owner)
+
+    def _in_use(self, holder: str) -> EndpointInUseError:
+        text = f"{self._endpoint} is in use by process {holder}: stop it, or use another site file"
+        return EndpointInUseError(text, holder)
+
     def _acquire(self) -> int:
         if fcntl is None:
             raise EndpointError(f"{self._endpoint}: this system has no ipc endpoints; give tcp ones in the site file")
@@ -73,9 +86,7 @@ class EndpointLock:
             except BlockingIOError as error:
                 holder = (os.pread(lock, 64, 0).decode(errors="replace").split() or ["unknown"])[0]
                 os.close(lock)
-                raise EndpointInUseError(
-                    f"{self._endpoint} is in use by process {holder}: stop it, or use another site file", holder
-                ) from error
+                raise self._in_use(holder) from error
             if self._is_current(lock):
                 os.ftruncate(lock, 0)
                 with contextlib.suppress(OSError):

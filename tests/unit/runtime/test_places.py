@@ -115,9 +115,12 @@ def test_what_is_removed_is_made_again_and_nobody_is_cut_off(transport: Transpor
 
 
 def taken(endpoint: str) -> "subprocess.Popen[str]":
-    """Start a process that takes an endpoint, as another rig does, and holds it until its input ends."""
+    """Start a process that takes an endpoint, as one of an earlier version does, and holds it until its input ends."""
     program = """
 import sys, zmq
+from telenano.runtime.bus import endpoint_lock
+from telenano.runtime.bus.holders import Look
+endpoint_lock.look = Look
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.timing.clock import SystemClock
 with zmq.Context() as context:
@@ -153,6 +156,18 @@ def test_what_another_process_has_by_now_is_left_alone(folder: Path, transport: 
         assert (peer.process, peer.user, peer.is_trusted) == (other.pid, os.geteuid(), True)
     finally:
         other.communicate()
+
+
+def test_who_comes_later_sees_a_process_whose_files_were_removed(folder: Path, transport: Transport) -> None:
+    other = taken(f"ipc://{folder}/{TIP}")
+    shutil.rmtree(folder)
+    try:
+        with pytest.raises(EndpointError, match=f"is in use by process {other.pid}"):
+            transport.publisher(TIP)
+        assert not (folder / f"{TIP}.lock").exists()
+    finally:
+        other.communicate()
+    transport.publisher(TIP).close()
 
 
 def test_what_another_process_gives_back_is_taken_again(folder: Path, transport: Transport) -> None:
@@ -234,6 +249,10 @@ def test_a_lock_keeps_its_descriptor_for_processes_that_are_started_later(tmp_pa
     command = [sys.executable, "-c", "import time; time.sleep(60)", "telenano"]
     child = subprocess.Popen(command, pass_fds=descriptors)
     lock.release()
+    # The kernel knows the command of a process a moment after it was started.
+    end_s = time.monotonic() + WAIT_MS * 1e-3
+    while not look().at(f"{tmp_path}/r/rig@master") and time.monotonic() < end_s:
+        time.sleep(0.01)
     # What was inherited is held on, and its file is gone with the process that took it.
     [holder] = look().at(f"{tmp_path}/r/rig@master")
     assert (holder.process, holder.owner) == (child.pid, str(os.getpid()))
