@@ -5,6 +5,7 @@ The parts of it are in `tests/unit/runtime/test_places.py`; a random order of lo
 
 import contextlib
 import json
+import os
 import random
 import shutil
 import time
@@ -20,6 +21,8 @@ from stack_rig import CONSTANT_PUSH, Rig, mode
 from telenano.runtime.bus.local_endpoint import is_bound
 
 HAND, TIP = "haptic_node@master", "afm_node@slave"
+# A user that is not this one.
+STRANGER = 4711
 RATE = ("--set", "realtime.rate_hz=250")
 NODES = (HAND, TIP, "controller@master", "controller@slave", "delay_node@master", "delay_node@slave",
          "launcher@master", "recorder@master")  # fmt: skip
@@ -213,16 +216,31 @@ def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_
     rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_devices_that_cannot_have_their_paths_again_are_made_safe(rig: Rig, asked: bool) -> None:
+def taken_by_a_file(folder: Path) -> None:
+    folder.write_text("what stands here is no folder")
+
+
+def taken_by_another_user(folder: Path) -> None:
+    folder.mkdir(mode=0o700)
+    os.chown(folder, STRANGER, STRANGER)
+
+
+@pytest.mark.parametrize(
+    ("take", "asked"),
+    [(taken_by_a_file, False), (taken_by_a_file, True), (taken_by_another_user, True)],
+)
+def test_devices_that_cannot_have_their_paths_again_are_made_safe(
+    rig: Rig, take: Callable[[Path], None], asked: bool
+) -> None:
+    if take is taken_by_another_user and os.geteuid():
+        pytest.skip("only root can make the folder of another user")
     start(rig)
-    removed(rig.sockets)
-    for _ in range(100):
+    for _ in range(1000):
+        removed(rig.sockets)
         # Its nodes may have made it again already.
         with contextlib.suppress(FileExistsError, IsADirectoryError):
-            rig.sockets.write_text("what stands here is no folder")
+            take(rig.sockets)
             break
-        removed(rig.sockets)
     else:
         pytest.fail("the folder was made again each time")
     if asked:
@@ -230,7 +248,11 @@ def test_devices_that_cannot_have_their_paths_again_are_made_safe(rig: Rig, aske
         assert "was found" not in stopped.stderr
         assert "got the stop by a signal" in stopped.stderr
     code, _, err = rig.finish()
-    rig.sockets.unlink()
+    if rig.sockets.is_dir():
+        assert list(rig.sockets.iterdir()) == []
+        rig.sockets.rmdir()
+    else:
+        rig.sockets.unlink()
     assert code == 1
     assert "no command reaches this rig any more" in err
     assert "its devices were made safe" in err
