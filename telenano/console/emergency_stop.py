@@ -335,7 +335,7 @@ def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list
         The devices that it is kept for. A file that cannot be written is no reason not to send the stop.
     """
     absent = (*reach.absent, *reach.unknown) if reach.direct or reach.by_link or rig.is_supervised() else ()
-    devices = (*reach.direct, *absent)
+    devices = [device for device in (*reach.direct, *absent) if rig.is_ours(device)]
     messages = {device: _Sender(site_of(device), identifier, target, ()).message() for device in devices}
     return [device for device, message in messages.items() if not keep(kept_stop_path(rig.endpoints[device]), message)]
 

@@ -209,8 +209,8 @@ def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_
     rig.kill("controller@slave")
     assert_stopped(rig)
     rig.wait_until(lambda: rig.log_has("launcher@master", "controller@slave was started again"), "the restart")
-    armed = rig.telenano("session", "arm", "--target", "afm_node", "--json")
-    assert armed.returncode == 0, armed.stdout + armed.stderr
+    # An arm that meets a late copy of the stop is void, and is given again.
+    rig.wait_until(lambda: rig.telenano("session", "arm", "--target", "afm_node").returncode == 0, "the AFM armed")
     removed(rig.sockets)
     assert_stopped(rig)
     rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
@@ -249,8 +249,9 @@ def test_devices_that_cannot_have_their_paths_again_are_made_safe(
         assert "got the stop by a signal" in stopped.stderr
     code, _, err = rig.finish()
     if rig.sockets.is_dir():
-        assert list(rig.sockets.iterdir()) == []
-        rig.sockets.rmdir()
+        # Root's devices can keep their stop there; nothing else is made in a folder of another user.
+        assert all(path.name.endswith(".estop.kept") for path in rig.sockets.iterdir())
+        shutil.rmtree(rig.sockets)
     else:
         rig.sockets.unlink()
     assert code == 1
