@@ -71,7 +71,9 @@ def record(
         config = validate(
             RecorderConfig, {**given, **place, "topics": topics or (), "exclude": exclude or ()}, "telenano record"
         )
-        reason = "no rig of this site file runs on this machine" if runs_no_node(AddressBook.load(site_file)) else ""
+        reason = (
+            "no rig of this site file was found on this machine" if runs_no_node(AddressBook.load(site_file)) else ""
+        )
         if reason and not as_json:
             # A rig may be started after its recorder.
             typer.echo(f"telenano: {reason} yet; waiting for one", err=True)

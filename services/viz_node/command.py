@@ -124,7 +124,7 @@ def view(
             behind_others()
             if idle:
                 # A rig may be started after its page.
-                text = "telenano: no rig of this site file runs on this machine yet; the page waits for one"
+                text = "telenano: no rig of this site file was found on this machine yet; the page waits for one"
                 typer.echo(text, err=True)
             # The address is shown after the last step that could fail, because its reader may open it.
             with announced(addresses_of(bound, access, tls, config.name), typer.echo):

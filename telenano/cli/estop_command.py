@@ -11,9 +11,22 @@ from typing import Literal, NamedTuple
 
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
-from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
+from telenano.runtime.bus.absence import absence_text
+from telenano.runtime.bus.holders import Holder, Look, look
+from telenano.runtime.bus.local_endpoint import (
+    FIRST_RIG,
+    RIG_VARIABLE,
+    RUNTIME_DIRECTORY_VARIABLE,
+    base_and_rig,
+    base_directory,
+    folder_identity,
+    is_rig_name,
+    path_of,
+    rigs_with_folders,
+)
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from telenano.wire.errors import ConfigError, RigError, TelenanoError
+from telenano.wire.nodes import DEVICES, RECORDER
 
 
 class EstopRequest(NamedTuple):
@@ -86,17 +99,25 @@ def _print(line: str) -> None:
 
 def _stop(request: EstopRequest) -> dict[str, Answer]:
     """Stop the rig that is named, or else every rig of this user: a person in a hurry names none."""
+    seen = look()
     if request.rig or os.environ.get(RIG_VARIABLE):
-        return _stop_rig(request, request.rig or os.environ[RIG_VARIABLE], lambda answer: _show(request, answer))
-    first = _reached(request, FIRST_RIG)[0].endpoints
+        name = request.rig or os.environ[RIG_VARIABLE]
+        return _stop_rig(request, name, seen, lambda answer: _show(request, answer))
+    first = _reached(request, FIRST_RIG, seen)[0].endpoints
+    here, elsewhere = _rigs_of(seen)
     # A site file may have folders of its own, which are the same for all.
-    named = [name for name in rigs_with_folders() if _reached(request, name)[0].endpoints != first]
-    others = [name for name in named if _runs(request, name)]
-    if not others:
-        return _stop_rig(request, "", lambda answer: _show(request, answer))
+    named = [name for name in here if _reached(request, name, seen)[0].endpoints != first]
+    others = [name for name in named if _runs(request, name, seen)]
+    rigs: dict[str, tuple[LocalRig, Reach]] = {}
+    if request.site_file is None and not os.environ.get(RUNTIME_DIRECTORY_VARIABLE):
+        # They were started where another folder was that of this user, as in a session without a login.
+        found = {folder: LocalRig.of_holders(holders, seen) for folder, holders in elsewhere.items()}
+        rigs = {folder: (rig, rig.reach(request.target, request.site)) for folder, rig in found.items()}
+    if not others and not rigs:
+        return _stop_rig(request, "", seen, lambda answer: _show(request, answer))
     # All at once: one that does not answer must not keep the stop from the others.
-    names = [name for name in (FIRST_RIG, *others) if name in others or _runs(request, name)]
-    rigs = {name: _reached(request, name) for name in names}
+    names = [name for name in (FIRST_RIG, *others) if name in others or _runs(request, name, seen)]
+    rigs |= {name: _reached(request, name, seen) for name in names}
     answers: dict[str, Answer] = {}
     faults: list[str] = []
 
@@ -112,7 +133,7 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
         except TelenanoError as error:
             faults.append(f"rig {name}: {error}")
 
-    threads = [threading.Thread(target=stop, args=(name,)) for name in names]
+    threads = [threading.Thread(target=stop, args=(name,)) for name in rigs]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -122,34 +143,49 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
     return answers
 
 
+def _rigs_of(seen: Look) -> tuple[list[str], dict[str, list[Holder]]]:
+    """Return the names of the rigs in the folder of this process, and the devices of others by their folder."""
+    names, elsewhere = rigs_with_folders(), dict[tuple[int, str], list[Holder]]()
+    for holder in seen.holders:
+        base, name = base_and_rig(holder.folder)
+        if folder_identity(base) == folder_identity(base_directory()):
+            names += [] if name in names else [name]
+        elif holder.node in (*DEVICES, RECORDER):
+            elsewhere.setdefault(holder.rig, []).append(holder)
+    rigs = [found for found in elsewhere.values() if {one.node for one in found} & set(DEVICES)]
+    return names, {str(found[0].folder): found for found in rigs}
+
+
 def _show(request: EstopRequest, answer: Answer) -> None:
     if not request.as_json:
         _print(f"{answer.node} {answer.kind}: {answer.text}")
 
 
-def _runs(request: EstopRequest, name: str) -> bool:
+def _runs(request: EstopRequest, name: str, seen: Look) -> bool:
     """Return whether devices of a rig can be stopped here, or will be started again by its launcher."""
-    rig, reach = _reached(request, name)
+    rig, reach = _reached(request, name, seen)
     return bool(reach.direct or reach.by_link) or rig.is_supervised()
 
 
-def _reached(request: EstopRequest, name: str) -> tuple[LocalRig, Reach]:
+def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Reach]:
     """Return the endpoints of a rig on this machine, and the way to its devices."""
     before = os.environ.get(RIG_VARIABLE, "")
     os.environ[RIG_VARIABLE] = name
     try:
-        site_file = request.site_file
-        rig = LocalRig.packaged(two_machines=bool(request.site)) if site_file is None else LocalRig.read(site_file)
+        if request.site_file is None:
+            rig = LocalRig.packaged(two_machines=bool(request.site), seen=seen)
+        else:
+            rig = LocalRig.read(request.site_file, seen)
     finally:
         os.environ[RIG_VARIABLE] = before
     return rig, rig.reach(request.target, request.site)
 
 
-def _stop_rig(request: EstopRequest, name: str, show: Callable[[Answer], None]) -> dict[str, Answer]:
+def _stop_rig(request: EstopRequest, name: str, seen: Look, show: Callable[[Answer], None]) -> dict[str, Answer]:
     """Stop the devices of one rig, by every way that there is."""
     os.environ[RIG_VARIABLE] = name
     site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
-    rig, reach = _reached(request, name)
+    rig, reach = _reached(request, name, seen)
     answers: dict[str, Answer] = {}
 
     def on_answer(answer: Answer) -> None:
@@ -163,15 +199,21 @@ def _stop_rig(request: EstopRequest, name: str, show: Callable[[Answer], None]) 
 
 
 def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> None:
-    """Stop the devices that are reached without a console; RigError where none of those that are meant runs."""
+    """Stop the devices that are reached without a console; RigError where none of those that are meant is found."""
+    for text in rig.strangers():
+        sys.stderr.write(f"telenano: {text}\n")
+    missing = (*reach.absent, *reach.unknown)
     if reach.direct or reach.by_link:
         emergency_stop(rig, reach, target, on_answer, os.environ.get("TELENANO_NAME", ""))
-    elif reach.absent and not reach.by_console:
+    elif missing and not reach.by_console:
         if kept := keep_stop(rig, reach, target, os.urandom(12).hex()):
             raise RigError(f"{', '.join(kept)} is not running: the stop is kept, and it will start in emergency stop")
-        raise RigError("no device of the site file runs here: is `telenano up` running with this site file?")
+        text = absence_text(rig.seen, map(path_of, rig.endpoints.values()), "telenano estop")
+        raise RigError(f"no device of the site file was found here: {text}")
     for device in reach.absent:
         sys.stderr.write(f"telenano: {device} does not run\n")
+    for device in reach.unknown:
+        sys.stderr.write(f"telenano: whether {device} runs is not known here: {rig.seen.blind}\n")
 
 
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:

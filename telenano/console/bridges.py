@@ -41,7 +41,7 @@ def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> No
     """Run a bridge over the messages of a rig until Ctrl-C or for a time [s]; RigError if there were none."""
     if runs_no_node(live.book):
         # A rig may be started after its bridge.
-        typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)
+        typer.echo("telenano: no rig of this site file was found on this machine yet; waiting for one", err=True)
     with contextlib.suppress(KeyboardInterrupt):
         bridge.run(live.messages(duration_s=duration_s))
     if not bridge.sent:

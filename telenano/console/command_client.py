@@ -178,9 +178,10 @@ def _exchange(
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(participant.key, ["session/event", "node/health"]))
         client = participant.command_client(commands, publisher.publish, retry_ns=retry_ns, issued_ns=issued_ns)
-        attention = Attention(time.monotonic())
+        attention, readers = Attention(time.monotonic()), 0
         while not (given_up := not is_wanted()) and not client.advance():
-            if _new_subscriptions(publisher):
+            if new := _new_subscriptions(publisher):
+                readers += new
                 client.make_due()
             attention.turn(time.monotonic())
             zmq.select([subscriber.socket for subscriber in subscribers], [], [], _POLL_MS * 1e-3)
@@ -197,13 +198,15 @@ def _exchange(
     if given_up:
         text = f"{names} was given up before all had answered: a node may have carried it out"
         raise RigError(f"{text}{_half_done(answers, client)}")
+    in_force = _in_force(commands, client, readers)
     if not attention.last_s:
-        raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
+        raise RigError(f"{client.failure}; no node reports: {RIG_HINT}{in_force}")
     if not client.answers and not commands[-1].expected:
         meant = addressed(book, commands[-1].target, site)
-        raise RigError(f"{client.failure}: {attention.why(meant, time.monotonic())}")
+        why = attention.why(meant, time.monotonic())
+        raise RigError(f"{client.failure}: {why}{in_force if attention.is_doubtful(meant) else ''}")
     if client.failure and (len(commands) > 1 or not client.refusals or not client.has_all_answers):
-        raise RigError(f"{client.failure}{_half_done(answers, client)}")
+        raise RigError(f"{client.failure}{in_force}{_half_done(answers, client)}")
     return answers
 
 
@@ -215,6 +218,15 @@ def _at_console(book: AddressBook, site_file: Path, site: Site) -> Iterator[Part
         except ConfigError as error:
             raise ConfigError(f"{site_file}: {error}") from error
         yield participant
+
+
+def _in_force(commands: Sequence[Command], client: CommandClient, readers: int) -> str:
+    """Return in words that a command without an answer may have been obeyed; empty where no node can have read it."""
+    if not client.is_unanswered or not readers:
+        return ""
+    sent = commands[len(commands) - len(client.unsent) - 1].name
+    text = f"; {sent} was sent and may be in force all the same: `telenano status` shows what the devices do"
+    return f"{text}, and `telenano estop` stops them"
 
 
 def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> str:
@@ -265,6 +277,10 @@ class Attention:
         else:
             reasons.append(f"{', '.join(sorted(self.last_s))} do not know it")
         return "; ".join(reasons)
+
+    def is_doubtful(self, meant: Sequence[str]) -> bool:
+        """Return whether a node may have read the command without an answer that was heard."""
+        return bool(set(meant) - set(self.last_s)) or max(self._late_s.values(), default=0.0) > _LATE_S
 
     def _note_silence(self, node: str, now_s: float) -> None:
         self._note_late(node, now_s - self.last_s.get(node, self._begun_s + _JOIN_S) - _HEALTH_S)

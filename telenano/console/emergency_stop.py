@@ -3,19 +3,32 @@
 It connects to the inlet that each device, the link and the recorders bind (ADR 0014), so it needs neither an endpoint
 nor a lock. It imports no model: those of all messages would take longer than everything else together. Before it sends
 the stop it keeps it in a file beside the inlet of each device, for one that cannot take it now (ADR 0059).
+
+A socket whose file was removed says nothing of its process. The devices are therefore also found by the locks that
+their processes hold (`runtime/bus/holders.py`), and one whose inlet is not at its path is stopped by a signal. It makes
+its inlet again within a second, where it takes the stop once more and answers it.
 """
 
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
 import zmq
 
-from telenano.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_stop_path, local_endpoint
+from telenano.runtime.bus.holders import Holder, Look, look
+from telenano.runtime.bus.local_endpoint import (
+    LONGEST_IPC_PATH,
+    Peer,
+    bound_by,
+    estop_endpoint,
+    kept_stop_path,
+    local_endpoint,
+    path_of,
+)
 from telenano.runtime.loop.kept_stop import keep
 from telenano.timing.clock import SystemClock
 from telenano.wire.errors import RigError
@@ -46,53 +59,123 @@ class Answer(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """The devices that are meant, by the way to them: own inlet, link, console; `absent` are those that do not run."""
+    """The devices that are meant, by the way to them: own inlet, link, console.
+
+    `absent` are those that do not run. `unknown` are those that were not found either, where a process that has them
+    would not be seen.
+    """
 
     direct: tuple[str, ...]
     by_link: tuple[str, ...]
     by_console: tuple[str, ...]
     absent: tuple[str, ...]
+    unknown: tuple[str, ...] = ()
 
 
 class LocalRig:
     """The ipc endpoints of a site file, and which processes have them."""
 
-    def __init__(self, nodes: Mapping[str, Any]) -> None:
-        """Take the entries `nodes` of a site file as they are."""
+    def __init__(self, nodes: Mapping[str, Any], seen: Look | None = None) -> None:
+        """Take the entries `nodes` of a site file as they are, and the processes that were seen, else those of now."""
         entries = {node: entry if isinstance(entry, dict) else {"local": entry} for node, entry in nodes.items()}
         self.nodes = frozenset(entries)
         self._networked = {node for node, entry in entries.items() if "network" in entry}
         local = {node: str(entry.get("local")) for node, entry in entries.items()}
         self.endpoints = {node: local_endpoint(text) for node, text in local.items() if text.startswith("ipc://")}
+        self._given = seen
+        self.seen = look() if seen is None else seen
 
     @classmethod
-    def packaged(cls, *, two_machines: bool) -> "LocalRig":
+    def packaged(cls, *, two_machines: bool, seen: Look | None = None) -> "LocalRig":
         """Return what the site files of the project say of the devices; to read YAML would take as long as the stop."""
         network = {"network": ""} if two_machines else {}
         entries = {row.key: {"local": f"ipc://{{runtime}}/{row.key}"} for row in NODES}
-        return cls({node: entry | network if site_of(node) == "slave" else entry for node, entry in entries.items()})
+        return cls(
+            {node: entry | network if site_of(node) == "slave" else entry for node, entry in entries.items()}, seen
+        )
 
     @classmethod
-    def read(cls, site_file: Path) -> "LocalRig":
+    def of_holders(cls, holders: Sequence[Holder], seen: Look) -> "LocalRig":
+        """Return the rig of processes that have been found, whatever its site file is."""
+        return cls({holder.node: f"ipc://{holder.path_from_here}" for holder in holders}, seen)
+
+    @classmethod
+    def read(cls, site_file: Path, seen: Look | None = None) -> "LocalRig":
         """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
         from telenano.files.regular_files import read_regular
         from telenano.files.yaml_text import LARGEST_BYTES, yaml_value
 
         try:
-            return cls(yaml_value(read_regular(site_file, LARGEST_BYTES).decode())["nodes"])
+            return cls(yaml_value(read_regular(site_file, LARGEST_BYTES).decode())["nodes"], seen)
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            return cls({})
+            return cls({}, seen)
+
+    def holders_of(self, node: str) -> list[Holder]:
+        """Return the processes that hold the endpoint of a node, whether or not its socket is at its path."""
+        return self.seen.at(str(path_of(self.endpoints[node]))) if node in self.endpoints else []
+
+    def inlet_of(self, node: str) -> Peer | None:
+        """Return who has the inlet for stops at the path of a node; None where nobody does that can be trusted."""
+        peer = bound_by(estop_endpoint(self.endpoints[node])) if node in self.endpoints else None
+        return peer if peer is not None and peer.is_trusted else None
 
     def has_inlet(self, node: str) -> bool:
-        """Return whether a node runs here and takes emergency stops."""
-        return node in self.endpoints and is_bound(estop_endpoint(self.endpoints[node]))
+        """Return whether a node runs here and takes emergency stops, at its path now or within a second.
+
+        A device says that by its handler of the signal; a player in its place has none. Of another node whose socket is
+        gone it is not known, and it is waited for.
+        """
+        if self.inlet_of(node) is not None:
+            return True
+        holders = self.holders_of(node)
+        if node in DEVICES:
+            return any(holder.takes_signal for holder in holders)
+        return bool(holders) and bound_by(self.endpoints[node]) is None
 
     def is_supervised(self) -> bool:
         """Return whether a launcher runs here, which starts a device again that does not run."""
-        return any(node in self.endpoints and is_bound(self.endpoints[node]) for node in LAUNCHERS)
+        return any(self._runs(node) for node in LAUNCHERS if node in self.endpoints)
+
+    def strangers(self) -> list[str]:
+        """Return a sentence for each socket of a device that another user has: it is not believed."""
+        texts = []
+        for node in sorted(set(DEVICES) & set(self.endpoints)):
+            for endpoint in (self.endpoints[node], estop_endpoint(self.endpoints[node])):
+                peer = bound_by(endpoint)
+                if peer is not None and not peer.is_trusted:
+                    who = f"process {peer.process} of user {peer.user}"
+                    texts.append(f"{path_of(endpoint)} is held by {who}, and not by a rig of this user: it is ignored")
+        return texts
+
+    def is_ours(self, node: str) -> bool:
+        """Return whether the path of a node can be connected to, and no other user can answer there."""
+        path = path_of(self.endpoints[node])
+        if len(os.fsencode(path_of(estop_endpoint(self.endpoints[node])))) > LONGEST_IPC_PATH:
+            return False
+        with suppress(OSError):
+            if path.parent.stat().st_uid not in (os.geteuid(), 0):
+                return False
+        peers = map(bound_by, (self.endpoints[node], estop_endpoint(self.endpoints[node])))
+        return all(peer is None or peer.is_trusted for peer in peers)
+
+    def signal_stop(self, devices: Sequence[str]) -> dict[str, int]:
+        """Stop devices whose inlet is not at its path by a signal, and return the process of each.
+
+        They are those of a rig whose folder was removed, or taken by another rig, which has the path then.
+        """
+        signalled = {}
+        for device in devices:
+            peer = self.inlet_of(device)
+            for holder in self.holders_of(device):
+                if (peer is None or peer.process not in (0, holder.process)) and holder.signal_stop():
+                    signalled[device] = holder.process
+        return signalled
 
     def reach(self, target: str, site: str) -> Reach:
         """Return the way to each device that a target means, from one site, or as empty text from both at once."""
+        if self._given is None:
+            # A page stops its rig by the same object for hours.
+            self.seen = look()
         has_link = site != "slave" and self.has_inlet(_LINK)
         nodes_of: dict[str, list[str]] = {way: [] for way in Reach._fields}
         for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):
@@ -103,11 +186,15 @@ class LocalRig:
                 nodes_of["direct"].append(device)
             elif has_link and site_of(device) == "slave" and not (here and only_here):
                 nodes_of["by_link"].append(device)
-            elif here and only_here and not is_bound(self.endpoints[device]):
-                nodes_of["absent"].append(device)
+            elif here and only_here and not self._runs(device):
+                nodes_of["unknown" if self.seen.blind else "absent"].append(device)
             elif here or site == "master":
                 nodes_of["by_console"].append(device)
         return Reach(**{way: tuple(devices) for way, devices in nodes_of.items()})
+
+    def _runs(self, node: str) -> bool:
+        peer = bound_by(self.endpoints[node])
+        return (peer is not None and peer.is_trusted) or bool(self.holders_of(node))
 
 
 class _Inlet:
@@ -198,15 +285,17 @@ def emergency_stop(
         reader = stack.enter_context(closing(context.socket(zmq.SUB)))
         reader.set(zmq.LINGER, 0)
         reader.subscribe(_ANSWERS)
-        for node in _stopped_at(reach):
+        signalled = rig.signal_stop(reach.direct)
+        stopped_at = [node for node in _stopped_at(reach) if rig.is_ours(node)]
+        for node in stopped_at:
             reader.connect(rig.endpoints[node])
         # random, with no time in it: ids of two senders differ whatever their clocks say
         identifier = os.urandom(12).hex()
         keep_stop(rig, reach, target, identifier)
         recorders = [node for node in rig.endpoints if name_of(node) == name_of(RECORDER) and rig.has_inlet(node)]
         senders = []
-        for site in sorted({site_of(node) for node in _stopped_at(reach)}):
-            nodes = [node for node in _stopped_at(reach) if site_of(node) == site]
+        for site in sorted({site_of(node) for node in stopped_at}):
+            nodes = [node for node in stopped_at if site_of(node) == site]
             opened = [_Inlet(context, rig.endpoints[node], whole=node in recorders) for node in (*nodes, *recorders)]
             inlets = [stack.enter_context(closing(inlet)) for inlet in opened]
             senders.append(_Sender(site, identifier, target, inlets, by))
@@ -237,7 +326,10 @@ def emergency_stop(
         if _LINK in keepers and TIP in missing:
             later.append(f"the link sends it to {TIP} until that has obeyed it, and no sample of the hand before")
         text = f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s"
-        raise RigError(": ".join([text, *(["; ".join(later)] if later else [])]))
+        raise RigError(
+            ": ".join([text, *(["; ".join(later)] if later else [])])
+            + "".join(_of_signalled(rig, node, signalled[node]) for node in missing if node in signalled)
+        )
     return answers
 
 
@@ -247,13 +339,21 @@ def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list
     Returns:
         The devices that it is kept for. A file that cannot be written is no reason not to send the stop.
     """
-    absent = reach.absent if reach.direct or reach.by_link or rig.is_supervised() else ()
+    absent = (*reach.absent, *reach.unknown) if reach.direct or reach.by_link or rig.is_supervised() else ()
     # For a device of the other site the link keeps it, which may be about to be started again.
     is_far = TIP in (*reach.by_link, *reach.by_console)
     link = (_LINK,) if is_far and _LINK in rig.endpoints and (reach.by_link or rig.is_supervised()) else ()
-    devices = (*reach.direct, *absent, *link)
+    devices = [device for device in (*reach.direct, *absent, *link) if rig.is_ours(device)]
     messages = {device: _Sender(site_of(device), identifier, target, ()).message() for device in devices}
     return [device for device, message in messages.items() if not keep(kept_stop_path(rig.endpoints[device]), message)]
+
+
+def _of_signalled(rig: LocalRig, node: str, process: int) -> str:
+    """Return what became of a device that was stopped by a signal and did not answer."""
+    if not any(holder.process == process for holder in look().at(str(path_of(rig.endpoints[node])))):
+        return f"; process {process} of {node} got the stop by a signal and has ended since"
+    socket = f"its socket {path_of(rig.endpoints[node])} is not there for its answer"
+    return f"; process {process} of {node} got the stop by a signal, which it obeys at once, and {socket}"
 
 
 def _stopped_at(reach: Reach) -> list[str]:

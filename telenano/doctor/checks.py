@@ -112,7 +112,7 @@ def check_rig_processors(permitted: int, held: Sequence[int]) -> Finding:
     """Check that two processors are left for a further rig: each one that runs holds its own."""
     name, free = "processors of rigs", permitted - len(held)
     if not held:
-        return Finding(name, "ok", f"no rig is running; {fits_text(free)}")
+        return Finding(name, "ok", f"no rig holds processors; {fits_text(free)}")
     text = f"running rigs use processors {', '.join(map(str, held))}; {fits_text(free)}"
     if free >= FOR_A_RIG:
         return Finding(name, "ok", text)

@@ -7,8 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from telenano.launcher.plan import Plan
-from telenano.runtime.bus.address_book import LONGEST_IPC_PATH
-from telenano.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
+from telenano.runtime.bus.local_endpoint import LONGEST_IPC_PATH, fan_out_endpoint, remove_fan_out
 from telenano.signals import children
 from telenano.wire.nodes import NODES
 

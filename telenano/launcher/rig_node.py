@@ -2,8 +2,9 @@
 
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 from typing import ClassVar, Literal
 
 from telenano.launcher.liveness import Change, LivenessMonitor
@@ -11,6 +12,7 @@ from telenano.launcher.processes import StopObserver
 from telenano.launcher.recorder_wait import has_last
 from telenano.launcher.shown_watch import ShownWatch
 from telenano.launcher.supervisor import Supervisor
+from telenano.runtime.bus.places import PlaceNotice
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.codec import fields_of
@@ -23,6 +25,8 @@ Phase = Literal["starting", "arming", "running", "ending", "over"]
 
 TICK_S = 0.05
 _EVENTS_KEPT = 8
+# Each node looks at its paths twice a second, and all of them are named together.
+_TOGETHER_NS = 700_000_000
 # The operator has to do this when a lost device is back; {at} is the option for the site, where there are two.
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
@@ -74,6 +78,7 @@ class RigNode(Node):
         self.observe: Callable[[RigNode], None] = lambda node: None
         # Compares the session with what its law was shown to hold; None where that is not looked at.
         self.shown: ShownWatch | None = None
+        self._places = _RemovedPaths()
         self.state = "starting"
         self._failure = ""
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), round(TICK_S * 1e9))
@@ -120,6 +125,8 @@ class RigNode(Node):
             self._record_health(message)
         elif isinstance(message, SessionEvent):
             self.events.append(message)
+            if message.kind == "fault" and "path" in message.data:
+                self._places.note(message.src, message.data, message.text, self.clock.monotonic_ns())
             if message.kind == "recording" and name_of(message.src) == name_of(RECORDER):
                 self._note_recording(message)
             if read_end(fields_of(message)) is not None:
@@ -141,10 +148,29 @@ class RigNode(Node):
             self.supervisor.restart_due(self.report)
         for change in self.liveness.check():
             self._report_change(change)
+        self._look_after_places(now_ns)
         self.advance()
         if self.shown is not None and (warning := self.shown.look(runs=self.phase == "running")):
             self.report("warning", warning.text, **warning.facts)
         self.observe(self)
+
+    def on_place(self, notice: PlaceNotice) -> None:
+        """Publish what has become of a path of the launcher; a person is told of all nodes at once."""
+        super().on_place(notice)
+        facts = {"path": notice.path, "state": notice.state}
+        self._places.note(self.context.key, facts, notice.text, self.clock.monotonic_ns())
+
+    def _look_after_places(self, now_ns: int) -> None:
+        """Tell what has become of sockets, and end the rig when no command reaches it any more.
+
+        The devices are then made safe, as at any end.
+        """
+        self.reports.extend(self._places.take(now_ns))
+        places = self.context.places
+        if places is not None and places.given_up and not self._failure:
+            text = f"no command reaches this rig any more: {places.obstacle}"
+            self._failure = f"{text}; its devices were made safe, and it ends"
+            self.report("error", self._failure)
 
     def make_safe(self) -> None:
         """Stop own nodes in order; also when the launcher itself failed."""
@@ -195,6 +221,33 @@ class RigNode(Node):
     def _hints(self, *nodes: str) -> str:
         at = f" --site {self.site}" if self.site else ""
         return "".join("; " + hint.format(at=at) for node, hint in _RECOVERY_HINTS.items() if node in nodes)
+
+
+class _RemovedPaths:
+    """Which nodes have lost their sockets, in one sentence for a person: a folder is removed for all at once."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, str] = {}
+        self._lost: list[str] = []
+        self._due_ns = 0
+
+    def note(self, node: str, facts: Mapping[str, Scalar], text: str, now_ns: int) -> None:
+        """Note what a node said of a path of its own, with its `facts`."""
+        if facts.get("state") == "lost":
+            self._lost.append(f"{node}: {text}")
+        elif facts.get("state") == "made_again":
+            self._due_ns = self._due_ns if self._nodes else now_ns + _TOGETHER_NS
+            self._nodes[node] = str(facts["path"])
+
+    def take(self, now_ns: int) -> list[str]:
+        """Return what is to be told now."""
+        told, self._lost = self._lost, []
+        if self._nodes and now_ns >= self._due_ns:
+            folder = Path(next(iter(self._nodes.values()))).parent
+            text = f"what {', '.join(sorted(self._nodes))} had in {folder} was removed or replaced while the rig ran"
+            told.append(f"warning: {text}; it was made again, and commands reach the rig as before")
+            self._nodes = {}
+        return told
 
 
 class _Ending(StopObserver):

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from telenano.launcher.readiness import oldest_input_s, unmet
-from telenano.runtime.wiring.observer import RIG_HINT, Observer
+from telenano.runtime.wiring.observer import Observer
 from telenano.settings.package_topics import row_of
 from telenano.timing.loop_age import STAGES, LoopAge
 from telenano.wire.errors import RigError
@@ -73,7 +73,7 @@ def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str
 
 
 def listen(observer: Observer, duration_s: float) -> RigStatus:
-    """Listen to a rig for a time [s]; RigError if no node reports."""
+    """Listen to a rig for a time [s]; RigError if no node reports, with what is known of its processes."""
     status = RigStatus()
     for observed in observer.listen(duration_s):
         message = observed.received.message
@@ -81,7 +81,7 @@ def listen(observer: Observer, duration_s: float) -> RigStatus:
         status.age.take(observed.received.topic, message.src, message.t_ns, msgspec.structs.asdict(message))
     status.notices = [notice.text for notice in observer.notices]
     if not status.first:
-        raise RigError(f"no node reports: {RIG_HINT}")
+        raise RigError(f"no node reports: {observer.why_silent()}")
     return status
 
 

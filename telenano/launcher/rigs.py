@@ -8,7 +8,7 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +17,18 @@ from telenano.files.optional_modules import optional_module
 from telenano.launcher import processors
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
-from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
+from telenano.runtime.bus.holders import look
+from telenano.runtime.bus.local_endpoint import (
+    FIRST_RIG,
+    RIG_VARIABLE,
+    RUNTIME_DIRECTORY_VARIABLE,
+    base_and_rig,
+    base_directory,
+    folder_identity,
+    rig_directory,
+    rigs_with_folders,
+)
+from telenano.runtime.bus.pin import Pin
 from telenano.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.settings.scenario import RealtimeConfig
@@ -27,6 +38,7 @@ from telenano.wire.nodes import site_of
 if TYPE_CHECKING:
     # A command that only asks which rigs run needs no models of nodes.
     from telenano.launcher.plan import Plan
+    from telenano.runtime.bus.places import Place
 
 fcntl = optional_module("fcntl")
 _NAMES = (FIRST_RIG, *map(str, range(2, 100)))
@@ -41,19 +53,56 @@ _NEEDED = {"slave": 1}
 
 
 class RigFacts(NamedTuple):
-    """A rig that runs: `about` is what its launcher wrote of itself, empty in the first moments."""
+    """A rig that runs: `about` is what its launcher wrote of itself, its process alone where that cannot be read.
+
+    `folder` is that of the sockets of its user's rigs, empty where it is the one of this process.
+    """
 
     name: str
     site: str
     about: dict[str, Any]
+    folder: str = ""
 
 
 class Own(NamedTuple):
-    """What this rig has for itself: its name, processors, and the descriptors that its processes inherit."""
+    """What this rig has for itself: its name, processors, and the descriptors that its processes inherit.
+
+    `place` is the lock of the name, which the launcher makes again where somebody removes it.
+    """
 
     name: str
     processors: tuple[int, ...] = ()
     descriptors: tuple[int, ...] = ()
+    place: "Place | None" = None
+
+
+class _RigName:
+    """The lock of the name of a rig, and the file beside it in which the rig describes itself."""
+
+    def __init__(self, name: str, lock: EndpointLock, plan: "Plan", about: Mapping[str, Any]) -> None:
+        """Write the file; RigError where that is not possible."""
+        self._file, self._lock, self._about = _about_file(name, site_of(plan.launcher)), lock, about
+        self._pin = self._written()
+
+    def lost(self) -> str:
+        return self._lock.lost() or ("" if self._pin.is_in_place() else str(self._file))
+
+    def make_again(self) -> None:
+        if self._lock.lost():
+            self._lock.make_again()
+        before, self._pin = self._pin, self._written()
+        before.close()
+
+    def remove(self) -> None:
+        """Remove the file, if it is still that of this rig."""
+        self._pin.remove()
+
+    def _written(self) -> Pin:
+        try:
+            write_whole(self._file, json.dumps(self._about).encode(), is_forced=False)
+            return Pin(self._file)
+        except OSError as error:
+            raise RigError(f"{self._file.parent}: cannot be written: {error.strerror}") from error
 
 
 @contextlib.contextmanager
@@ -82,16 +131,19 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
         held: tuple[int, ...] = ()
         if plan.book.uses_runtime_directory:
             name, lock = _named(plan, show)
-            stack.callback(_leave, name, site_of(plan.launcher), lock)
+            stack.callback(_leave, name, lock)
             # Its path is longer than that of the first rig, which was checked with the site file.
             AddressBook.load(plan.site_file)
             held = lock.descriptors
             _remove_stale_folders(name, plan.launcher)
         claimed, behind = _claim(plan, show, lock_folder or processors.shared_folder())
         stack.callback(processors.release, claimed)
+        place: Place | None = None
         if plan.book.uses_runtime_directory:
-            _describe(plan, name, tuple(sorted(claimed)), behind=behind)
-        yield Own(name, tuple(sorted(claimed)), (*held, *claimed.values()))
+            about = _described(plan, tuple(sorted(claimed)), behind=behind)
+            place = _RigName(name, lock, plan, about)
+            stack.callback(place.remove)
+        yield Own(name, tuple(sorted(claimed)), (*held, *claimed.values()), place)
 
 
 @contextlib.contextmanager
@@ -148,10 +200,8 @@ def _has_ended(holder: str) -> bool:
     return False
 
 
-def _leave(name: str, site: str, lock: EndpointLock) -> None:
+def _leave(name: str, lock: EndpointLock) -> None:
     """Remove what only the running rig needs, and let the name go."""
-    with contextlib.suppress(OSError):
-        _about_file(name, site).unlink()
     lock.release()
     if name != FIRST_RIG:
         with contextlib.suppress(OSError):
@@ -201,9 +251,9 @@ def _about_file(name: str, site: str) -> Path:
     return rig_directory(name) / f"{_LOCK}{site}.json"
 
 
-def _describe(plan: "Plan", name: str, claimed: tuple[int, ...], *, behind: bool) -> None:
-    """Write what `telenano status` says of this rig."""
-    about = {
+def _described(plan: "Plan", claimed: tuple[int, ...], *, behind: bool) -> dict[str, Any]:
+    """Return what `telenano status` says of this rig."""
+    return {
         "process": os.getpid(),
         "scenario": plan.scenario.name,
         "begun_s": time.time(),
@@ -211,27 +261,59 @@ def _describe(plan: "Plan", name: str, claimed: tuple[int, ...], *, behind: bool
         "processors": claimed,
         "behind": behind,
     }
-    try:
-        write_whole(_about_file(name, site_of(plan.launcher)), json.dumps(about).encode(), is_forced=False)
-    except OSError as error:
-        raise RigError(f"{rig_directory(name)}: cannot be written: {error.strerror}") from error
 
 
 def running_rigs() -> list[RigFacts]:
-    """Return the rigs of this user that run on this machine, one for each launcher."""
-    rigs = []
+    """Return the rigs of this user that run on this machine, one for each launcher.
+
+    They are those of the folder that TELENANO_RUNTIME_DIR names, or else of all folders. A rig is known by the lock of
+    its name, which its processes hold whether or not the file is still in its folder.
+    """
+    here, elsewhere = _rigs_by_folder()
+    return [*here, *elsewhere] if lists_all_folders() else here
+
+
+def lists_all_folders() -> bool:
+    """Return whether the rigs of this user are listed whatever their folder is, because this process names none."""
+    return not os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
+
+
+def rigs_elsewhere() -> list[RigFacts]:
+    """Return the rigs of this user whose sockets are in other folders than those of this process."""
+    return _rigs_by_folder()[1]
+
+
+def _rigs_by_folder() -> tuple[list[RigFacts], list[RigFacts]]:
+    here: dict[tuple[str, str], RigFacts] = {}
     for name in rigs_with_folders():
         for lock in sorted(rig_directory(name).glob(f"{_LOCK}*.lock")):
             site = lock.name.removeprefix(_LOCK).removesuffix(".lock")
             if _is_held(lock):
-                rigs.append(RigFacts(name, site, about_rig(name, site)))
-    return rigs
+                here[name, site] = RigFacts(name, site, about_rig(name, site))
+    elsewhere: dict[tuple[str, str], RigFacts] = {}
+    for holder in look().holders:
+        if not holder.node.startswith(_LOCK):
+            continue
+        site = holder.node.removeprefix(_LOCK)
+        base, name = base_and_rig(holder.folder)
+        if folder_identity(base) == folder_identity(base_directory()):
+            key, of_folder, where = (name, site), here, ""
+        else:
+            key, of_folder, where = (str(holder.rig), site), elsewhere, str(base)
+        if key not in of_folder:
+            about = _read_about(holder.folder / f"{_LOCK}{site}.json")
+            of_folder[key] = RigFacts(name, site, about or {"process": int(holder.owner)}, where)
+    return list(here.values()), list(elsewhere.values())
 
 
 def about_rig(name: str, site: str = "master") -> dict[str, Any]:
     """Return what the launcher of a rig wrote of itself; empty where none runs."""
+    return _read_about(_about_file(name, site))
+
+
+def _read_about(file: Path) -> dict[str, Any]:
     try:
-        about = json.loads(_about_file(name, site).read_text())
+        about = json.loads(file.read_text())
     except (OSError, ValueError):
         return {}
     return about if isinstance(about, dict) else {}
@@ -262,6 +344,10 @@ def _remove_if_stale(folder: Path, first: str) -> None:
         name = EndpointLock(f"ipc://{folder / first}")
         try:
             if any(_is_held(lock) for lock in folder.glob("*.lock") if lock.name != f"{first}.lock"):
+                return
+            own, runs = os.getpid(), folder_identity(folder)
+            if any(each.process != own and folder_identity(each.folder) == runs for each in look().holders):
+                # Its locks were removed, and it runs all the same.
                 return
             for path in folder.iterdir():
                 if path.name != f"{first}.lock":

@@ -24,6 +24,7 @@ from telenano.recording.disk_watch import free_bytes
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.session_folder import SessionFolder
 from telenano.runtime.bus.bus import ZmqBus
+from telenano.runtime.bus.places import Place, Places
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
@@ -106,6 +107,7 @@ def run_rig(
     show: Callable[[str], None],
     beside: Mapping[str, Inherited] | None = None,
     held: Sequence[int] = (),
+    name: Place | None = None,
 ) -> Outcome:
     """Run a planned rig from the first process to the last; TelenanoError if it could not begin.
 
@@ -115,6 +117,7 @@ def run_rig(
         show: Called with each line for the user.
         beside: What further processes inherit, by node. They run with the rig, which continues without them.
         held: Descriptors that every process inherits: the name and the processors of the rig (`own_rig`).
+        name: The lock of the name, which is made again where somebody removes it (`own_rig`).
     """
     beside = {**(beside or {}), **_end_of_relay(plan)}
     signals = StopSignals()
@@ -122,6 +125,8 @@ def run_rig(
         participant = stack.enter_context(Participant.open(plan.launcher, plan.book, signals.descriptor))
         # The endpoint is bound first: if another process has it, a rig runs already, whose files must not be touched.
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
+        if name is not None:
+            participant.network.places.add(name)
         plan.prepare_folder()
         if warning := disk_warning(plan):
             show(f"warning: {warning}")
@@ -143,7 +148,7 @@ def run_rig(
         if plan.site != "slave":
             # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
             forget_stops(plan)
-        stack.callback(forget_stops, plan)
+        stack.callback(_forget_own_stops, plan, participant.network.places)
         _run(rig, bus, signals)
     return outcome_of(rig, plan)
 
@@ -164,6 +169,12 @@ def forget_stops(plan: Plan) -> None:
     for node in nodes:
         if (path := plan.book.kept_stop(node)) is not None:
             forget(path)
+
+
+def _forget_own_stops(plan: Plan, places: Places) -> None:
+    """Keep no stop at the end of a rig; what stands in a folder that another rig has by now is left to that one."""
+    if places.are_kept():
+        forget_stops(plan)
 
 
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:

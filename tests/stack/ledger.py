@@ -39,6 +39,12 @@ FAULTS = {
     "place; no image or curve is left half written, the tip is withdrawn, the rig goes on",
     "the folder of sockets is full while a page has the hand": "the page keeps it, others are refused with the path; "
     "the loop, `status` and an emergency stop go on",
+    "the runtime folder is removed under a rig": "made again within a second and reported; meanwhile an emergency "
+    "stop, `session`, `status` and a second `up` find the rig all the same",
+    "the runtime folder is removed and cannot be made again": "both devices stop by themselves, and the rig ends with "
+    "the reason",
+    "a second rig is started after the folder of the first was removed": "it sees the first and is rig 2; the end of "
+    "the first removes nothing of it",
     "a law of a package never returns": "its process is ended after 1.5 s of processor time, hand let go; restarted",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
     "the page that has the hand is killed": "the hand is lost within 1 s of the server's time, and the tip withdrawn",

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Annotated, Any
@@ -16,9 +17,10 @@ from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json
 from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
 from telenano.launcher.processors import fits_text, held, permitted, shared_folder
 from telenano.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
-from telenano.launcher.rigs import RigFacts, about_rig, running_rigs
+from telenano.launcher.rigs import RigFacts, about_rig, lists_all_folders, rigs_elsewhere, running_rigs
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
+from telenano.runtime.bus.holders import look
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, RUNTIME_DIRECTORY_VARIABLE, base_directory
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.timing.loop_age import Part, in_words
@@ -44,7 +46,7 @@ def status(
 ) -> None:
     """Show the state of a running rig; exit code 1 if a node does not report or waits for something."""
     if show_all:
-        print_rigs(running_rigs(), as_json=as_json)
+        print_rigs(running_rigs(), [] if lists_all_folders() else rigs_elsewhere(), as_json=as_json)
         return
     with report_errors(as_json):
         book = AddressBook.load(site_file)
@@ -54,27 +56,40 @@ def status(
     print_status(rig_status, expected_nodes(book.nodes, observer.subscribers), about, as_json=as_json)
 
 
-def print_rigs(rigs: Sequence[RigFacts], *, as_json: bool) -> None:
-    """Print a row for each rig, and which processors are free for another one."""
+def print_rigs(rigs: Sequence[RigFacts], elsewhere: Sequence[RigFacts] = (), *, as_json: bool) -> None:
+    """Print a row for each rig, where others of this user are, and which processors are free for another one."""
     usable = permitted()
     taken = held(usable, shared_folder())
     free = sorted(usable - set(taken))
-    rows = [{"rig": rig.name, "site": rig.site, **rig.about} for rig in rigs]
+    rows, others = ([_row(rig) for rig in each] for each in (rigs, elsewhere))
+    blind = look().blind
     if as_json:
-        print_json({"rigs": rows, "processors": {"free": free, "held": taken}})
+        document = {"rigs": rows, "elsewhere": others, "unknown": blind}
+        print_json({**document, "processors": {"free": free, "held": taken}})
         return
     if not rigs:
-        typer.echo("no rig of this user runs on this machine")
+        typer.echo(f"no rig of this user was found in {base_directory()}, nor a process that holds its name")
+    if blind:
+        typer.echo(f"whether others run is not known here: {blind}")
+    for rig in elsewhere:
+        process = f"process {rig.about['process']}" if "process" in rig.about else "starting"
+        given = f"{RUNTIME_DIRECTORY_VARIABLE}={shlex.quote(rig.folder)}"
+        typer.echo(f"a rig of this user runs in {rig.folder} ({process}): {given} reaches it")
     table = Table("rig", "process", "scenario", "since", "processors", "results")
     for rig in rigs:
         about = rig.about
-        begun = datetime.fromtimestamp(about["begun_s"]).strftime("%H:%M:%S") if about else ""
+        begun = datetime.fromtimestamp(about["begun_s"]).strftime("%H:%M:%S") if "begun_s" in about else ""
         name = rig.name if rig.site == "master" else f"{rig.name}@{rig.site}"
+        name = f"{rig.folder}: {name}" if rig.folder else name
         process = str(about.get("process", ""))
         table.add_row(name, process, about.get("scenario", ""), begun, processors_text(about), about.get("out", ""))
     if rigs:
         console().print(table)
     typer.echo(f"processors: {fits_text(len(free))}")
+
+
+def _row(rig: RigFacts) -> dict[str, Any]:
+    return {"rig": rig.name, "site": rig.site, **rig.about, **({"folder": rig.folder} if rig.folder else {})}
 
 
 def processors_text(about: Mapping[str, Any]) -> str:

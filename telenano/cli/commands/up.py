@@ -112,7 +112,7 @@ def _run(
         inherited_by_page(plan, typer.echo) as beside,
         view,
     ):
-        outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors)
+        outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors, own.place)
     with outcome.report_later(plan):
         _restore_default_signals()
         outcome = with_far_recording(outcome, plan, view.show)

@@ -12,6 +12,7 @@ from typing import Annotated, Self
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from telenano.runtime.bus.local_endpoint import (
+    LONGEST_IPC_PATH,
     estop_endpoint,
     is_in_runtime_directory,
     kept_stop_path,
@@ -38,8 +39,6 @@ MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
 _TCP = re.compile(r"tcp://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})")
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _NO_ENDPOINT = "is neither ipc:///absolute/path nor tcp://host:port (1-65535)"
-# sun_path holds 108 bytes on Linux, with its closing zero
-LONGEST_IPC_PATH = 107
 
 NodeKey = Annotated[str, Field(pattern=SOURCE_PATTERN)]
 MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]

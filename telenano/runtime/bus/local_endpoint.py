@@ -2,14 +2,18 @@
 
 import os
 import socket
+import struct
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 # The rig that a process belongs to, or speaks to; a name is part of a path, and a path of a socket has 107 bytes.
 RIG_VARIABLE = "TELENANO_RIG"
 FIRST_RIG = "main"
 MOST_RIG_LETTERS = 16
+# sun_path holds 108 bytes on Linux, with its closing zero
+LONGEST_IPC_PATH = 107
 _RIG_FOLDER = "rig-"
 _RUNTIME_PLACEHOLDER = "{runtime}"
 _ESTOP_SUFFIX = ".estop"
@@ -32,6 +36,13 @@ def rigs_with_folders() -> list[str]:
     """Return the first rig, and each other that has a folder; whether one of them runs, its locks tell."""
     names = sorted(path.name.removeprefix(_RIG_FOLDER) for path in base_directory().glob(f"{_RIG_FOLDER}*"))
     return [FIRST_RIG, *(name for name in names if is_rig_name(name))]
+
+
+def base_and_rig(folder: Path) -> tuple[Path, str]:
+    """Return the folder of all rigs and the name of the rig whose folder this is, as `rig_directory` makes it."""
+    name = folder.name.removeprefix(_RIG_FOLDER)
+    is_beside = folder.name.startswith(_RIG_FOLDER) and is_rig_name(name)
+    return (folder.parent, name) if is_beside else (folder, FIRST_RIG)
 
 
 def is_rig_name(text: str) -> bool:
@@ -60,6 +71,11 @@ def local_endpoint(text: str) -> str:
     return text.replace(_RUNTIME_PLACEHOLDER, str(runtime_directory()))
 
 
+def path_of(endpoint: str) -> Path:
+    """Return the path of an ipc endpoint."""
+    return Path(endpoint.removeprefix("ipc://"))
+
+
 def is_in_runtime_directory(text: str) -> bool:
     """Return whether an ipc endpoint of a site file is in the private folder."""
     return _RUNTIME_PLACEHOLDER in text
@@ -76,9 +92,14 @@ def fan_out_endpoint(endpoint: str) -> str:
 
 
 def remove_fan_out(endpoints: Iterable[str]) -> None:
-    """Remove the sockets at which observers of nodes were served, where the process that served them has ended."""
+    """Remove the sockets at which observers of nodes were served, where the process that served them has ended.
+
+    One that a process has is that of another rig, which took the folder meanwhile.
+    """
     for endpoint in endpoints:
-        Path(fan_out_endpoint(endpoint).removeprefix("ipc://")).unlink(missing_ok=True)
+        fan_out = fan_out_endpoint(endpoint)
+        if not is_bound(fan_out):
+            Path(fan_out.removeprefix("ipc://")).unlink(missing_ok=True)
 
 
 def kept_stop_path(endpoint: str) -> Path:
@@ -86,15 +107,42 @@ def kept_stop_path(endpoint: str) -> Path:
     return Path(estop_endpoint(endpoint).removeprefix("ipc://") + _KEPT_SUFFIX)
 
 
-def is_bound(endpoint: str) -> bool:
-    """Return whether a process has an ipc endpoint: a socket that a killed one left behind does not answer."""
+class Peer(NamedTuple):
+    """The process and the user that have a socket, by the kernel; `user` is None where the kernel did not say."""
+
+    process: int
+    user: int | None
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether it is a process of this user or of root, or one in a folder that only they can write to."""
+        return self.user is None or self.user in (os.geteuid(), 0)
+
+
+def bound_by(endpoint: str) -> Peer | None:
+    """Return who has an ipc endpoint; None where nobody does: a socket that was left behind does not answer."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
             probe.connect(endpoint.removeprefix("ipc://"))
+            process, user, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
         except BlockingIOError:
             # Another process has it, and is not fast enough to serve all that connect.
-            return True
+            return Peer(0, None)
         except OSError:
-            return False
-    return True
+            return None
+        except AttributeError:
+            # This system has no SO_PEERCRED.
+            return Peer(0, None)
+    return Peer(process, user)
+
+
+def is_bound(endpoint: str) -> bool:
+    """Return whether a process has an ipc endpoint: a socket that a killed one left behind does not answer."""
+    return bound_by(endpoint) is not None
+
+
+def folder_identity(folder: Path) -> Path:
+    """Return what two spellings of a folder have in common, whether or not it is there."""
+    # The folders of a process in a container are behind a link that would be taken for one of this process.
+    return folder if folder.parts[:2] == ("/", "proc") else folder.resolve()

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import zmq
 
 from telenano.runtime.bus.endpoint_lock import EndpointLock
+from telenano.runtime.bus.ipc_listener import IpcListener
 from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
 from telenano.wire import TOPICS, compose
@@ -91,7 +92,7 @@ class ZmqPublisher(_NumberingPublisher):
     ) -> None:
         """Bind an endpoint, with a socket that `prepare` was called with; EndpointError if that fails."""
         super().__init__(clock, node)
-        self._lock = EndpointLock(endpoint)
+        self._lock = EndpointLock(endpoint, node)
         self.socket = context.socket(kind)
         self.socket.set(zmq.AFFINITY, FIRST_THREAD)
         self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
@@ -107,7 +108,7 @@ class ZmqPublisher(_NumberingPublisher):
         self.yields = False
         prepare(self.socket)
         try:
-            bind(self.socket, endpoint, node)
+            self._listener = bind(self.socket, endpoint, node)
         except EndpointError:
             self._lock.release()
             raise
@@ -130,12 +131,27 @@ class ZmqPublisher(_NumberingPublisher):
         try:
             bind(self.socket, endpoint, self.node)
         except EndpointError:
+            if self._listener is not None:
+                self._listener.remove()
             self._lock.release()
             raise
+
+    def lost(self) -> str:
+        """Return the path of its lock or socket that is no longer there; empty while both are in place."""
+        return self._lock.lost() or ("" if self._listener is None else self._listener.lost())
+
+    def make_again(self) -> None:
+        """Lock and bind again what is gone; EndpointError where another process has the endpoint."""
+        if self._lock.lost():
+            self._lock.make_again()
+        if self._listener is not None and self._listener.lost():
+            self._listener.make_again()
 
     def close(self) -> None:
         """Close the socket and let the endpoint go."""
         self.socket.close()
+        if self._listener is not None:
+            self._listener.remove()
         self._lock.release()
 
 
@@ -161,12 +177,19 @@ def publish_end(publisher: Publisher, node: str, forwarded: Mapping[tuple[str, s
     publisher.publish(END_TOPIC, id="", kind="node", level="info", text=text, data=end_data(sent, forwarded))
 
 
-def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
-    """Bind a socket; EndpointError names node, endpoint and what to do."""
+def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> IpcListener | None:
+    """Bind a socket; EndpointError names node, endpoint and what to do.
+
+    Returns:
+        What looks after the file of an ipc endpoint; None for another one, which has no file.
+    """
     try:
+        if endpoint.startswith("ipc://"):
+            return IpcListener(socket, endpoint)
         socket.bind(endpoint)
-    except zmq.ZMQError as error:
+    except (OSError, zmq.ZMQError) as error:
         socket.close()
         hint = "another process has it: stop that one or give another endpoint in the site file"
-        reason = hint if error.errno == zmq.EADDRINUSE else error.strerror
+        reason = hint if error.errno == zmq.EADDRINUSE else error.strerror or error
         raise EndpointError(f"{node} cannot bind {endpoint}: {reason}") from error
+    return None

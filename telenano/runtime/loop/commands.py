@@ -201,6 +201,12 @@ class CommandClient:
         return tuple(self._commands)
 
     @property
+    def is_unanswered(self) -> bool:
+        """Whether a node that has to answer has not, neither with a refusal; or nobody where none is named."""
+        heard = {*self.answers, *self._quoted}
+        return not self._expected <= heard if self._expected else not heard
+
+    @property
     def has_all_answers(self) -> bool:
         """Whether every node that has to answer the command in hand, or the last one, has answered."""
         return self._expected <= set(self.answers)
@@ -358,6 +364,7 @@ class CommandHandler:
         *,
         is_latched: Callable[[], bool] = lambda: False,
         kept: Path | None = None,
+        obstacle: Callable[[], str] = lambda: "",
     ) -> None:
         """Take commands for `node` (node@site).
 
@@ -368,6 +375,8 @@ class CommandHandler:
             event: Publishes a session/event.
             is_latched: Whether the node is in emergency stop.
             kept: The file in which the newest emergency stop is kept until the node is armed.
+            obstacle: Returns why an emergency stop might not reach the node now, empty where it does. Nothing may then
+                begin a motion.
         """
         self.latch = EstopLatch(kept)
         self._node = node
@@ -375,6 +384,7 @@ class CommandHandler:
         self._execute = execute
         self._event = event
         self._is_latched = is_latched
+        self._obstacle = obstacle
         self._answers: OrderedDict[str, _Answer] = OrderedDict()
         self._stalled_s = 0.0
         self._distrust_until_ns = 0
@@ -439,6 +449,8 @@ class CommandHandler:
         facts: dict[str, Scalar] = {}
         if begins_motion(control.command, control.parameters):
             facts = {**self.latch.facts(now_ns), "latched": self._is_latched()}
+            if obstacle := self._obstacle():
+                return f"{control.command} is refused: an emergency stop might not reach this node: {obstacle}", facts
             # This comes before the age, because an older client sends an expired command once more, and gives up at any
             # other refusal.
             if reason := self.latch.reason_against((control.node_latch or {}).get(self._node), now_ns):

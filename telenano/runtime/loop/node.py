@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
 from telenano.runtime.bus.bus import Bus, ConnectionEvent
+from telenano.runtime.bus.places import PlaceNotice, Places
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
 from telenano.runtime.loop.log import StructuredLog
@@ -36,6 +37,8 @@ class NodeContext:
     stop_requested: bool = False
     # An emergency stop is kept in this file until the node is armed; None where the node has no such file.
     kept_stop: Path | None = None
+    # The paths at which other processes reach this one; None where there is none, as in virtual time.
+    places: Places | None = None
     # The period of the loop, by `realtime.rate_hz` [s].
     period_s: float = LOOP_PERIOD_S
     # The loop runs these tasks in its idle gaps.
@@ -147,6 +150,10 @@ class Node(ABC):
             ValueError: It is not a state of this node; LookupError, TypeError and ConfigError mean the same.
         """
         raise ValueError(f"{self.context.key} keeps none")
+
+    def on_place(self, notice: PlaceNotice) -> None:
+        """Report that a path of this process was removed, or is there again."""
+        self.event("fault", notice.level, notice.text, path=notice.path, state=notice.state)
 
     def device_health(self) -> Mapping[str, float | str]:
         """Return what node/health has of a real device since the last call."""

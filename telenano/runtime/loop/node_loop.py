@@ -23,6 +23,7 @@ from telenano.wire import TOPICS, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.errors import described
 from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
+from telenano.wire.nodes import DEVICES
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -61,7 +62,10 @@ class NodeLoop:
             node.event,
             is_latched=lambda: node.is_latched,
             kept=node.context.kept_stop,
+            obstacle=lambda: "" if self._places is None else self._places.obstacle,
         )
+        self._places = node.context.places
+        self._stop_signalled = self._stopped_for_place = False
         # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
         # may have been ended before it could send.
         self._may_be_kept = True
@@ -149,9 +153,16 @@ class NodeLoop:
             self._dispatch(received)
         return taken
 
+    def note_stop_signal(self) -> None:
+        """Have the next turn obey an emergency stop, within the handler of the signal that stands for one."""
+        self._stop_signalled = self._may_be_kept = True
+
     def _take_kept_stop(self) -> None:
         """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
         self._may_be_kept = False
+        if self._stop_signalled:
+            self._stop_signalled = False
+            self._stop_now("an emergency stop came by a signal, as where no socket of this device is reached")
         latch, now_ns = self._commands.latch, self._clock.now_ns()
         try:
             payload = latch.kept()
@@ -177,6 +188,23 @@ class NodeLoop:
             device = "this device" if self.node.kept_stop_for == self.node.context.key else self.node.kept_stop_for
             self.node.event("mode", "warning", f"an emergency stop that was kept for {device} is in force")
 
+    def _stop_now(self, text: str) -> None:
+        """Obey an emergency stop that nobody has sent as a message; `text` says where it came from."""
+        now_ns = self._clock.now_ns()
+        control = stop_of(self.node.context.key, now_ns)
+        self._dispatch(Received("session/control", control, encode(control), now_ns, Arrival.NEXT))
+        self.node.event("mode", "warning", text)
+
+    def _look_after_places(self) -> None:
+        """Make again what others have removed of the paths of this process; stop a device that nobody could stop."""
+        if self._places is None:
+            return
+        for notice in self._places.look():
+            self.node.on_place(notice)
+        if self._places.given_up and not self._stopped_for_place and self.node.context.key in DEVICES:
+            self._stop_now(f"this device has stopped, because no command could reach it: {self._places.obstacle}")
+        self._stopped_for_place = self._places.given_up
+
     def _act_on_deadline(self, now_ns: int) -> None:
         self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)
         if self.node.own_stops != self._own_stops:
@@ -201,6 +229,8 @@ class NodeLoop:
         self._may_be_kept = True
         self._deferred.add(self._measure_health)
         self._deferred.add(self._send_health)
+        if self._places is not None:
+            self._deferred.add(self._look_after_places)
         if self._journal is not None:
             self._deferred.add(self._complete_batch)
 

@@ -11,9 +11,12 @@ from typing import Any, Self
 import numpy as np
 import zmq
 
+from telenano.runtime.bus.absence import RIG_HINT as RIG_HINT
+from telenano.runtime.bus.absence import absence_text
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
-from telenano.runtime.bus.local_endpoint import local_endpoint
+from telenano.runtime.bus.holders import Holder, look
+from telenano.runtime.bus.local_endpoint import local_endpoint, path_of
 from telenano.runtime.wiring.participant import Participant
 from telenano.settings.package_topics import installed_topics, problem_with, row_of
 from telenano.wire import TOPICS
@@ -23,10 +26,10 @@ from telenano.wire.received import Received
 from telenano.wire.sequence import SequenceTracker
 from telenano.wire.topics import keep_unknown
 
-# Users see this hint when nothing is received.
-RIG_HINT = "is `telenano up` running with this site file?"
-
 _WAIT_MS = 100
+# A rig whose sockets were removed makes them again within this time [s], on a machine that is busy.
+_BACK_S = 3.0
+_RETRY_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ class Observer:
             ConfigError: This machine lacks a key that the rig demands.
         """
         self.notices: list[ConnectionEvent] = []
+        self._book = book
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
@@ -102,6 +106,13 @@ class Observer:
         """Return the name of what a node sent: at a site, the messages of the other are copies by the link."""
         return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
 
+    def why_silent(self) -> str:
+        """Return what is known of a rig that nothing was received of: its processes may run all the same."""
+        if holders := _holders(self._book):
+            nodes = ", ".join(dict.fromkeys(f"{one.node} (process {one.process})" for one in holders))
+            return f"it runs all the same, and nothing was received of {nodes}; `telenano estop` stops its devices"
+        return RIG_HINT if self._book.spans_machines else absence_text(look(), _paths(self._book))
+
     def close(self) -> None:
         self._open.close()
 
@@ -112,21 +123,45 @@ class Observer:
 
 
 def runs_no_node(book: AddressBook) -> bool:
-    """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is.
+    """Return whether no rig is found: its sockets would be on this machine, none is there, and no process holds one.
 
     Those of consoles, players and pages say nothing of a rig: one that was killed leaves its socket behind.
     """
+    return not _has_sockets(book) and not _holders(book)
+
+
+def _has_sockets(book: AddressBook) -> bool:
+    return book.spans_machines or any(path.exists() for path in _paths(book))
+
+
+def _paths(book: AddressBook) -> list[Path]:
+    """Return where the nodes of a rig, which are no visitors, have their sockets."""
     endpoints = [entry.local for node, entry in book.nodes.items() if not is_visitor(node)]
-    if any(entry.network is not None for entry in book.nodes.values()):
-        return False
-    paths = [Path(local_endpoint(text).removeprefix("ipc://")) for text in endpoints if text is not None]
-    return not any(path.exists() for path in paths)
+    return [path_of(local_endpoint(text)) for text in endpoints if text is not None]
+
+
+def _holders(book: AddressBook) -> list[Holder]:
+    """Return the processes that hold the sockets of a rig, whether or not these are at their paths."""
+    seen = look()
+    return [holder for path in _paths(book) for holder in seen.at(str(path))]
 
 
 def require_rig(book: AddressBook, site_file: Path) -> None:
-    """Raise RigError at once where no rig can be running, instead of waiting for messages that cannot come."""
-    if runs_no_node(book):
-        raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
+    """Raise RigError where no rig is found, instead of waiting for messages that cannot come.
+
+    One whose sockets were removed makes them again, and is waited for.
+    """
+    if _has_sockets(book):
+        return
+    if not (holders := _holders(book)):
+        raise RigError(f"{site_file}: no rig of this site file was found here: {absence_text(look(), _paths(book))}")
+    end_s = time.monotonic() + _BACK_S
+    while not _has_sockets(book):
+        if time.monotonic() >= end_s:
+            text = f"the rig of {site_file} runs (process {holders[0].process} is {holders[0].node})"
+            missing = f"its sockets are not in {holders[0].folder}, and were not made again within {_BACK_S:g} s"
+            raise RigError(f"{text}, but {missing}: `telenano estop` stops its devices all the same")
+        time.sleep(_RETRY_S)
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:

@@ -3,15 +3,18 @@
 import contextlib
 import itertools
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
+from telenano.runtime.bus.holders import STOP_SIGNAL
 from telenano.runtime.bus.publisher import Publisher, ZmqPublisher, publish_end
 from telenano.runtime.bus.transports import STREAM
 from telenano.runtime.loop.commands import Command, CommandClient
@@ -146,7 +149,15 @@ class Participant:
         return bus
 
     def context(self, bus: Bus) -> NodeContext:
-        return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop(), period_s=self.period_s)
+        return NodeContext(
+            self.key,
+            self.clock,
+            bus,
+            self.log,
+            kept_stop=self.kept_stop(),
+            places=self.network.places,
+            period_s=self.period_s,
+        )
 
     def kept_stop(self) -> Path | None:
         """Return where stops of a device, or of the link for the far one, are kept; None without an ipc endpoint."""
@@ -282,6 +293,8 @@ class StopSignals:
         starting_ns = STARTING_PERIOD_NS
         loop = NodeLoop(node, bus, realtime, starting_period_ns=starting_ns, note_alive=note_alive)
         self.interrupt(node)
+        if node.context.key in DEVICES:
+            self._take_stops(loop)
         if freeze:
             # The garbage collector looks at every object of the process, and the others on its processor have their
             # periods to keep.
@@ -290,12 +303,25 @@ class StopSignals:
         with guard if guarded else contextlib.nullcontext():
             loop.run()
 
+    def _take_stops(self, loop: NodeLoop) -> None:
+        """Obey an emergency stop at the signal for one, which needs no socket and comes from this user or root only."""
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            loop.note_stop_signal()
+            self._continue_waiting()
+
+        if STOP_SIGNAL is not None:
+            signal.signal(STOP_SIGNAL, stop)
+
     def _receive(self) -> None:
         self._received = True
         if self._node is None:
             return
         self._node.interrupt()
         if not self._node.context.stop_requested:
-            # the descriptor ends every wait until it is read, and this loop continues waiting after a signal
-            with contextlib.suppress(BlockingIOError):
-                os.read(self.descriptor, 64)
+            self._continue_waiting()
+
+    def _continue_waiting(self) -> None:
+        """Read the descriptor, which ends every wait until then, where the loop continues after a signal."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self.descriptor, 64)

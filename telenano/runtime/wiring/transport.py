@@ -6,9 +6,7 @@ thread could: the interpreter makes a loop wait up to 5 ms for one that is busy.
 in a thread that comes behind the loop, and the kernel limits how much that is.
 """
 
-import contextlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Protocol
 
 import zmq
@@ -16,6 +14,7 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from telenano.runtime.bus.places import Places
 from telenano.runtime.bus.publisher import ZmqPublisher, bind
 from telenano.runtime.loop.realtime import lower_thread
 from telenano.runtime.security.access_control import AccessControl
@@ -91,19 +90,27 @@ class EstopInlet(Subscriber):
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, node: str, endpoint: str) -> None:
         """Bind an ipc endpoint for `node`; EndpointError says why that fails."""
         super().__init__(context, clock, {endpoint: ["session/control"]}, connect=False, permit=_permit)
-        self._path = Path(endpoint.removeprefix("ipc://"))
-        bind(self.socket, endpoint, node)
+        self._listener = bind(self.socket, endpoint, node)
         self.shared = False
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of every sender; silence is nothing to report."""
         return tuple(health for health in super().input_health() if health.src)
 
+    def lost(self) -> str:
+        """Return its path where another file or none stands there by now; empty while it is in place."""
+        return "" if self._listener is None else self._listener.lost()
+
+    def make_again(self) -> None:
+        """Bind it again; EndpointError where that is not possible."""
+        if self._listener is not None:
+            self._listener.make_again()
+
     def close(self) -> None:
         """Close the socket and remove it from its folder, so that the node is not taken for one that runs."""
         super().close()
-        with contextlib.suppress(OSError):
-            self._path.unlink()
+        if self._listener is not None:
+            self._listener.remove()
 
 
 def _permit(topic: str, src: str) -> None:
@@ -162,6 +169,8 @@ class Transport:
         self._handlers: list[NetworkHandler] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
         self._lowered = True
+        # Where other processes of this machine reach this one; the loop of its node looks after them.
+        self.places = Places(self._prepare_folder)
 
     @property
     def descriptors(self) -> Sequence[int]:
@@ -184,10 +193,11 @@ class Transport:
             local, network = self.book.local_endpoint(key), self.book.bind_endpoint(key)
         except KeyError as error:
             raise EndpointError(str(error.args[0])) from error
-        if self.book.uses_runtime_directory:
-            check_runtime_directory(make=True)
+        self._prepare_folder()
         if network is None:
-            return ZmqPublisher(self.context, self.clock, key, local or "", kind=kind)
+            publisher = ZmqPublisher(self.context, self.clock, key, local or "", kind=kind)
+            self.places.add(publisher)
+            return publisher
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
@@ -208,6 +218,7 @@ class Transport:
             self._authenticator.abandon(key)
             raise
         self._authenticator.add(publisher)
+        self.places.add(publisher)
         return publisher
 
     def subscribers(
@@ -262,7 +273,11 @@ class Transport:
     def estop_inlet(self, key: str) -> EstopInlet | None:
         """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
         endpoint = self.book.estop_endpoint(key)
-        return None if endpoint is None else EstopInlet(self.context, self.clock, key, endpoint)
+        if endpoint is None:
+            return None
+        inlet = EstopInlet(self.context, self.clock, key, endpoint)
+        self.places.add(inlet)
+        return inlet
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process authentication requests and connection events, and reload the list of keys if it has changed."""
@@ -277,6 +292,11 @@ class Transport:
         """Close the sockets that are not closed with the publishers and subscribers."""
         for handler in self._handlers:
             handler.close()
+
+    def _prepare_folder(self) -> None:
+        """Make the private folder of sockets, if the rig has one; ConfigError where it belongs to another user."""
+        if self.book.uses_runtime_directory:
+            check_runtime_directory(make=True)
 
     def _reader(
         self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False, shared: bool = False

@@ -155,7 +155,7 @@ def test_silence_without_a_rig_is_said_at_once(command: str, tmp_path: Path) -> 
     # without a limit of time some would listen for ever
     code, out, err = run(*command.split(), "--json")
     assert code == 1
-    assert "no rig of this site file runs on this machine: is `telenano up` running" in json.loads(out)["error"]
+    assert "no rig of this site file was found here: no socket in" in json.loads(out)["error"]
     assert err.startswith("telenano: ")
 
 
@@ -175,14 +175,14 @@ def test_a_bridge_without_a_rig_says_so_and_fails() -> None:
     assert code == 1
     assert "bridge: ws://127.0.0.1:" in out
     assert "token=" not in out
-    assert "no rig of this site file runs on this machine yet; waiting for one" in err
+    assert "no rig of this site file was found on this machine yet; waiting for one" in err
     assert "nothing was received" in err
 
 
 def test_a_recorder_without_a_rig_says_that_its_file_is_empty(tmp_path: Path) -> None:
     code, _, err = run("record", "--out", str(tmp_path / "empty.mcap"), "--duration", "0")
     assert code == 1
-    assert "no rig of this site file runs on this machine yet; waiting for one" in err
+    assert "no rig of this site file was found on this machine yet; waiting for one" in err
     assert f"The recording is empty: {tmp_path / 'empty.mcap'}" in err
 
 

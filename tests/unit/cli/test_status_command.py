@@ -434,7 +434,7 @@ def test_all_rigs_are_listed_with_what_each_has(monkeypatch: pytest.MonkeyPatch)
 
 def test_no_rig_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status, "running_rigs", list)
-    assert "no rig of this user runs on this machine" in CliRunner().invoke(app, ["status", "--all"]).stdout
+    assert "no rig of this user was found" in CliRunner().invoke(app, ["status", "--all"]).stdout
 
 
 @pytest.mark.parametrize(("behind", "words"), [(False, "2, 3"), (True, "none of its own: other rigs have them")])

@@ -5,14 +5,16 @@ from typing import Any
 import pytest
 from recorder_samples import sample
 
-from telenano.console.command_client import Attention, addressed, parse_parameters, send_control
+from telenano.console.command_client import Attention, _in_force, addressed, parse_parameters, send_control
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.loop.commands import Command
+from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.participant import Participant
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.config import validate
+from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError
+from telenano.wire.messages import SessionEvent
 
 
 @pytest.mark.parametrize(
@@ -114,3 +116,24 @@ def test_commands_are_typed_at_the_console_of_ones_own_machine(monkeypatch: pyte
     with pytest.raises(ConfigError, match=r"console@master, console_desk@master is on another machine"):
         console()
     assert addressed(book, "*") == ["controller@slave"]
+
+
+@pytest.mark.parametrize("readers", [0, 1])
+@pytest.mark.parametrize("expected", [("afm_node@slave", "haptic_node@master"), ()])
+@pytest.mark.parametrize("heard", [(), ("ack",), ("refused",), ("expired",)])
+def test_a_command_that_was_read_and_not_answered_is_said_to_be_in_force_perhaps(
+    readers: int, expected: tuple[str, ...], heard: tuple[str, ...]
+) -> None:
+    sent: list[dict[str, Any]] = []
+    arm = Command("arm", "*", expected)
+    client = CommandClient(VirtualClock(), lambda topic, **fields: sent.append(fields), [arm])
+    client.advance()
+    for node in expected or ("afm_node@slave",):
+        for kind in heard:
+            data = {"expired": True} if kind == "expired" else {}
+            kind = "ack" if kind == "ack" else "refused"
+            fields: dict[str, Any] = {"id": sent[-1]["id"], "kind": kind, "level": "info", "text": "", "data": data}
+            client.on_event(SessionEvent(seq=0, t_ns=0, src=node, v=1, **fields))
+    text = _in_force([arm], client, readers)
+    assert ("arm was sent and may be in force all the same" in text) == bool(readers and not heard)
+    assert ("`telenano estop` stops them" in text) == bool(text)

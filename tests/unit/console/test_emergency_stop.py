@@ -223,7 +223,7 @@ def test_a_rig_that_does_not_run_is_told_at_once(site_file: Path, capsys: pytest
     with zmq.Context() as context, context.socket(zmq.SUB) as left:
         left.bind(f"ipc://{site_file.parent}/{TIP}.estop")
     assert run_estop(EstopRequest(site_file=site_file)) == 1
-    assert "no device of the site file runs here" in capsys.readouterr().err
+    assert "no device of the site file was found here" in capsys.readouterr().err
 
 
 def test_a_device_that_does_not_answer_is_named(

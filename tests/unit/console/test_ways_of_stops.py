@@ -1,5 +1,6 @@
 """Which way an emergency stop takes to each device, what it says, and what each inlet gets of it; without sockets."""
 
+import os
 from typing import Any, NamedTuple
 
 import msgpack
@@ -7,10 +8,13 @@ import pytest
 
 from telenano.console import emergency_stop
 from telenano.console.emergency_stop import Answer, LocalRig, Reach, _answer, _Inlet, _Sender
+from telenano.runtime.bus.holders import Holder, Look
+from telenano.runtime.bus.local_endpoint import Peer
 from telenano.wire import decode
 from telenano.wire.messages import SessionControl
 
 HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
+OURS = Peer(1, os.geteuid())
 SUBSCRIBED, LEFT = b"\x01session/control", b"\x00session/control"
 
 
@@ -20,15 +24,16 @@ class Here(NamedTuple):
     inlets: tuple[str, ...] = ()
     older: tuple[str, ...] = ()
     networked: tuple[str, ...] = ()
+    seen: Look = Look()
 
 
 def reach(monkeypatch: pytest.MonkeyPatch, here: Here, site: str, target: str = "*") -> Reach:
     endpoints = {node: f"ipc:///r/{node}" for node in (HAND, TIP, LINK)}
     bound = {endpoints[node] for node in (*here.inlets, *here.older)}
     bound |= {f"{endpoints[node]}.estop" for node in here.inlets}
-    monkeypatch.setattr(emergency_stop, "is_bound", lambda endpoint: endpoint in bound)
+    monkeypatch.setattr(emergency_stop, "bound_by", lambda endpoint: OURS if endpoint in bound else None)
     networks = {node: {"network": "tcp://10.0.0.2:5712"} for node in here.networked}
-    rig = LocalRig({node: {"local": text, **networks.get(node, {})} for node, text in endpoints.items()})
+    rig = LocalRig({node: {"local": text, **networks.get(node, {})} for node, text in endpoints.items()}, here.seen)
     return rig.reach(target, site)
 
 
@@ -81,9 +86,56 @@ def test_only_the_devices_that_a_target_means_are_reached(
 
 
 def test_a_tip_of_the_files_for_two_machines_is_never_called_absent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(emergency_stop, "is_bound", lambda _: False)
-    assert LocalRig.packaged(two_machines=False).reach("*", "").absent == (HAND, TIP)
-    assert LocalRig.packaged(two_machines=True).reach("*", "") == Reach((), (), (TIP,), (HAND,))
+    monkeypatch.setattr(emergency_stop, "bound_by", lambda _: None)
+    assert LocalRig.packaged(two_machines=False, seen=Look()).reach("*", "").absent == (HAND, TIP)
+    assert LocalRig.packaged(two_machines=True, seen=Look()).reach("*", "") == Reach((), (), (TIP,), (HAND,))
+
+
+@pytest.mark.parametrize("site", ["", "master", "slave"])
+def test_a_device_that_holds_its_lock_is_reached_whether_or_not_its_socket_is_at_its_path(
+    monkeypatch: pytest.MonkeyPatch, site: str
+) -> None:
+    held = Look(tuple(Holder(7, "7", node, f"/r/{node}", takes_signal=True) for node in (HAND, TIP, LINK)))
+    whole = reach(monkeypatch, Here((HAND, TIP, LINK)), site)
+    assert reach(monkeypatch, Here(seen=held), site) == whole
+    assert not whole.absent
+    # A player, or a device of an older version, takes no stop by a signal.
+    other = Look(tuple(holder._replace(takes_signal=False) for holder in held.holders))
+    assert reach(monkeypatch, Here(seen=other), site).by_console
+    # The lock of a rig in another folder, or in that of a container, is that of another rig.
+    for other in (
+        [holder._replace(path=f"/other/{holder.node}") for holder in held.holders],
+        [holder._replace(folders_of=4711) for holder in held.holders],
+    ):
+        assert reach(monkeypatch, Here(seen=Look(tuple(other))), site) == reach(monkeypatch, Here(), site)
+
+
+@pytest.mark.parametrize("site", ["", "slave"])
+def test_who_cannot_see_every_process_does_not_say_that_a_device_is_absent(
+    monkeypatch: pytest.MonkeyPatch, site: str
+) -> None:
+    blind, plain = (reach(monkeypatch, Here(seen=Look((), text)), site) for text in ("no /proc", ""))
+    assert blind == plain._replace(absent=(), unknown=plain.absent)
+    assert TIP in blind.unknown
+
+
+@pytest.mark.parametrize("user", [None, os.geteuid(), 0])
+def test_a_socket_of_this_user_or_root_is_believed(monkeypatch: pytest.MonkeyPatch, user: int | None) -> None:
+    monkeypatch.setattr(emergency_stop, "bound_by", lambda _: Peer(7, user))
+    rig = LocalRig.packaged(two_machines=False, seen=Look())
+    assert rig.reach("*", "").direct == (HAND, TIP)
+    assert rig.strangers() == []
+
+
+def test_a_socket_of_another_user_is_told_and_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    stranger = os.geteuid() + 4711
+    monkeypatch.setattr(emergency_stop, "bound_by", lambda _: Peer(7, stranger))
+    rig = LocalRig.packaged(two_machines=False, seen=Look())
+    assert rig.reach("*", "").absent == (HAND, TIP)
+    assert not rig.is_supervised()
+    assert not any(rig.is_ours(node) for node in (HAND, TIP))
+    text = "\n".join(rig.strangers())
+    assert f"{TIP}.estop is held by process 7 of user {stranger}, and not by a rig of this user: it is ignored" in text
 
 
 @pytest.mark.parametrize("by", ["", "Ada"])

@@ -109,7 +109,7 @@ def test_without_packaging_versions_are_not_compared(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("held", "level", "words"),
     [
-        ((), "ok", "no rig is running; 4 free, enough for 2 more rigs"),
+        ((), "ok", "no rig holds processors; 4 free, enough for 2 more rigs"),
         ((2, 3), "ok", "running rigs use processors 2, 3; 2 free, enough for 1 more rig"),
         (
             (1, 2, 3),

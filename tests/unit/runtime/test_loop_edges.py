@@ -7,11 +7,13 @@ import msgspec
 import pytest
 from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig, turns_of
 
+from telenano.runtime.bus.places import Places
 from telenano.runtime.loop.commands import stop_of
 from telenano.runtime.loop.journal import DEFERRED
 from telenano.runtime.loop.kept_stop import keep
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.wire import encode
+from telenano.wire.errors import EndpointError
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionControl
 
@@ -72,6 +74,74 @@ def test_a_node_that_runs_looks_twice_a_second_for_a_stop_that_was_kept(tmp_path
     node.keep()
     node.rig.run_until(2600 * MS)
     assert node.executed == ["estop"]
+
+
+def test_a_stop_by_a_signal_is_obeyed_in_the_next_turn_before_what_waits(tmp_path: Path) -> None:
+    node = Stoppable(tmp_path)
+    node.rig.run_until(100 * MS)
+    node.rig.loop.note_stop_signal()
+    node.rig.command(gain=1.0, program="curve")
+    # It is the newest stop for what comes later, and is kept as any other.
+    assert node.executed == ["estop"]
+    assert node.path.exists()
+    assert [event.kind for event in node.rig.events if event.id == "a"] == ["refused"]
+    node.rig.run_until(1200 * MS)
+    assert node.executed == ["estop"], "it is obeyed once"
+    node.rig.loop.note_stop_signal()
+    node.rig.run_until(1300 * MS)
+    assert node.executed == ["estop", "estop"]
+
+
+class Removed:
+    """A place of a process that others remove, and that may not be had again."""
+
+    def __init__(self) -> None:
+        self.is_lost = self.is_taken = False
+
+    def lost(self) -> str:
+        return "/run/x" if self.is_lost else ""
+
+    def make_again(self) -> None:
+        if self.is_taken:
+            raise EndpointError("another rig has it")
+        self.is_lost = False
+
+
+@pytest.mark.parametrize("key", [NODE, "afm_node@slave"])
+def test_a_device_whose_place_is_gone_for_good_stops_by_itself_and_begins_nothing(tmp_path: Path, key: str) -> None:
+    node, place = Stoppable(tmp_path), Removed()
+    context = node.rig.node.context
+    context.key, context.places = key, Places()
+    context.places.add(place)
+    node.rig.loop = NodeLoop(node.rig.node, node.rig.bus, GRANTED)
+
+    def told(state: str) -> list[str]:
+        return [event.text for event in node.rig.events if event.data.get("state") == state]
+
+    def moves(identifier: str) -> str:
+        node.rig.command(gain=1.0, program="curve", identifier=identifier, target=key)
+        return next(event.text for event in node.rig.events[::-1] if event.id == identifier)
+
+    node.rig.run_until(1100 * MS)
+    place.is_lost = True
+    node.rig.run_until(1700 * MS)
+    # Half a second later it is there again, and nothing else has happened.
+    assert (len(told("made_again")), told("lost"), node.executed) == (1, [], [])
+    place.is_lost = place.is_taken = True
+    node.rig.run_until(2300 * MS)
+    assert (len(told("lost")), node.executed) == (1, [])
+    assert "an emergency stop might not reach this node: another rig has it" in moves("b")
+    node.rig.run_until(2900 * MS)
+    stops = ["estop"] if key == "afm_node@slave" else []
+    assert node.executed == stops
+    node.rig.run_until(5000 * MS)
+    assert (len(told("lost")), node.executed) == (1, stops)
+    place.is_taken = False
+    node.rig.run_until(5600 * MS)
+    assert len(told("made_again")) == 2
+    answer = moves("c")
+    assert "might not reach" not in answer
+    assert ("does not refer to the newest emergency stop" in answer) == bool(stops)
 
 
 def test_only_a_device_that_stopped_itself_asks_for_a_new_wish_to_move() -> None:

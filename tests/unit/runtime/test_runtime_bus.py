@@ -583,8 +583,8 @@ def test_a_lock_that_was_removed_while_it_was_waited_for_is_none(
     lock = fcntl.flock
     opened: list[int] = []
 
-    def after_the_end_of_the_first(file: IO[str], operation: int) -> None:
-        opened.append(file.fileno())
+    def after_the_end_of_the_first(file: int, operation: int) -> None:
+        opened.append(file)
         first.close()
         lock(file, operation)
 
@@ -627,7 +627,7 @@ def test_a_folder_that_cannot_be_made_is_named(context: Context, tmp_path: Path)
         ZmqPublisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/file/bus")
 
 
-def test_an_ipc_path_that_libzmq_refuses_lets_its_lock_go(context: Context, tmp_path: Path) -> None:
+def test_an_ipc_path_that_is_too_long_lets_its_lock_go(context: Context, tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/{'x' * 120}"
     for _ in range(2):
         with pytest.raises(EndpointError, match=r"afm_node@slave cannot bind .*longer than 107"):

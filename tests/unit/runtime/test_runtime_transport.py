@@ -36,6 +36,7 @@ from telenano.runtime.security import peer_connections, socket_monitor, zap_auth
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.security.peer_connections import MessagePermissions
 from telenano.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
+from telenano.runtime.security.zap_authenticator import _is_of_this_user
 from telenano.runtime.wiring import transport
 from telenano.runtime.wiring.transport import Transport
 from telenano.testing import VirtualClock
@@ -258,6 +259,47 @@ def test_what_cannot_be_bound_is_named(world: Callable[..., list[Machine]], tmp_
             slave.network.publisher(AFM)
     # neither the socket nor its place nearby is kept
     slave.bind(AFM)
+
+
+def test_the_local_endpoint_beside_one_with_keys_is_made_again_for_readers_without_keys(
+    world: Callable[..., list[Machine]], tmp_path: Path
+) -> None:
+    plain = two_machine_book(tmp_path)
+    nodes = {name: entry.model_dump(exclude_none=True) for name, entry in plain.nodes.items()}
+    nodes[AFM]["local"] = f"ipc://{tmp_path}/{AFM}"
+    book = AddressBook.model_validate({**plain.model_dump(exclude={"nodes"}, exclude_none=True), "nodes": nodes})
+    master, slave = world(book=book)
+    join(slave, master)
+    with slave.context.socket(zmq.SUB) as early, slave.context.socket(zmq.SUB) as late:
+        for reader in (early, late):
+            reader.subscribe(b"")
+        early.connect(nodes[AFM]["local"])
+        until(lambda: early.poll(0) and master.received_from(AFM), master, slave)
+        (tmp_path / AFM).unlink()
+        [notice] = slave.network.places.look()
+        assert notice.state == "made_again"
+        late.connect(nodes[AFM]["local"])
+        until(lambda: late.poll(0), master, slave)
+    assert slave.network.rejected == {}
+
+
+@pytest.mark.parametrize(
+    ("address", "is_ours"),
+    [
+        (f":{os.geteuid()}:0:1", True),
+        (f"localhost:{os.geteuid()}:0:1", True),
+        ("localhost:0:5:1", True),
+        (f"localhost:{os.geteuid() + 4711}:0:1", False),
+        ("::1", False),
+        ("::0:0:1", False),
+        ("::ffff:0:0", False),
+        ("0::0:0:1", False),
+        ("127.0.0.1", False),
+        ("", False),
+    ],
+)
+def test_only_a_process_of_this_user_on_this_machine_needs_no_key(address: str, is_ours: bool) -> None:
+    assert _is_of_this_user(address) == is_ours
 
 
 # --- who is refused ---
