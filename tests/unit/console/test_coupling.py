@@ -157,6 +157,7 @@ def test_command_and_page_end_at_the_same_function(monkeypatch: pytest.MonkeyPat
     for module in (session_command, commander_module):
         monkeypatch.setattr(module, "recouple", recouple)
     file = tmp_path / "site.yaml"
+    file.write_bytes(DEFAULT_SITE_FILE.read_bytes())
     run = partial(CliRunner().invoke, app)
     done = run(["session", "couple", "--site-file", str(file)])
     assert (done.exit_code, done.output) == (0, "hand and tip are coupled again\n")
