@@ -84,6 +84,7 @@ class CommandClient:
 
     `failure` says why a required command failed, `tolerated_failures` holds by target the reasons of the others.
     `answers` are those of the last command by node, refusals among them; `ids` has the id of each answered command.
+    `ended` are nodes whose process ended on its way to where a command was over: what it said is true of none now.
     `void`: the failure is that an emergency stop has made the commands void. `latched` is a node in emergency stop from
     before, which a person has to release: until then, the command is tried again.
     """
@@ -116,6 +117,7 @@ class CommandClient:
         self.tolerated_failures: dict[str, str] = {}
         self.ids: dict[str, str] = {}
         self.answers: dict[str, SessionEvent] = {}
+        self.ended: set[str] = set()
         self._clock = clock
         self._publish = publish
         self._commands = deque(commands)
@@ -207,6 +209,7 @@ class CommandClient:
         self._placed.discard(node)
         # the process that was armed is not there any more, and the next one is not armed
         if node in self.answers and not self.failure:
+            self.ended.add(node)
             self.failure = f"{node} ended while it was being placed{text and ': '}{text}; arm it again"
 
     def _record_end(self, event: SessionEvent) -> None:
