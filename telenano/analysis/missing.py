@@ -70,13 +70,16 @@ def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
     return tuple(joined)
 
 
-def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) -> dict[str, Any]:
+def recording_facts(
+    info: RecordingInfo, start_ns: int, missing: Sequence[str], odd: Sequence[str] = ()
+) -> dict[str, Any]:
     """Return the part of a summary on its recording; `complete` is whether nothing at all is missing.
 
     Args:
         info: What is known of the recording.
         start_ns: The start of the session, from which the times of the parts count [ns].
         missing: Sentences on what is missing besides those of `info`.
+        odd: Sentences on what is odd besides those of `info`.
     """
     sentences = list(dict.fromkeys([*info.missing, *missing]))
     facts: dict[str, Any] = {
@@ -86,8 +89,8 @@ def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) 
         "lost": info.lost,
         "messages": info.messages,
     }
-    if info.odd:
-        facts["odd"] = list(info.odd)
+    if info.odd or odd:
+        facts["odd"] = [*info.odd, *odd]
     if info.parts:
         facts["parts"] = [
             {

@@ -43,7 +43,7 @@ from telenano.analysis.interruptions import Interruption, ModeReport, in_words, 
 from telenano.analysis.intervals import half_width, with_error
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import Spans, cut_off, gaps, recording_facts
-from telenano.analysis.summary import Summary
+from telenano.analysis.summary import Summary, finite
 from telenano.files.atomic_files import whole_results
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
@@ -177,13 +177,16 @@ class Session:
         """Return the summary of the session, with the keys of `Summary`; what the session does not show is null.
 
         All messages of its recording are read once. `missing` has sentences on what is known to be missing besides;
-        `left_out` is given where the summary has to name what could not be read of the session.
+        `left_out` has what the reader of the session could not take where that was another one.
         """
-        info, sent, overruns = _counted(self, recording, recording.left_out if left_out is None else left_out)
+        unread = LeftOut()
+        info, sent, overruns = _counted(self, recording, unread)
         series, holds, judged = _judged(self)
         interruptions = self.context.interruptions
-        unread = () if left_out is None else left_out.sentences()
-        missing = [*self.missing, *_lacking(self, series, holds), *missing, *unread]
+        age_parts = _loop_age_parts(self.split_age(recording))
+        for reader in (recording.left_out, *([] if left_out is None else [left_out])):
+            unread.add(reader)
+        missing = [*self.missing, *_lacking(self, series, holds), *missing, *unread.sentences()]
         last_s = self.duration_s - RELEASE_WINDOW_S
         samples = {
             "hold_ratio": _hold_ratios(self, holds),
@@ -205,7 +208,7 @@ class Session:
             "interruptions": [one._asdict() for one in interruptions],
             "hand_cycles": cycles_of(series.hand_force_n),
             "loop_age_ms": _loop_age_ms(ages_ms),
-            **_loop_age_parts(self.split_age(recording)),
+            **age_parts,
             "intervals": _intervals(samples, ages_ms),
             "overruns": overruns,
             "rate_hz": {name: round(count / self.duration_s, 3) for name, count in sent.items()},
@@ -218,9 +221,9 @@ class Session:
             "contact_known": self.knows_contact,
             "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
             "clocks": _clocks(self),
-            "recording": recording_facts(info, self.start_ns, missing),
+            "recording": recording_facts(info, self.start_ns, missing, unread.beyond_range()),
         }
-        return Summary.model_validate(summary).model_dump(exclude_unset=True)
+        return Summary.model_validate(finite(summary)).model_dump(exclude_unset=True)
 
     def clock_error_s(self, stage: str) -> float:
         """Return the bound of the error of a part of `split_age` by the two clocks [s]; 0 for one within a site."""
@@ -309,7 +312,7 @@ def write_report(
     show("3 of 3: drawing the figure")
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
-    text = json.dumps(summary, indent=2) + "\n"
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     figures: dict[str, bytes] = {}
     undrawn = ""
     try:
