@@ -1,5 +1,6 @@
 """Check of a recording: whether it is complete, and what precisely is missing where it is not."""
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -11,6 +12,7 @@ from pydantic import BaseModel
 from telenano.recording.info import notes_of
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.multi_file import MultiFileRecording
 from telenano.recording.reader import Recording
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.settings.known_packages import KNOWN_PACKAGES
@@ -63,6 +65,7 @@ def verify(paths: Sequence[Path]) -> Verdict:
         checks.append(check)
     for (earlier, later), (before, after) in zip(pairwise(recordings), pairwise(checks), strict=True):
         findings += _between(earlier, later, before, after)
+    findings += _cut(recordings)
     return Verdict(sound=all(finding.level == "info" for finding in findings), messages=total, findings=tuple(findings))
 
 
@@ -298,6 +301,18 @@ class _Check:
         if reported <= _MAX_REPORTED:
             path = str(self._recording.path)
             self._findings.append(Finding(check=check, level=level, file=path, channel=channel, text=text))
+
+
+def _cut(recordings: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield what recordings lack at the ends of their session, as a report of them says it."""
+    # it needs NumPy, and a file without a session does not
+    from telenano.recording.silence import cut_off
+
+    whole = recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)
+    # what cannot be read is reported as such
+    with contextlib.suppress(RecordingError):
+        for text in cut_off(whole):
+            yield Finding(check="end", level="warning", file=str(whole.path), channel="haptic/state", text=text)
 
 
 def _between(earlier: Recording, later: Recording, before: _Check, after: _Check) -> Iterator[Finding]:

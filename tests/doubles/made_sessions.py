@@ -170,9 +170,10 @@ class Made:
             ended |= {"outside": "drift", "law": "wave"} if "was shown to hold" in text else {}
             add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data=ended)
         if self.end_s is None:
-            numbers = {"haptic/state": counts.get(("haptic/state", HAND), 0)}
-            data = end_data(numbers)
-            add("session/event", HAND, SESSION_S + 0.3, kind="node", level="info", id="", text="ended", data=data)
+            for src in (CONTROLLER, TIP, HAND):
+                own = {topic: count for (topic, source), count in counts.items() if source == src}
+                data = end_data({**own, "session/event": own.get("session/event", 0) + 1})
+                add("session/event", src, SESSION_S + 0.3, kind="node", level="info", id="", text="ended", data=data)
         channels: dict[tuple[str, str], int] = {}
         for log_ns, _, topic, src, t_ns, seq, payload in sorted(rows):
             if (topic, src) not in channels:
