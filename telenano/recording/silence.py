@@ -175,8 +175,14 @@ def ends_of(
 
 
 def cut_off(recording: RecordingSource) -> tuple[str, ...]:
-    """Return in sentences what a recording lacks of its last session at either end; none where it has no session."""
-    if not any(channel.channel_topic == HAND for channel in recording.channels) or not _may_be_cut(recording):
+    """Return in sentences what a recording lacks of its last session at either end; none where it has no session.
+
+    A session is one whose scenario is known.
+    """
+    has_session = "scenario.yaml" in recording.attachments and any(
+        channel.channel_topic == HAND for channel in recording.channels
+    )
+    if not has_session or not _may_be_cut(recording):
         return ()
     hand = recording.columns(HAND, ("session_s", "seq", "t_ns", "log_ns"))
     running = running_of(recording, hand)

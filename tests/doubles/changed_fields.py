@@ -62,8 +62,8 @@ def cases_of(path: Path, seed: int, *, of_each: int = 1) -> list[Case]:
                 if (where, word) in seen:
                     continue
                 seen.add((where, word))
-                for chosen in [place, *dice.sample(own, min(len(own), of_each - 1))]:
-                    cases.append(Case(chosen, channel, where, word, value))
+                chosen = [place, *dice.sample(own, min(len(own), of_each - 1))]
+                cases += [Case(one, channel, where, word, value) for one in chosen]
     dice.shuffle(cases)
     return cases
 
