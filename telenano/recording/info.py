@@ -185,8 +185,16 @@ class RecordingStatistics:
         self._site = recorder_site
         self._lags: dict[str, _Lags] = {}
         self._replayed: set[str] = set()
+        # whether numbers are missing between the file that is read and those before it
+        self.lost_between = False
+        # channels of those files of which this one had no message yet
+        self._awaited: set[RecordedChannel] = set()
         # by channel and source, the gap that the recorder has recorded last
         self._gaps: dict[tuple[str, str], tuple[int, int]] = {}
+
+    def begin_file(self) -> None:
+        """Begin the next file of the recording."""
+        self.lost_between, self._awaited = False, set(self.channels)
 
     def add(self, message: RecordedMessage) -> None:
         """Add a message."""
@@ -194,7 +202,13 @@ class RecordingStatistics:
         statistics = self.channels.get(channel)
         if statistics is None:
             statistics = self.channels[channel] = ChannelStatistics(message)
-        statistics.add(message)
+        if self._awaited and channel in self._awaited:
+            self._awaited.discard(channel)
+            before = statistics.missing
+            statistics.add(message)
+            self.lost_between = self.lost_between or statistics.missing > before
+        else:
+            statistics.add(message)
         # a gap before a message is none at the end, whatever numbers the publisher begins with again
         if self._gaps and channel.src:
             self._gaps.pop((channel.channel_topic, channel.src), None)
