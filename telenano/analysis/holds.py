@@ -840,7 +840,13 @@ def _in_words(at_s: float, reason: str, context: SessionContext) -> tuple[str, b
     if reason in _STARVED:
         words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
-        return "; ".join([words, *_causes(context, at_s, at_s)]), True
+        # a device that stood still itself, or the hand that it follows, is the cause
+        silent = [
+            str(Lack(topic, start_s, end_s, lost=False))
+            for topic, start_s, end_s in context.silences
+            if start_s <= at_s <= end_s + REPORTED_WITHIN_S
+        ]
+        return "; ".join([*silent, words, *_causes(context, at_s, at_s)]), True
     when = f"at {at_s:.3f} s" + (", before the hand's force profile" if at_s < 0.0 else "")
     return f"{GUARD_ACTED} {when}" + (f" ({why})" if why else ""), False
 
