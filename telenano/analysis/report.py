@@ -41,8 +41,9 @@ from telenano.analysis.interruptions import Interruption, ModeReport, in_words, 
 from telenano.analysis.intervals import half_width, with_error
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import recording_facts
-from telenano.analysis.summary import Summary, finite
+from telenano.analysis.summary import Summary
 from telenano.files.atomic_files import whole_results
+from telenano.files.strict_json import finite
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig

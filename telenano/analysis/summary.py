@@ -3,8 +3,6 @@
 `make regenerate` writes its JSON Schema and the page docs/summary.md.
 """
 
-import math
-import sys
 from collections.abc import Iterator
 from typing import Any, Literal
 
@@ -308,17 +306,6 @@ class Summary(_Part):
         default=[], description="Each direction of the line between two sites; the key is absent without one"
     )
     recording: RecordingSummary = Field(description="The account of the recording")
-
-
-def finite(value: Any) -> Any:
-    """Return a part of a summary as strict JSON holds it: what overflows at the greatest number, no number as null."""
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [finite(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else math.copysign(sys.float_info.max, value)
-    return value
 
 
 def summary_schema() -> dict[str, Any]:

@@ -21,6 +21,7 @@ from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
 from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.files.printable import printable
+from telenano.files.strict_json import finite
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
@@ -131,7 +132,7 @@ def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
 
 def print_json(document: Any) -> None:
     """Print one JSON document on a line."""
-    typer.echo(json.dumps(document))
+    typer.echo(json.dumps(finite(document), allow_nan=False))
 
 
 def console() -> Console:

@@ -11,7 +11,7 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
-from telenano.wire.sequence import SequenceTracker
+from telenano.wire.sequence import SequenceTracker, total
 
 # the metadata record with which the recorder ends a file: why it ended, and what is known to be missing
 END_NAME = "end"
@@ -232,7 +232,7 @@ class RecordingStatistics:
     @property
     def lost(self) -> int:
         """Messages that were sent to the recorder and are missing."""
-        return sum(statistics.missing for statistics in self.channels.values())
+        return total(statistics.missing for statistics in self.channels.values())
 
     def missing(self) -> tuple[str, ...]:
         """Return a sentence for each channel that lacks messages; the last one counts the further channels."""
@@ -244,7 +244,7 @@ class RecordingStatistics:
         ]
         rest = counts[_MOST_NAMED:]
         if rest:
-            named.append(f"{sum(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
+            named.append(f"{total(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
         return tuple(named)
 
     def lag(self) -> LagInfo | None:

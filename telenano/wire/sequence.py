@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterable
 from enum import Enum, auto
 
 # A count on the wire can hold at most this number and stays there, whatever numbers a peer makes up.
@@ -13,6 +14,11 @@ _REMEMBERED_GAP = 4096
 # that was far ahead did not come from the publisher.
 _REWIND_RUN = 8
 _REWIND_NS = 1_000_000_000
+
+
+def total(counts: Iterable[int]) -> int:
+    """Return the sum of counts, which stays where each of them does: no reader has a larger number to expect."""
+    return min(sum(counts), MOST_COUNTED)
 
 
 class Arrival(Enum):

@@ -20,7 +20,9 @@ import msgspec
 from telenano.recording.quantities import model_of
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyWriter
-from telenano.wire import decode
+from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.wire import TOPICS, decode, encode, example
+from telenano.wire.nodes import site_of
 
 Path_ = tuple[str | int, ...]
 _ABSENT = object()
@@ -66,6 +68,31 @@ def cases_of(path: Path, seed: int, *, of_each: int = 1) -> list[Case]:
                 cases += [Case(one, channel, where, word, value) for one in chosen]
     dice.shuffle(cases)
     return cases
+
+
+def with_examples(source: Path, target: Path) -> Path:
+    """Write a recording again with an ordinary message of each topic that it lacks, half a second after its start."""
+    whole = Recording(source)
+    has = {channel.topic for channel in whole.channels}
+    at_ns = whole.span_ns[0] + 500_000_000
+    settings = FileSettings(directory=target.parent, file_name=target.name)
+    writer = RecordingWriter.create("recorder@master", settings)
+    for name, data in whole.attachments.items():
+        writer.attach(name, "application/yaml", data, 0)
+    for name, facts in whole.metadata.items():
+        writer.add_metadata(name, facts)
+    rows = [(one.log_ns, one.topic, one.src, one.site, one.publish_ns, one.seq, one.payload) for one in whole.select()]
+    for topic in TOPICS:
+        if topic not in has:
+            made = msgspec.structs.replace(example(topic), t_ns=at_ns, seq=0)
+            rows.append((at_ns, topic, made.src, site_of(made.src), at_ns, 0, encode(made)))
+    numbers: dict[tuple[str, str, str], int] = {}
+    for log_ns, topic, src, site, publish_ns, seq, payload in sorted(rows, key=lambda row: row[0]):
+        if (topic, src, site) not in numbers:
+            numbers[topic, src, site] = writer.channel(topic, src, site)
+        writer.write(numbers[topic, src, site], log_ns, publish_ns, seq, payload)
+    writer.finish({"state": "stopped", "note": ""})
+    return writer.path
 
 
 def is_valid(path: Path, cases: Sequence[Case]) -> list[bool]:
