@@ -11,11 +11,12 @@ from telenano_studies.plot import read_traces
 
 import telenano
 from telenano.analysis.report import write_report
-from telenano.cli.output import clock_warning
+from telenano.cli.output import clock_warning, closing_lines
 from telenano.recording.reader import Recording
 from telenano.recording.sender_time import SenderClock
 from telenano.recording.site_clock import read_site_clock
 from telenano.recording.site_merge import merge_sites
+from telenano.recording.verify import verify
 
 # what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
 FIGURES = ("verdict", "stable", "reason", "hold_ratio", "contact_x_cm", "release_force_nn", "greatest_pull_nn")
@@ -325,6 +326,61 @@ def test_every_hold_of_the_tip_and_every_time_that_the_hand_was_let_go_is_counte
     own = report(tmp_path / "own", **asked)
     assert (own["tip_holds"], own["hand_let_go"], own["interruptions"]) == (0, 0, [])
     assert verdicts(own) == ["limit_cycle", "stable"]
+
+
+@pytest.mark.check("takes 0.8 s")
+@pytest.mark.parametrize(("back_s", "verdict"), [(3.6, "stable"), (3.8, "guarded"), (4.45, "guarded")])
+def test_a_hold_is_judged_with_its_hand_and_the_cause_of_its_absence_comes_first(
+    tmp_path: Path, back_s: float, verdict: str
+) -> None:
+    """The tip rests all the time; the motor of the hand is off from 2.95 s on, in a hold from 2.9 s to 4.5 s."""
+    summary = report(
+        tmp_path, hand_mode=off_between(2.95, back_s), events=((2.95, {"mode": "off", "position_m": 0.0}),)
+    )
+    first, hold = summary["holds"]
+    assert (first["verdict"], first["coupled_share"]) == ("stable", 1.0)
+    assert hold["verdict"] == summary["verdict"] == verdict
+    assert hold["coupled_share"] == pytest.approx(1.0 - (back_s - 2.95) / 1.6, abs=0.02)
+    assert summary["recording"]["missing"] == []
+    said = closing_lines(summary, tmp_path)[0]
+    share = f"{100.0 * hold['coupled_share']:.0f} %"
+    if verdict == "guarded":
+        cause = f"the hand was let go once, at 2.950 s, for {1e3 * (back_s - 2.95):.0f} ms"
+        assert summary["reason"].startswith(cause)
+        assert f"hand and tip were both in it for {share} of the hold" in hold["reason"]
+        assert "the hand held" not in said
+    else:
+        assert said.endswith(f"N for each newton at the tip, in the {share} of the hold in which both were in it")
+
+
+STANDS_S = (3.2, 3.5)
+
+
+def stood_still(made: Made, anew: bool) -> Made:
+    """Return a session whose AFM sends nothing for 0.3 s, and goes on, itself or a new process of it."""
+    made.silent = lambda topic, time_s: topic == "afm/state" and STANDS_S[0] < time_s < STANDS_S[1]
+    made.anew_tip_s = STANDS_S[1] if anew else None
+    return made
+
+
+@pytest.mark.check("takes 0.8 s")
+@pytest.mark.parametrize("anew", [False, True])
+def test_an_instrument_that_stood_still_has_lost_nothing(tmp_path: Path, anew: bool) -> None:
+    path = stood_still(Made(), anew).write(tmp_path)
+    summary = telenano.open(path).summary
+    assert verify([path]).sound
+    assert (summary["recording"]["complete"], summary["verdict"], summary["sources_silent"]) == (True, "guarded", 1)
+    words = "the AFM sent nothing from 3.200 s to 3.500 s"
+    assert summary["reason"].startswith(words)
+    (silence,) = summary["interruptions"]
+    assert (silence["kind"], silence["reason"]) == ("source_silent", "the AFM sent nothing")
+    assert summary["holds"][1]["coupled_share"] == pytest.approx(1.0 - 0.3 / 1.6, abs=0.02)
+    # the same time without samples, of which the numbers are missing
+    (tmp_path / "lost").mkdir()
+    lost_path = Made(without=lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.5).write(tmp_path / "lost")
+    lost = telenano.open(lost_path).summary
+    assert not verify([lost_path]).sound
+    assert (lost["recording"]["complete"], lost["verdict"], lost["sources_silent"]) == (False, "no_data", 0)
 
 
 def test_a_law_that_swung_before_the_network_was_away_is_blamed_for_it(tmp_path: Path) -> None:
