@@ -10,6 +10,7 @@ from made_sessions import BEGAN_NS, NS, Made, hand_force_n
 from telenano_studies.plot import read_traces
 
 import telenano
+from telenano.analysis.recording_document import judged_recording
 from telenano.analysis.report import write_report
 from telenano.cli.output import clock_warning, closing_lines
 from telenano.recording.reader import Recording
@@ -426,3 +427,17 @@ def test_a_clock_that_steps_back_inside_a_file_is_not_blamed_on_the_sites(
     summary = report(tmp_path, set_back_s=(at_s, by_s))
     assert summary["clocks"]["applied"] is False, summary["clocks"]
     assert clock_warning(summary) == ""
+
+
+def test_the_page_tells_a_silence_and_a_loss(tmp_path: Path) -> None:
+    document = judged_recording(Recording(stood_still(Made(), anew=False).write(tmp_path)))
+    (silence,) = [moment for moment in document["moments"] if moment["kind"] == "source_silent"]
+    assert (silence["level"], silence["src"]) == ("warning", "afm_node")
+    assert silence["text"] == "the AFM sent nothing for 300 ms, and no message is missing"
+    assert silence["t_s"] - document["session_s"][0] == pytest.approx(3.2, abs=0.01)
+    assert document["summary"]["recording"]["complete"] is True
+    (tmp_path / "lost").mkdir()
+    lost = Made(without=lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.5).write(tmp_path / "lost")
+    document = judged_recording(Recording(lost))
+    assert [moment for moment in document["moments"] if moment["kind"] == "source_silent"] == []
+    assert document["summary"]["recording"]["complete"] is False
