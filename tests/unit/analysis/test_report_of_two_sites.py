@@ -441,3 +441,19 @@ def test_the_page_tells_a_silence_and_a_loss(tmp_path: Path) -> None:
     document = judged_recording(Recording(lost))
     assert [moment for moment in document["moments"] if moment["kind"] == "source_silent"] == []
     assert document["summary"]["recording"]["complete"] is False
+
+
+@pytest.mark.check("takes 4 s")
+@pytest.mark.parametrize("ahead_s", [0.0, 37.0])
+@pytest.mark.parametrize(("what", "verdict"), [("silent", "guarded"), ("without", "no_data")])
+def test_recordings_of_both_sites_tell_silence_from_loss_alone_and_together(
+    tmp_path: Path, what: str, verdict: str, ahead_s: float
+) -> None:
+    away: dict[str, Any] = {what: lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.6}
+    paths = [Made(ahead_s=ahead_s, **away).write(tmp_path, site) for site in ("master", "slave")]
+    both = tmp_path / "both.mcap"
+    merge_sites(paths, both)
+    for path in (paths[0], both):
+        summary = telenano.open(path).summary
+        assert summary["verdict"] == verdict
+        assert summary["recording"]["complete"] is verify([path]).sound is (what == "silent")
