@@ -13,7 +13,7 @@ from telenano.wire import Message
 from telenano.wire.codec import fields_of
 from telenano.wire.ends import read_end
 from telenano.wire.nodes import site_of
-from telenano.wire.sequence import counted
+from telenano.wire.sequence import total
 
 # at most a second of the loop at once: more would hold up the page, and is past anyway
 _MOST_SAMPLES = 1000
@@ -150,8 +150,8 @@ class Feed:
             return
         facts = _facts(seen.fields, HEALTH_KEYS)
         inputs = seen.fields["inputs"]
-        facts["lost"] = counted(row["lost"] for row in inputs)
-        facts["rejected"] = counted(n for reason, n in seen.fields["rejected"].items() if reason != "superseded")
+        facts["lost"] = total(row["lost"] for row in inputs)
+        facts["rejected"] = total(n for reason, n in seen.fields["rejected"].items() if reason != "superseded")
         facts["beat"] = seen.t_ns
         self._set_node(seen.src, facts)
 

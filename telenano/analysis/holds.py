@@ -38,6 +38,7 @@ from telenano.analysis.verdict import (
     reach_of,
     rounding_of,
 )
+from telenano.recording.silence import HAND, LONGEST_STEP_S
 
 Series = npt.NDArray[np.float64]
 Span = tuple[float, float]
@@ -66,11 +67,10 @@ PARTED_M = 1e-3
 LATE_S = 0.01
 
 # The topics whose samples have to come.
-HAND = "haptic/state"
 TIP = "afm/state"
 ANSWERS = "haptic/command"
-# samples come every millisecond; at this distance [s] the deadline of the loop has passed
-LONGEST_STEP_S = 0.05
+# A hold is judged as one of hand and tip where both were in it for this share [1].
+COUPLED_SHARE = 0.5
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
 _STARVED = (DEADLINE, "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
@@ -101,7 +101,8 @@ class Hold(NamedTuple):
     judged_from_s, judged_to_s: the episode that the verdict is on, None where there is none; rest_from_s: since when it
     is at rest, if it is; hold_ratio: mean of F_m/(alpha_f F_s) in the later half of its rest, None where it does not
     come to rest or does not press; frequency_hz: None, or that of the swing that is judged in the place of a hold;
-    hand_force_n is then the mean.
+    hand_force_n is then the mean; coupled_share: the share of the hold in which hand and tip were both in it: both sent
+    samples, the motor of the hand was on, and the tip followed.
     """
 
     start_s: float
@@ -118,6 +119,7 @@ class Hold(NamedTuple):
     rest_from_s: float | None = None
     hold_ratio: float | None = None
     frequency_hz: float | None = None
+    coupled_share: float = 1.0
 
     def has(self, *kinds: FactKind) -> bool:
         """Return whether one of these facts is true of the hold."""
@@ -178,13 +180,17 @@ class Late(NamedTuple):
 
 
 class Lack(NamedTuple):
-    """What a session lacks: a topic, and from when to when [s]."""
+    """What a session lacks: a topic, from when to when [s], and whether it was sent and is lost."""
 
     topic: str
     start_s: float
     end_s: float
+    lost: bool = True
 
     def __str__(self) -> str:
+        if not self.lost and self.topic != ANSWERS:
+            source = "hand" if self.topic == HAND else "AFM"
+            return f"the {source} sent nothing from {self.start_s:.3f} s to {self.end_s:.3f} s of the session"
         what = "no answer reached the hand" if self.topic == ANSWERS else "nothing"
         return f"{self.topic}: {what} from {self.start_s:.3f} s to {self.end_s:.3f} s of the session"
 
@@ -199,7 +205,9 @@ class SessionContext(NamedTuple):
     the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop;
     interruptions: when the loop was open; late: when a process was late; deadline_s: after which
     time without a command a device opens the loop [s]; transit_s: how long a command is in transit at the most [s];
-    rest_force: what the law rests at for a force of the hand [N], None if it does not say.
+    rest_force: what the law rests at for a force of the hand [N], None if it does not say; silences: topic of hand or
+    tip, and from when to when [s] their source sent nothing, so that nothing is lost; let_go: from when to when [s] the
+    motor of the hand was off.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -214,6 +222,8 @@ class SessionContext(NamedTuple):
     deadline_s: float = LONGEST_STEP_S
     transit_s: float = 0.0
     rest_force: Callable[[float], float] | None = None
+    silences: Sequence[tuple[str, float, float]] = ()
+    let_go: Sequence[tuple[float, float]] = ()
 
 
 NO_CONTEXT = SessionContext()
@@ -247,29 +257,54 @@ def gaps_in(times_s: Series, start_s: float, end_s: float) -> list[tuple[float, 
 
 
 def lacks_of(
-    hand_time_s: Series, tip_time_s: Series, span_s: tuple[float, float], answered_s: Series | None = None
+    hand_time_s: Series, tip_time_s: Series, span_s: tuple[float, float], context: SessionContext = NO_CONTEXT
 ) -> list[Lack]:
     """Return what a hold lacks so much of that there is no telling what became of it; nothing if it has its samples.
 
     A tenth of hand or tip has to be missing, in pieces of more than LONGEST_STEP_S; of the answers all have to be,
-    because delayed and lost answers are a matter of the loop.
+    because delayed and lost answers are a matter of the loop. Where a tenth is lost, the losses are returned, and else
+    the silences: what a source did not send is not lost, and neither are answers that did not reach the hand.
 
     Args:
         hand_time_s: The times of the hand's samples [s].
         tip_time_s: The times of the tip's samples [s].
         span_s: The start and the end of the hold [s].
-        answered_s: The times of the answers at the hand [s]; None does not judge them.
+        context: What is known of silences, and of the answers at the hand.
     """
     start_s, end_s = span_s
     lacking = []
     for topic, times in ((HAND, hand_time_s), (TIP, tip_time_s)):
-        spans = gaps_in(times, start_s, end_s)
-        if sum(last - first for first, last in spans) > ERROR_SHARE * (end_s - start_s):
-            lacking += [Lack(topic, first, last) for first, last in spans]
+        silent = [(first, last) for one, first, last in context.silences if one == topic]
+        spans = [(*span, not _covered(span, silent)) for span in gaps_in(times, start_s, end_s)]
+        for lost in (True, False):
+            own = [Lack(topic, first, last, lost) for first, last, is_lost in spans if is_lost is lost]
+            lacks_s = sum(one.end_s - one.start_s for one in (own if lost else [Lack(topic, *span) for span in spans]))
+            if lacks_s > ERROR_SHARE * (end_s - start_s):
+                lacking += own
+                break
     knows_hand = not any(lack.topic == HAND for lack in lacking)
+    answered_s = context.answered_s
     if knows_hand and answered_s is not None and not ((answered_s >= start_s) & (answered_s <= end_s)).any():
-        lacking.append(Lack(ANSWERS, start_s, end_s))
+        lacking.append(Lack(ANSWERS, start_s, end_s, lost=False))
     return lacking
+
+
+def coupled_share(context: SessionContext, tip_time_s: Series, tip: Instrument, span_s: Span) -> float:
+    """Return the share of a span [s] in which hand and tip were both in it, 0 to 1.
+
+    Both sent samples, the motor of the hand was on, and the tip followed. What is lost counts as it was before.
+    """
+    start_s, end_s = span_s
+    out: list[Span] = [(first, last) for _, first, last in context.silences]
+    out += context.let_go
+    out += [(one.start_s, one.end_s) for one in context.interruptions]
+    away = ~tip.following if tip.held is None else ~tip.following | tip.held
+    edges = np.flatnonzero(np.diff(away, prepend=False, append=False)).reshape(-1, 2).tolist()
+    out += [(float(tip_time_s[i]), float(tip_time_s[min(j, len(tip_time_s) - 1)])) for i, j in edges]
+    if away.size and away[-1]:
+        out[-1] = (out[-1][0], max(end_s, out[-1][1]))
+    within_s = sum(last - first for first, last in outside(span_s, out, 0.0))
+    return within_s / (end_s - start_s) if end_s > start_s else 0.0
 
 
 def judge_holds(
@@ -284,9 +319,11 @@ def judge_holds(
     """Return the holds of a session, each with its verdict.
 
     Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure. A
-    stretch in which the hand lies still without pressing, and the tip does not touch, is no hold. A hold without
-    samples of hand or tip, or without an answer at the hand, is `no_data`, also one of the programme that the recording
-    does not show at all. A hold ends where the instrument begins a program of its own or somebody has it withdraw.
+    stretch in which the hand lies still without pressing, and the tip does not touch, is no hold. A hold of which
+    samples of hand or tip are lost is `no_data`, also one of the programme that the recording does not show at all. One
+    in which a source sent nothing, no answer reached the hand, or hand and tip were not both for half of it, is
+    `guarded` unless its motion shows more. A hold ends where the instrument begins a program of its own or somebody has
+    it withdraw.
 
     Args:
         hand_time_s: The times of the hand's samples [s], shape (n,).
@@ -325,7 +362,7 @@ def judge_holds(
             continue
         pressed = hand_force_n[slice(*np.searchsorted(hand_time_s, (start, end)).tolist())]
         is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest
-        if lacks_of(hand_time_s, hand_time_s, (start, end)):
+        if lacks_of(hand_time_s, hand_time_s, (start, end), context._replace(answered_s=None)):
             holds.append((start, end, force))
         elif is_held and not context.by_hand:
             # the hand trembles about what was planned
@@ -475,17 +512,22 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     start, end, force = hold
     episodes = episodes_of(session, start, end)
     contacts = [one for one in episodes if one.kind == "contact"]
-    lacking = lacks_of(session.hand_s, session.tip_s, (start, end), session.known.answered_s)
+    lacking = lacks_of(session.hand_s, session.tip_s, (start, end), session.known)
+    lost = [one for one in lacking if one.lost]
+    share = coupled_share(session.known, session.tip_s, session.tip, (start, end))
     away = next((one for one in episodes if one.kind == "away"), None)
     touches = bool(contacts) and bool(session.tip.in_contact[session.at(0.5 * (start + end), end)].all())
     if abs(force) <= session.small_n and not touches and not lacking and away is None:
         return None
-    if lacking and away is None:
-        causes = _causes(session.known, lacking[0].start_s, lacking[-1].end_s)
-        return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
+    if lost and away is None:
+        causes = _causes(session.known, lost[0].start_s, lost[-1].end_s)
+        words = "; ".join([*map(str, lost), *causes])
+        return Hold(start, end, force, "no_data", None, 0.0, 0.0, words, coupled_share=share)
     first, verdict = _judged_contact(session, contacts, episodes, force)
     if away is not None:
         verdict = _guarded(session, away, verdict, first)
+    elif lacking or share < COUPLED_SHARE:
+        verdict = _interrupted(session, (start, end), lacking, share, verdict)
     elif first is not None and verdict.kind == "stable":
         own = session.at(first.start_s, first.end_s)
         left_s = float(session.tip_s[own][session.tip.in_contact[own]].max(initial=first.start_s))
@@ -493,7 +535,7 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
         if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
             words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
             verdict = verdict._replace(kind="contact_lost", reason=words)
-    judged = Hold(start, end, force, *verdict[:5])
+    judged = Hold(start, end, force, *verdict[:5], coupled_share=share)
     if first is not None:
         rests = verdict.kind == "stable" and verdict.rest_from_s is not None
         rest_s = max(verdict.rest_from_s or 0.0, first.start_s) if rests else None
@@ -655,6 +697,22 @@ def _guarded(session: _Session, away: Episode, verdict: Verdict, first: Episode 
     return verdict._replace(kind="guarded", reason=words)
 
 
+def _interrupted(session: _Session, span_s: Span, lacking: Sequence[Lack], share: float, verdict: Verdict) -> Verdict:
+    """Return the verdict on a hold in which hand and tip were not both for long enough, with what kept them out first.
+
+    What the motion showed while they were stays: it grew, or went on.
+    """
+    start_s, end_s = span_s
+    own = [one for one in session.known.interruptions if one.start_s < end_s and one.end_s > start_s]
+    causes = [*map(str, lacking)] if lacking else [in_words(own)] if own else []
+    first_s, last_s = (lacking[0].start_s, lacking[-1].end_s) if lacking else span_s
+    causes += _causes(session.known, first_s, last_s)
+    words = "; ".join([*causes, f"hand and tip were both in it for {100.0 * share:.0f} % of the hold"])
+    if verdict.kind in ("diverged", "limit_cycle"):
+        return verdict._replace(reason=f"{words}; {verdict.reason}")
+    return verdict._replace(kind="guarded", reason=words)
+
+
 def _guard_s(session: _Session, away: Episode) -> float:
     first = int(np.searchsorted(session.tip_s, away.start_s))
     while first > 0 and not session.tip.following[first - 1]:
@@ -739,9 +797,11 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
         reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "continues")
         kind: Kind = "stable" if dies_out else "limit_cycle"
         verdict = verdict._replace(kind=kind, peak_to_peak_n=swing.peak_to_peak_n, reason=reason)
-    return Hold(
-        swing.start_s, swing.end_s, force, *verdict[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz
-    )
+    span_s = swing.start_s, swing.end_s
+    share = coupled_share(session.known, session.tip_s, session.tip, span_s)
+    if not why and share < COUPLED_SHARE:
+        verdict = _interrupted(session, span_s, (), share, verdict)
+    return Hold(span_s[0], span_s[1], force, *verdict[:5], (), span_s[0], at_s, None, None, swing.frequency_hz, share)
 
 
 def absences(tip_time_s: Series, tip: Instrument | None, context: SessionContext) -> list[tuple[float, float]]:
@@ -780,7 +840,13 @@ def _in_words(at_s: float, reason: str, context: SessionContext) -> tuple[str, b
     if reason in _STARVED:
         words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
-        return "; ".join([words, *_causes(context, at_s, at_s)]), True
+        # a device that stood still itself, or the hand that it follows, is the cause
+        silent = [
+            str(Lack(topic, start_s, end_s, lost=False))
+            for topic, start_s, end_s in context.silences
+            if start_s <= at_s <= end_s + REPORTED_WITHIN_S
+        ]
+        return "; ".join([*silent, words, *_causes(context, at_s, at_s)]), True
     when = f"at {at_s:.3f} s" + (", before the hand's force profile" if at_s < 0.0 else "")
     return f"{GUARD_ACTED} {when}" + (f" ({why})" if why else ""), False
 

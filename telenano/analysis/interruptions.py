@@ -1,8 +1,10 @@
-"""What interrupted the loop of a session: processes that ended, holds of the tip and of commands, a hand let go.
+"""What interrupted the loop of a session: processes that ended, or sent nothing, a tip that was held, a hand let go.
 
-A tip is held, and a hand let go, where no command came within the deadline of its guard. Both continue by themselves as
-soon as commands come again, so that no mode of a device shows it any more when the hold of the hand is over. The law
-is not to blame for what moves then: `telenano.analysis.holds` judges it by what it did before.
+A source that sends nothing for a while, and goes on with its numbers, has lost no message (`telenano.recording.silence`
+tells it from a loss). A tip is held, and a hand let go, where no command came within the deadline of its guard. Both
+continue by themselves as soon as commands come again, so that no mode of a device shows it any more when the hold of
+the hand is over. The law is not to blame for what moves then: `telenano.analysis.holds` judges it by what it did
+before.
 """
 
 from collections import Counter
@@ -12,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-InterruptionKind = Literal["process_ended", "tip_held", "hand_let_go"]
+InterruptionKind = Literal["process_ended", "source_silent", "tip_held", "hand_let_go"]
 # the reason that the instrument gives where it holds the tip for want of commands, and the hand's beginning of its own
 DEADLINE = "command_deadline"
 _HAND_DEADLINE = "no command within the deadline"
@@ -78,10 +80,11 @@ def interruptions_of(
 def in_words(interruptions: Sequence[Interruption]) -> str:
     """Return a sentence on all interruptions of a stretch, with the first of each kind by its time; empty for none."""
     clauses = []
-    for kind in ("process_ended", "tip_held", "hand_let_go"):
+    for kind in ("process_ended", "source_silent", "tip_held", "hand_let_go"):
         of_kind = [one for one in interruptions if one.kind == kind]
-        if of_kind:
-            clauses.append(_clause(kind, of_kind))
+        # each source that was silent has a clause of its own
+        groups = dict.fromkeys(one.reason if kind == "source_silent" else "" for one in of_kind)
+        clauses += [_clause(kind, [one for one in of_kind if one.reason == group or not group]) for group in groups]
     return "; ".join(clauses)
 
 
@@ -90,10 +93,14 @@ def _clause(kind: str, interruptions: Sequence[Interruption]) -> str:
     if kind == "process_ended":
         more = f", and {len(interruptions) - 1} more processes of the rig ended" if len(interruptions) > 1 else ""
         return f"at {first.start_s:.3f} s {first.reason}{more}"
+    if kind == "source_silent" and len(interruptions) == 1:
+        return f"{first.reason} from {first.start_s:.3f} s to {first.end_s:.3f} s"
     longest_ms = 1e3 * max(one.end_s - one.start_s for one in interruptions)
     when = f"{'' if len(interruptions) == 1 else 'first '}at {first.start_s:.3f} s, for {longest_ms:.0f} ms" + (
         " at the longest" if len(interruptions) > 1 else ""
     )
+    if kind == "source_silent":
+        return f"{first.reason} {times}, {when}"
     if kind == "tip_held":
         return f"the tip was held {times} because no command came ({DEADLINE}), {when}"
     why = Counter(one.reason for one in interruptions).most_common(1)[0][0]

@@ -46,6 +46,16 @@ def _session_facts(
         {"t_s": moment.time_s + shift_s, "kind": moment.kind, "level": "info", "src": "afm_node", "text": moment.text}
         for moment in moments_of(contacts, session.duration_s)
     ]
+    # what else interrupted a session a node has reported itself
+    moments += [
+        {
+            "t_s": one["start_s"] + shift_s, "kind": one["kind"], "level": "warning",
+            "src": "haptic_node" if "hand" in one["reason"] else "afm_node",
+            "text": f"{one['reason']} for {1e3 * (one['end_s'] - one['start_s']):.0f} ms, and no message is missing",
+        }
+        for one in summary["interruptions"]
+        if one["kind"] == "source_silent"
+    ]  # fmt: skip
     return {
         "session_s": [shift_s, shift_s + session.duration_s],
         "phases": [{"kind": p.kind, "from_s": p.from_s + shift_s, "to_s": p.to_s + shift_s} for p in phases],

@@ -18,9 +18,7 @@ from telenano.analysis.fig12 import SessionSeries, TipStates, fig12_files
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
 from telenano.analysis.holds import (
     ANSWERS,
-    HAND,
     LATE_S,
-    LONGEST_STEP_S,
     NO_CONTEXT,
     SHORTEST_HOLD_S,
     TIP,
@@ -42,16 +40,18 @@ from telenano.analysis.holds import (
 from telenano.analysis.interruptions import Interruption, ModeReport, in_words, interruptions_of
 from telenano.analysis.intervals import half_width, with_error
 from telenano.analysis.mean_interval import mean_half_width
-from telenano.analysis.missing import Spans, cut_off, gaps, recording_facts
+from telenano.analysis.missing import recording_facts
 from telenano.analysis.summary import Summary
 from telenano.files.atomic_files import whole_results
+from telenano.files.strict_json import finite
 from telenano.hand.config import LimitsConfig, recorded_hand
 from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.recording.arrays import last_session
+from telenano.recording.arrays import in_step
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.silence import HAND, LONGEST_STEP_S, Break, breaks_of, ends_of, joined, running_of, sent_of
 from telenano.recording.site_clock import Timeline
 from telenano.settings.config import validate
 from telenano.settings.package_topics import row_of
@@ -87,9 +87,12 @@ _LEAST_N = 0.1
 # A launcher that is busy reports the end of a process this long after it [s].
 _EXIT_WITHIN_S = 2.0
 _NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
-_HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
+# as a sentence names the source of a topic
+_SOURCES = {HAND: "the hand", TIP: "the AFM"}
+_COMMAND = "haptic/command"
+_HAND_FIELDS = ("seq", "log_ns", "session_s", "mode", "operator_force_n.2", "position_m.2")
 _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
-_COMMAND_FIELDS = ("position_m.2", "force_n.2")
+_COMMAND_FIELDS = ("seq", "position_m.2", "force_n.2")
 _TIP_FIELDS = (
     "seq", "tip_force_n.2", "base_position_m.2", "separation_m", "separation_valid", "in_contact", "meniscus",
     "limited", "mode", "placed",
@@ -101,8 +104,9 @@ class Session:
     """The part of a recording in which the operator's force profile ran, and the series that the report needs.
 
     `missing` has a sentence for each end of it that the recording lacks; `context` is what is known of its holds
-    besides the series; `timeline` puts stamps on the master's clock, on which the series are; `otherwise` is the same
-    session with the measured offset of the slave's clock taken off, where that is neither shown to be right nor wrong.
+    besides the series; `breaks` are the times in which a series has no sample; `timeline` puts stamps on the master's
+    clock, on which the series are; `otherwise` is the same session with the measured offset of the slave's clock taken
+    off, where that is neither shown to be right nor wrong.
     """
 
     start_ns: int
@@ -116,6 +120,7 @@ class Session:
     timeline: Timeline
     missing: tuple[str, ...] = ()
     context: SessionContext = NO_CONTEXT
+    breaks: tuple[Break, ...] = ()
     otherwise: "Session | None" = None
     knows_contact: bool = True
 
@@ -123,11 +128,11 @@ class Session:
     def duration_s(self) -> float:
         return (self.end_ns - self.start_ns) * 1e-9
 
-    def gaps_s(self) -> Spans:
-        """Return the spans of the session [s] in which a series has no sample."""
-        return gaps([self._time_s(series) for series in (self.hand, self.command, self.tip)], self.duration_s)
+    def gaps_s(self) -> tuple[tuple[float, float], ...]:
+        """Return the spans of the session [s] in which samples of a series are missing."""
+        return joined(self.breaks, lost=True)
 
-    def series(self, gaps_s: Spans = ()) -> SessionSeries:
+    def series(self, gaps_s: tuple[tuple[float, float], ...] = ()) -> SessionSeries:
         return SessionSeries(
             gaps_s=gaps_s,
             hand_time_s=self._time_s(self.hand),
@@ -169,7 +174,7 @@ class Session:
     def lacks(self, span_s: tuple[float, float]) -> list[Lack]:
         """Return what a hold from a start to an end [s] lacks so much of that there is no telling what became of it."""
         series = self.series()
-        return lacks_of(series.hand_time_s, series.tip_time_s, span_s, self.context.answered_s)
+        return lacks_of(series.hand_time_s, series.tip_time_s, span_s, self.context)
 
     def summary(
         self, recording: RecordingSource, missing: Sequence[str] = (), left_out: LeftOut | None = None
@@ -177,13 +182,16 @@ class Session:
         """Return the summary of the session, with the keys of `Summary`; what the session does not show is null.
 
         All messages of its recording are read once. `missing` has sentences on what is known to be missing besides;
-        `left_out` is given where the summary has to name what could not be read of the session.
+        `left_out` has what the reader of the session could not take where that was another one.
         """
-        info, sent, overruns = _counted(self, recording, recording.left_out if left_out is None else left_out)
+        unread = LeftOut()
+        info, sent, overruns = _counted(self, recording, unread)
         series, holds, judged = _judged(self)
         interruptions = self.context.interruptions
-        unread = () if left_out is None else left_out.sentences()
-        missing = [*self.missing, *_lacking(self, series, holds), *missing, *unread]
+        age_parts = _loop_age_parts(self.split_age(recording))
+        for reader in (recording.left_out, *([] if left_out is None else [left_out])):
+            unread.add(reader)
+        missing = [*self.missing, *_lacking(self, series, holds, info), *missing, *unread.sentences()]
         last_s = self.duration_s - RELEASE_WINDOW_S
         samples = {
             "hold_ratio": _hold_ratios(self, holds),
@@ -202,10 +210,11 @@ class Session:
             "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
             "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
             "processes_ended": sum(one.kind == "process_ended" for one in interruptions),
+            "sources_silent": sum(one.kind == "source_silent" for one in interruptions),
             "interruptions": [one._asdict() for one in interruptions],
             "hand_cycles": cycles_of(series.hand_force_n),
             "loop_age_ms": _loop_age_ms(ages_ms),
-            **_loop_age_parts(self.split_age(recording)),
+            **age_parts,
             "intervals": _intervals(samples, ages_ms),
             "overruns": overruns,
             "rate_hz": {name: round(count / self.duration_s, 3) for name, count in sent.items()},
@@ -218,9 +227,9 @@ class Session:
             "contact_known": self.knows_contact,
             "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
             "clocks": _clocks(self),
-            "recording": recording_facts(info, self.start_ns, missing),
+            "recording": recording_facts(info, self.start_ns, missing, unread.beyond_range()),
         }
-        return Summary.model_validate(summary).model_dump(exclude_unset=True)
+        return Summary.model_validate(finite(summary)).model_dump(exclude_unset=True)
 
     def clock_error_s(self, stage: str) -> float:
         """Return the bound of the error of a part of `split_age` by the two clocks [s]; 0 for one within a site."""
@@ -309,7 +318,7 @@ def write_report(
     show("3 of 3: drawing the figure")
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
-    text = json.dumps(summary, indent=2) + "\n"
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     figures: dict[str, bytes] = {}
     undrawn = ""
     try:
@@ -341,10 +350,8 @@ def write_files(folder: Path, files: Mapping[str, bytes], summary: Mapping[str, 
 
 
 def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
-    hand = _series(recording, "haptic/state", (*_HAND_FIELDS, *_ANSWER_FIELDS), timeline)
-    reports = _launchers_on_sessions(recording)
-    starts_ns, ends_ns = ([at_ns for at_ns, data in reports if key in data] for key in ("duration_s", "interrupted"))
-    running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], starts_ns, ends_ns)
+    hand = _series(recording, HAND, (*_HAND_FIELDS, *_ANSWER_FIELDS), timeline)
+    running = running_of(recording, hand)
     if running.size < 2:
         raise RecordingError(f"{recording.path}: the operator's force profile never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
@@ -353,38 +360,46 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     facts = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         facts["lines"] = lines
-    missing = cut_off(recording, hand["session_s"], running, (end_ns - start_ns) * 1e-9)
-    is_cut = any(sentence.startswith("the recording ends") for sentence in missing)
-    hand = {name: values[running] for name, values in hand.items()}
+    ends = ends_of(recording, hand, running)
     seconds = (end_ns - start_ns) * 1e-9
+    # a hand that falls silent is due until its force profile or the recording is over
+    due_s = max(seconds, min(document.duration_s, seconds + (ends.silent_s or 0.0)))
+    command = _series(recording, _COMMAND, _COMMAND_FIELDS, timeline)
+    tip = _series(recording, TIP, _TIP_FIELDS, timeline)
+    breaks = _breaks(recording, {HAND: hand, TIP: tip, _COMMAND: command}, start_ns, {HAND: due_s}, seconds)
+    hand = {name: values[running] for name, values in hand.items()}
     new = (hand["answered_t_ns"] > 0) & (np.diff(hand["answered_seq"], prepend=-1) != 0)
-    tip = _within(_series(recording, "afm/state", _TIP_FIELDS, timeline), start_ns, end_ns)
+    tip = _within(tip, start_ns, end_ns)
+    silences = [one for one in breaks if not one.lost and one.topic in _SOURCES]
     reported = _reported(recording, timeline, start_ns)
     return Session(
         start_ns=start_ns,
         end_ns=end_ns,
         hand=hand,
-        command=_within(_series(recording, "haptic/command", _COMMAND_FIELDS, timeline), start_ns, end_ns),
+        command=_within(command, start_ns, end_ns),
         tip=tip,
         force_scale=facts["parameters"]["force_scale"],
         scenario=document.name,
         conditions=facts,
         timeline=timeline,
-        missing=tuple(missing),
+        missing=ends.cut,
+        breaks=tuple(breaks),
         context=SessionContext(
             # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
-            planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
+            planned_holds(document, max(seconds, document.duration_s) if ends.is_cut else due_s),
             (hand["t_ns"][new] - start_ns) * 1e-9,
             reported.guards,
             reported.incidents,
             _limits(document, facts["changed"]),
             _programs(recording, timeline, start_ns, end_ns),
             is_by_hand(document),
-            _interruptions(hand, tip, reported, start_ns, end_ns),
+            _interruptions(hand, tip, reported, silences, start_ns, end_ns),
             sorted([*_late(hand, start_ns), *_late(tip, start_ns)]),
             _deadline_s(document),
             _transit_s(hand),
             _rest_force(document, facts, f"{recording.path}: scenario.yaml"),
+            [(one.topic, one.start_s, one.end_s) for one in silences],
+            _let_go(hand, start_ns),
         ),
         knows_contact=_knows_contact(document, tip["separation_m"]),
     )
@@ -524,16 +539,48 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
     return reports
 
 
+def _breaks(
+    recording: RecordingSource,
+    series: Mapping[str, Mapping[str, Series]],
+    start_ns: int,
+    due_s: Mapping[str, float],
+    length_s: float,
+) -> list[Break]:
+    """Return when a session has no samples of its series, in session time [s]; due_s: until when one is due."""
+    sent, breaks = sent_of(recording), []
+    for topic, values in series.items():
+        src = next((channel.src for channel in recording.channels if channel.channel_topic == topic), "")
+        times_s = (values["t_ns"] - start_ns) * 1e-9
+        span_s = (0.0, due_s.get(topic, length_s))
+        numbers = values["seq"].astype(np.int64)
+        breaks += breaks_of(topic, times_s, numbers, span_s, sent.get((topic, src)), is_closed=recording.closed)
+    return breaks
+
+
+def _let_go(hand: Mapping[str, Series], start_ns: int) -> list[tuple[float, float]]:
+    """Return from when to when [s] the motor of the hand was off in a session."""
+    time_s, is_off = (hand["t_ns"] - start_ns) * 1e-9, hand["mode"] == "off"
+    edges = np.flatnonzero(np.diff(is_off, prepend=False, append=False)).reshape(-1, 2).tolist()
+    return [(float(time_s[first]), float(time_s[min(after, len(time_s) - 1)])) for first, after in edges]
+
+
 def _interruptions(
-    hand: Mapping[str, Series], tip: Mapping[str, Series], reported: _Reported, start_ns: int, end_ns: int
+    hand: Mapping[str, Series],
+    tip: Mapping[str, Series],
+    reported: _Reported,
+    silences: Sequence[Break],
+    start_ns: int,
+    end_ns: int,
 ) -> list[Interruption]:
     """Return what interrupted the loop while the session ran, in session time [s] and in the order of time."""
     hand_s, tip_s = ((series["t_ns"] - start_ns) * 1e-9 for series in (hand, tip))
     length_s = (end_ns - start_ns) * 1e-9
+    # a hand that is gone at the end has ended after its last sample
+    last_s = max([length_s, *(one.end_s for one in silences)])
     restarts = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
     interruptions = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, restarts)
     interruptions += interruptions_of("tip_held", tip_s, tip["mode"] == "hold", reported.held)
-    exits = [(node, incident) for node, incident in reported.exits if 0.0 <= incident.time_s <= length_s]
+    exits = [(node, incident) for node, incident in reported.exits if 0.0 <= incident.time_s <= last_s]
     for first in restarts:
         begins_s, runs = float(hand_s[first - 1]), np.flatnonzero(hand["session_s"][first:] >= 0.0)
         own = [exit for exit in exits if exit[0] == HAND_NODE and abs(exit[1].time_s - begins_s) < _EXIT_WITHIN_S]
@@ -542,6 +589,12 @@ def _interruptions(
         then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_RESTARTED
         interruptions.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
         exits = [exit for exit in exits if exit not in own]
+    interruptions += [
+        Interruption("source_silent", one.start_s, one.end_s, f"{_SOURCES[one.topic]} sent nothing")
+        for one in silences
+        # the end of the hand's process is told as such
+        if not (one.topic == HAND and one.anew)
+    ]
     interruptions += [
         Interruption("process_ended", incident.time_s, incident.time_s, incident.text)
         for node, incident in exits
@@ -585,16 +638,20 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     return series, holds, judged
 
 
-def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> list[str]:
-    """Return a sentence for each span that makes a hold one without data, as long as it is in the session."""
+def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold], info: RecordingInfo) -> list[str]:
+    """Return a sentence for each loss that makes a hold one without data, as long as it is in the session.
+
+    What was left out by a reader is in the recording, and is not lacking.
+    """
     context = session.context
+    whole_topics = {one.channel_topic for one in info.channels if not one.lost} if info.closed else set()
     times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: context.answered_s}
     # The holds after the end of a recording that ends early are lacking as well.
     end_s = max([session.duration_s, *(hold.end_s for hold in holds)])
     sentences = []
     for hold in holds:
-        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), context.answered_s)
-        for lack in lacks if hold.verdict == "no_data" else ():
+        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), context)
+        for lack in [one for one in lacks if one.lost and one.topic not in whole_topics]:
             own = times[lack.topic]
             whole = gaps_in(series.hand_time_s if own is None else own, 0.0, end_s)
             sentences += [
@@ -814,17 +871,8 @@ def _series(
         return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}
     series = recording.columns(channel_topic, ("t_ns", *fields))
     series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64))
-    return series
-
-
-def _launchers_on_sessions(recording: RecordingSource) -> list[tuple[int, dict[str, Any]]]:
-    """Return what launchers reported of sessions: when [ns], and the facts."""
-    events = recording.select(
-        lambda channel: (
-            channel.topic == "session/event" and channel.via == "direct" and name_of(channel.src) == "launcher"
-        )
-    )
-    return [(event.publish_ns, fields["data"]) for event, fields in readable(events, recording.left_out)]
+    kept = in_step(series["t_ns"])
+    return series if kept.all() else {name: values[kept] for name, values in series.items()}
 
 
 def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:
@@ -837,7 +885,9 @@ def _title(session: Session, summary: Mapping[str, Any]) -> str:
     verdict = summary["verdict"].replace("_", " ")
     ratio = summary["hold_ratio"]
     error = summary.get("intervals", {}).get("hold_ratio")
-    hold = f", hold ratio {with_error(ratio, error)}" if ratio is not None else ""
+    # the ratio of one hold is no merit of a session that another one decides
+    is_held = ratio is not None and summary["verdict"] == "stable"
+    hold = f", hold ratio {with_error(ratio, error)}" if is_held else ""
     # a figure goes further than the summary: what it does not show has to stand in it
     whole = "" if summary["recording"]["complete"] else "\nthe recording is not whole: what is missing is grey"
     return f"{session.scenario}, {title(session.conditions)}: {verdict}{hold}{whole}"

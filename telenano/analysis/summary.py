@@ -92,14 +92,19 @@ class HoldSummary(_Part):
         default=None,
         description="Frequency of a swing in the place of a hold, where a person is the hand [1/s]; null in a hold",
     )
+    coupled_share: float = Field(
+        default=1.0,
+        description="Share of the hold in which hand and tip were both in it: both sent samples, the motor of the hand "
+        "was on, and the tip followed, 0..1; a hold with less than half is `guarded` unless its motion shows more",
+    )
 
 
 class InterruptionSummary(_Part):
     """A time in which the loop was open, or a process was away."""
 
     kind: InterruptionKind = Field(
-        description="`process_ended`; `tip_held`: the tip was held because no command came; `hand_let_go`: the motor "
-        "of the hand was off"
+        description="`process_ended`; `source_silent`: hand or AFM sent nothing for more than 0.05 s, and no message "
+        "is missing; `tip_held`: the tip was held because no command came; `hand_let_go`: the motor of the hand was off"
     )
     start_s: float = Field(description="Start in the session [s]")
     end_s: float = Field(
@@ -261,6 +266,9 @@ class Summary(_Part):
     )
     hand_let_go: int = Field(description="How often the hand was let go while the session ran")
     processes_ended: int = Field(description="How many processes of the rig ended while the session ran")
+    sources_silent: int = Field(
+        default=0, description="How often hand or AFM sent nothing for more than 0.05 s while no message was lost"
+    )
     interruptions: list[InterruptionSummary] = Field(description="Each of these, in order of time")
     hand_cycles: int = Field(
         description="How often the hand pressed harder and then less again, each way by a tenth of its greatest force "

@@ -21,11 +21,14 @@ from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
 from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.files.printable import printable
+from telenano.files.strict_json import finite
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 
 _PIPE_COLUMNS = 160
+# Of a hold in which hand and tip were both for more than this share [1], the part is not stated.
+_WHOLE_SHARE = 0.995
 # This is what a person can do where a rig does not reach its rate.
 NO_ROOM = "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
 
@@ -129,7 +132,7 @@ def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
 
 def print_json(document: Any) -> None:
     """Print one JSON document on a line."""
-    typer.echo(json.dumps(document))
+    typer.echo(json.dumps(finite(document), allow_nan=False))
 
 
 def console() -> Console:
@@ -198,9 +201,6 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     laws = " then ".join(summary["law"])
     delay_ms = summary["link_round_trip_ms"]
     link = f", {delay_ms:g} ms by the link" if delay_ms else ""
-    ratio = summary["hold_ratio"]
-    error = summary.get("intervals", {}).get("hold_ratio")
-    hold = f"; the hand held {with_error(ratio, error)} N for each newton at the tip" if ratio is not None else ""
     recording = _as_typed(Path(summary["recording"]["file"]))
     figures = [path for path in sorted(folder.glob("*")) if path.suffix in (".png", ".pdf", ".svg")]
     reason = f" ({summary['reason']})" if summary["verdict"] != "stable" and summary.get("reason") else ""
@@ -209,10 +209,25 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     else:
         further = f"`{own_command()} up --scenario touch` lets you press"
     return (
-        f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{reason}{hold}",
+        f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{reason}{_held(summary)}",
         f"picture: {_as_typed(figures[0]) if figures else 'none'}; all numbers: {_as_typed(folder / 'summary.json')}",
         f"next: `{own_command()} view {shlex.quote(recording)}` shows it again, {further}",
     )
+
+
+def _held(summary: Mapping[str, Any]) -> str:
+    """Return what the hand held in a session that is stable, and in which part of its hold, as the end of a sentence.
+
+    A session that is not stable, or in which hand and tip were not both in the hold, has nothing of the kind to say.
+    """
+    ratio = summary["hold_ratio"]
+    if ratio is None or summary["verdict"] != "stable":
+        return ""
+    error = summary.get("intervals", {}).get("hold_ratio")
+    own = [hold for hold in summary.get("holds", ()) if hold["hold_ratio"] is not None]
+    share = own[-1].get("coupled_share", 1.0) if own else 1.0
+    part = "" if share > _WHOLE_SHARE else f", in the {100.0 * share:.0f} % of the hold in which both were in it"
+    return f"; the hand held {with_error(ratio, error)} N for each newton at the tip{part}"
 
 
 def _as_typed(path: Path) -> str:

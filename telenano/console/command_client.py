@@ -233,7 +233,8 @@ def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> st
     """Return in words what several commands have done, and which of them were not sent; empty for one command."""
     if not client.unsent and len(answers) < 2:
         return ""
-    done = [f"{node} {event.kind}: {event.text}" for node, event in answers.items() if event.kind != "refused"]
+    told = {node: event for node, event in answers.items() if event.kind != "refused" and node not in client.ended}
+    done = [f"{node} {event.kind}: {event.text}" for node, event in told.items()]
     unsent = [f"{command.name} was not sent to {command.target}" for command in client.unsent]
     return "".join(f"; {each}" for each in [*done, *unsent])
 

@@ -21,7 +21,7 @@ from telenano.wire.messages import (
     SessionEvent,
 )
 from telenano.wire.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
-from telenano.wire.sequence import counted
+from telenano.wire.sequence import total
 
 M = TypeVar("M", bound=Message)
 
@@ -177,8 +177,8 @@ def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dic
         "period_s": health.period_s,
         "lateness_p99_s": health.lateness_p99_s if health.period_s else None,
         "oldest_input_s": oldest_input_s(health),
-        "received": counted(row.received for row in health.inputs),
-        "lost": counted(row.lost for row in health.inputs),
+        "received": total(row.received for row in health.inputs),
+        "lost": total(row.lost for row in health.inputs),
         "refused": health.rejected,
     }
 

@@ -13,7 +13,7 @@ from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.wiring.link_transports import LineCheck
-from telenano.wire.messages import NodeHealth, SessionEvent
+from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 from telenano.wire.received import Received
 
@@ -163,6 +163,12 @@ class SessionNode(RigNode):
             self.reports.append(f"{event.src}: {event.text}")
         if self._commands is not None:
             self._commands.on_event(event)
+
+    def report(self, level: str, text: str, **data: Scalar) -> None:
+        super().report(level, text, **data)
+        # what a launcher publishes does not come back to it
+        if self._commands is not None and "exit_code" in data:
+            self._commands.note_end(str(data.get("about_node", "")), text)
 
     def advance(self) -> None:
         if self.phase in ("starting", "arming", "running") and (self.failure or self.interrupted):

@@ -1,6 +1,7 @@
 """Times of a recording whose nodes were replayed, and the part of it in which a force profile ran."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,42 @@ def replay_shifts(recording: RecordingSource, *, newest: bool = False) -> dict[s
         times = recording.columns(fast[src], ("log_ns", "publish_ns"))
         shifts[src] = round(float(np.median(times["log_ns"] - times["publish_ns"])))
     return shifts
+
+
+def in_step(t_ns: Column) -> npt.NDArray[np.bool_]:
+    """Return of each sample whether its stamp goes with those about it, of shape (n,).
+
+    A few stamps in a row that lie far ahead of what follows them, or far behind what stands on either side, are none of
+    a clock that was set. Whole runs are, or come from a player that was set back.
+    """
+    kept = np.ones(len(t_ns), dtype=np.bool_)
+    stamps = t_ns.astype(np.int64)
+    edges = [0, *(1 + np.flatnonzero(np.abs(np.diff(stamps)) > _REWIND_NS)).tolist(), len(t_ns)]
+    runs = [(first, after) for first, after in pairwise(edges) if after > first]
+    place = 0
+    while place < len(runs) and len(runs) > 1:
+        first, after = runs[place]
+        before_ns = int(stamps[first]) - int(stamps[runs[place - 1][1] - 1]) if place else 0
+        after_ns = int(stamps[runs[place + 1][0]]) - int(stamps[after - 1]) if place + 1 < len(runs) else 0
+        # within, it goes there and back; at either end only a fall tells it from what stands after a pause
+        is_apart = before_ns * after_ns < 0 if before_ns and after_ns else before_ns + after_ns < 0
+        is_next_apart = not before_ns and place + 1 < len(runs) and _is_spike(stamps, runs, place + 1)
+        if after - first < _REWIND_RUN and is_apart and not is_next_apart:
+            kept[first:after] = False
+            del runs[place]
+            place = max(0, place - 1)
+        else:
+            place += 1
+    return kept
+
+
+def _is_spike(stamps: npt.NDArray[np.int64], runs: Sequence[tuple[int, int]], place: int) -> bool:
+    """Return whether a short run of stamps goes away from the one before it, and the next one back."""
+    if place + 1 >= len(runs) or runs[place][1] - runs[place][0] >= _REWIND_RUN:
+        return False
+    away_ns = int(stamps[runs[place][0]]) - int(stamps[runs[place - 1][1] - 1])
+    back_ns = int(stamps[runs[place + 1][0]]) - int(stamps[runs[place][1] - 1])
+    return away_ns * back_ns < 0
 
 
 def last_force_profile(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:

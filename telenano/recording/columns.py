@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
+from telenano.recording.messages import BEYOND_RANGE, LeftOut, RecordedChannel, RecordedMessage, readable
+from telenano.recording.record_topics import RECORD_TOPICS
 from telenano.wire.errors import RecordingError, probably_meant
 
 Column = npt.NDArray[Any]
@@ -27,6 +28,7 @@ _AT_ONCE = 8192
 # The types of fields that become columns, and of those that become numbers.
 _SCALARS = frozenset((bool, int, float, str, type(None)))
 _NUMBERS = frozenset((int, float))
+_YES_OR_NUMBERS = frozenset((bool, int, float, type(None)))
 # Reasons for which a message is of a model that is not known here.
 _UNKNOWN = frozenset(("topic", "newer_version"))
 
@@ -55,7 +57,9 @@ def columns(recording: Source, channel_topic: str, fields: Sequence[str]) -> dic
             `publish_ns` of the record.
 
     Returns:
-        Arrays of one dimension by field: int64, float64 (NaN where a message has nil), bool, or objects for text.
+        Arrays of one dimension by field: int64; float64, NaN where a message has nil or lacks the key, also of a yes or
+        no, which is 1 or 0 then; bool where each message has one; or objects for text, None where there is none. Of a
+        field whose values are of several kinds, numbers are floats, and what is text and numbers are objects.
 
     Raises:
         RecordingError: There is no such channel or field; the message names file, channel and field.
@@ -86,7 +90,9 @@ def column_pieces(recording: Source, channel_topic: str, fields: Sequence[str]) 
     while (batch := list(islice(messages, _AT_ONCE))) or is_first:
         is_first = False
         found = read(batch)
-        if found is None or not all(_is_column(found[field], kinds[field]) for field in paths):
+        if found is None or not all(
+            _is_column(found[field], kinds[field]) and _are_taken(found[field], batch) for field in paths
+        ):
             batch, found = _read_each(recording, batch, paths)
         values: dict[str, list[Any]] = {
             field: [getattr(message, field) for message in batch] for field in fields if field not in paths
@@ -133,6 +139,25 @@ def _is_column(values: Sequence[Any], before: set[type]) -> bool:
     return bool(np.isfinite(numbers).all())
 
 
+def _are_taken(values: Sequence[Any], messages: Sequence[RecordedMessage]) -> bool:
+    """Return whether a node would take a field that has some values in some messages.
+
+    A range is an interval: what lies between the least and the greatest value is in it if both are. A field may be nil
+    in all messages if it may be in one.
+    """
+    if not messages or messages[0].topic in RECORD_TOPICS:
+        return True
+    numbers = [place for place, value in enumerate(values) if type(value) in _NUMBERS]
+    places = {choose(numbers, key=values.__getitem__) for choose in (min, max)} if numbers else set()
+    left_out = LeftOut()
+    for _ in readable([messages[place] for place in places], left_out):
+        pass
+    nil = LeftOut()
+    for _ in readable([messages[values.index(None)]] if None in values else (), nil):
+        pass
+    return BEYOND_RANGE not in left_out.rejected and nil.rejected.keys() <= _UNKNOWN
+
+
 def _read_each(
     recording: Source, messages: Sequence[RecordedMessage], paths: Mapping[str, _Path]
 ) -> tuple[list[RecordedMessage], dict[str, list[Any]]]:
@@ -167,22 +192,37 @@ def _joined(pieces: list[Column]) -> Column:
     """Return the pieces of a column as one array, of the last one's type: each is of all types that came before it."""
     last = pieces[-1].dtype
     if last == np.object_:
-        # a piece in which all values were nil is one of numbers that are none
-        pieces = [piece if piece.dtype == last else np.full(piece.shape, None, dtype=np.object_) for piece in pieces]
-    return np.concatenate([piece.astype(last, copy=False) for piece in pieces])
+        # a piece of numbers has none where a message has nil
+        pieces = [piece if piece.dtype == last else _as_objects(piece) for piece in pieces]
+    elif last == np.float64:
+        pieces = [piece.astype(last, copy=False) for piece in pieces]
+    return np.concatenate(pieces)
+
+
+def _as_objects(piece: Column) -> Column:
+    found = np.empty(piece.shape, dtype=np.object_)
+    found[:] = [None if value != value else value for value in piece.tolist()]
+    return found
 
 
 def _array(recording: Source, channel_topic: str, field: str, values: list[Any], kinds: set[type]) -> Column:
-    """Return values as an array; `kinds` are the types of these and of all before them."""
-    if not kinds or (kinds <= {float, int, type(None)} and kinds & {float, type(None)}):
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-    if kinds <= {int}:
-        return np.array(values, dtype=np.int64)
-    if kinds <= {bool}:
+    """Return values as an array; `kinds` are the types of these and of all before them, and get that of the array."""
+    if kinds == {int}:
+        try:
+            return np.array(values, dtype=np.int64)
+        except OverflowError:
+            # beyond 64 bits with a sign: floats from here on
+            kinds.add(float)
+    if kinds == {bool}:
         return np.array(values, dtype=np.bool_)
-    if kinds <= {str, type(None)}:
-        return np.array(values, dtype=np.object_)
-    kind = " or ".join(sorted(kind.__name__ for kind in kinds))
+    if kinds <= _YES_OR_NUMBERS:
+        # nil alone says nothing of the kind, and may stand before text
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    if kinds <= _SCALARS:
+        found = np.empty(len(values), dtype=np.object_)
+        found[:] = values
+        return found
+    kind = " or ".join(sorted(kind.__name__ for kind in kinds - {type(None)}))
     raise RecordingError(
         f"{recording.path}: {channel_topic}: {field} is a {kind}; name one of its parts, such as {field}.0"
     )

@@ -11,7 +11,7 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
-from telenano.wire.sequence import SequenceTracker
+from telenano.wire.sequence import SequenceTracker, total
 
 # the metadata record with which the recorder ends a file: why it ended, and what is known to be missing
 END_NAME = "end"
@@ -185,8 +185,16 @@ class RecordingStatistics:
         self._site = recorder_site
         self._lags: dict[str, _Lags] = {}
         self._replayed: set[str] = set()
+        # whether numbers are missing between the file that is read and those before it
+        self.lost_between = False
+        # channels of those files of which this one had no message yet
+        self._awaited: set[RecordedChannel] = set()
         # by channel and source, the gap that the recorder has recorded last
         self._gaps: dict[tuple[str, str], tuple[int, int]] = {}
+
+    def begin_file(self) -> None:
+        """Begin the next file of the recording."""
+        self.lost_between, self._awaited = False, set(self.channels)
 
     def add(self, message: RecordedMessage) -> None:
         """Add a message."""
@@ -194,7 +202,13 @@ class RecordingStatistics:
         statistics = self.channels.get(channel)
         if statistics is None:
             statistics = self.channels[channel] = ChannelStatistics(message)
-        statistics.add(message)
+        if self._awaited and channel in self._awaited:
+            self._awaited.discard(channel)
+            before = statistics.missing
+            statistics.add(message)
+            self.lost_between = self.lost_between or statistics.missing > before
+        else:
+            statistics.add(message)
         # a gap before a message is none at the end, whatever numbers the publisher begins with again
         if self._gaps and channel.src:
             self._gaps.pop((channel.channel_topic, channel.src), None)
@@ -218,7 +232,7 @@ class RecordingStatistics:
     @property
     def lost(self) -> int:
         """Messages that were sent to the recorder and are missing."""
-        return sum(statistics.missing for statistics in self.channels.values())
+        return total(statistics.missing for statistics in self.channels.values())
 
     def missing(self) -> tuple[str, ...]:
         """Return a sentence for each channel that lacks messages; the last one counts the further channels."""
@@ -230,7 +244,7 @@ class RecordingStatistics:
         ]
         rest = counts[_MOST_NAMED:]
         if rest:
-            named.append(f"{sum(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
+            named.append(f"{total(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
         return tuple(named)
 
     def lag(self) -> LagInfo | None:

@@ -1,5 +1,6 @@
 """Messages and channels as a recording holds them."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -12,21 +13,30 @@ from telenano.recording.record_topics import RECORD_TOPICS
 from telenano.wire.errors import RecordingError, described
 
 if TYPE_CHECKING:
-    from telenano.wire.messages import Record
+    from telenano.wire.messages import Message, Record
 
 _T = TypeVar("_T")
+# The reason for which a node refuses a message that is valid but for a quantity beyond its range.
+BEYOND_RANGE = "range"
+# this many messages that were left out are known again
+_MOST_COUNTED = 1 << 16
 
 
 class LeftOut:
     """Counts by reason the messages that a reader of them cannot take, none of which ends it.
 
     A message that is not what its model says has the reason of its error; `unreadable` is one that the reader itself
-    fails at. The attributes are those of a reader of the bus, whose counts are in node/health.
+    fails at, and `range` one that a node refuses although all else of it is right. The attributes are those of a reader
+    of the bus, whose counts are in node/health.
     """
 
     def __init__(self) -> None:
         self.rejected: dict[str, int] = {}
         self.last_error = ""
+        # of a message beyond its range, which is no fault of a recording
+        self._last_beyond = ""
+        # reasons by message: one that several readers leave out is counted once
+        self._counted: dict[object, str] = {}
 
     def guard(self, take: Callable[[_T], object], message: _T) -> bool:
         """Hand a message to what takes it, and return whether it was taken."""
@@ -37,23 +47,43 @@ class LeftOut:
             return False
         return True
 
-    def note(self, reason: str, text: str) -> None:
-        """Count a message that was left out."""
+    def note(self, reason: str, text: str, key: object = None) -> None:
+        """Count a message that was left out; one of a key that was counted before only once."""
+        if key is not None and key in self._counted:
+            return
+        if key is not None and len(self._counted) < _MOST_COUNTED:
+            self._counted[key] = reason
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
-        self.last_error = text[:400]
+        if reason == BEYOND_RANGE:
+            self._last_beyond = text[:400]
+        else:
+            self.last_error = text[:400]
 
     def add(self, other: "LeftOut") -> None:
-        """Count what another reader has left out."""
-        for reason, count in other.rejected.items():
+        """Count what another reader has left out, each message once."""
+        texts = (other._last_beyond, other.last_error)
+        for key, reason in other._counted.items():
+            self.note(reason, texts[reason != BEYOND_RANGE], key)
+        for reason, count in (Counter(other.rejected) - Counter(other._counted.values())).items():
             self.rejected[reason] = self.rejected.get(reason, 0) + count
-        self.last_error = other.last_error or self.last_error
 
     def sentences(self) -> list[str]:
-        """Return what was left out as a sentence, of which there is none where nothing was."""
-        if not self.rejected:
+        """Return what was left out as a sentence, of which there is none where nothing was, or only by its range."""
+        rejected = {reason: count for reason, count in self.rejected.items() if reason != BEYOND_RANGE}
+        if not rejected:
             return []
-        counts = ", ".join(f"{count} {reason}" for reason, count in sorted(self.rejected.items()))
+        counts = ", ".join(f"{count} {reason}" for reason, count in sorted(rejected.items()))
         return [f"messages that are not valid were left out ({counts}), the last: {self.last_error}"]
+
+    def beyond_range(self) -> list[str]:
+        """Return in a sentence what was left out because a node would not act on it; none where nothing was."""
+        count = self.rejected.get(BEYOND_RANGE, 0)
+        what = (
+            "1 message with a value beyond its range was"
+            if count == 1
+            else f"{count} messages with values beyond their ranges were"
+        )
+        return [f"{what} left out, as a node leaves it out, the last: {self._last_beyond}"] if count else []
 
 
 class RecordedChannel(NamedTuple):
@@ -102,12 +132,28 @@ class RecordedMessage(NamedTuple):
     def src(self) -> str:
         return self.channel.src
 
+    @property
+    def identity(self) -> tuple[str, str, int, int]:
+        """What tells a message from all others of its recording."""
+        return self.channel.channel_topic, self.channel.src, self.seq, self.publish_ns
+
     def decode(self) -> "Record":
         """Return the validated message: a proto Message, or the recorder's own GapRecord or RejectedRecord.
+
+        It may have any finite quantities; `accepted` is for what computes with them.
 
         Raises:
             RecordingError: The message is not valid; the error names the channel and what is wrong.
         """
+        return self._read(wire.decode)
+
+    def accepted(self) -> "Record":
+        """Return the message as `decode` does, if a node may act on it; RecordingError for one beyond its range."""
+        from telenano.wire.codec import accept
+
+        return self._read(accept)
+
+    def _read(self, read: "Callable[[str, bytes], Message]") -> "Record":
         try:
             if self.topic in RECORD_TOPICS:
                 from telenano.recording.records import RECORDS
@@ -117,7 +163,7 @@ class RecordedMessage(NamedTuple):
             # it finds the topics that installed packages declare
             from telenano.settings import package_topics  # noqa: F401
 
-            return wire.decode(self.topic, self.payload)
+            return read(self.topic, self.payload)
         except ValueError as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error
 
@@ -151,10 +197,13 @@ class RecordedMessage(NamedTuple):
             return {key: json_value(value) for key, value in self.fields().items()}
 
     def checked_fields(self) -> Mapping[str, Any]:
-        """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""
+        """Return the fields of a topic of the bus, each valid by its model and in range; RecordingError as `accepted`.
+
+        A key that may be absent, and is, has None, as one that is nil.
+        """
         from telenano.wire.codec import fields_of
 
-        return fields_of(self.decode())
+        return fields_of(self.accepted())
 
 
 ChannelFilter = Callable[[RecordedChannel], bool]
@@ -163,12 +212,15 @@ ChannelFilter = Callable[[RecordedChannel], bool]
 def readable(
     messages: Iterable[RecordedMessage], left_out: LeftOut
 ) -> Iterator[tuple[RecordedMessage, Mapping[str, Any]]]:
-    """Yield messages with their checked fields; those that are not valid are counted and left out."""
+    """Yield messages with their checked fields; those that are not valid, or beyond a range, are counted and left out.
+
+    All that computes with recorded messages reads them here, or by `telenano.recording.columns`, which does.
+    """
     for message in messages:
         try:
             fields = message.checked_fields()
         except RecordingError as error:
-            left_out.note(getattr(error.__cause__, "reason", "schema"), str(error))
+            left_out.note(getattr(error.__cause__, "reason", "schema"), str(error), message.identity)
         else:
             yield message, fields
 

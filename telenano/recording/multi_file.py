@@ -19,6 +19,10 @@ class RecordingSource(RecordedFields, Protocol):
         """First and last time of reception [ns]."""
 
     @property
+    def closed(self) -> bool:
+        """Whether its end was recorded: the file, or the last one of several, was closed."""
+
+    @property
     def attachments(self) -> Mapping[str, bytes]:
         """Files within the recording, by name."""
 
@@ -51,6 +55,11 @@ class MultiFileRecording(RecordedFields):
         filled = [recording for recording in recordings if recording.span_ns != (0, 0)] or list(recordings[:1])
         self.files = sorted(filled, key=lambda recording: recording.span_ns)
         self.path = self.files[0].path
+
+    @property
+    def closed(self) -> bool:
+        """Whether the last file was closed."""
+        return self.files[-1].closed
 
     @property
     def attachments(self) -> dict[str, bytes]:

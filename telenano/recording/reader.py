@@ -353,9 +353,11 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
     parts: list[PartInfo] = []
     missing: list[str] = []
     for number, recording in enumerate(recordings):
+        statistics.begin_file()
         part, counted = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += counted
-        if number and recordings[number - 1].ending != _PLANNED_END:
+        # without a number that is missing nothing was sent in the pause
+        if number and statistics.lost_between and recordings[number - 1].ending != _PLANNED_END:
             before = Path(parts[-1].path).name
             missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")
         if not part.closed:

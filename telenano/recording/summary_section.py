@@ -40,6 +40,7 @@ from telenano.recording.messages import recorded_channel
 from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.errors import RecordingError
+from telenano.wire.sequence import total
 
 _FOOTER = struct.Struct("<BQQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQI")
@@ -119,7 +120,7 @@ class _Summary:
             messages=statistics.message_count,
             complete=not missing,
             missing=tuple(missing),
-            lost=sum(count for count, _ in lost),
+            lost=total(count for count, _ in lost),
             closed=True,
             basis="summary",
             recorder_lag=None,

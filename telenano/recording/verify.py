@@ -1,8 +1,8 @@
 """Check of a recording: whether it is complete, and what precisely is missing where it is not."""
 
+import contextlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from telenano.recording.info import notes_of
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
+from telenano.recording.multi_file import MultiFileRecording
 from telenano.recording.reader import Recording
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.settings.known_packages import KNOWN_PACKAGES
@@ -55,14 +56,19 @@ def verify(paths: Sequence[Path]) -> Verdict:
     recordings = sorted((Recording(path) for path in paths), key=lambda recording: recording.span_ns)
     findings: list[Finding] = []
     total = 0
-    checks: list[_Check] = []
+    between: list[Finding] = []
+    # by channel, the newest number of a publisher that has not ended, and the file that it is in
+    newest: dict[RecordedChannel, tuple[int, Recording]] = {}
     for recording in recordings:
-        check = _Check(recording)
+        check = _Check(recording, {channel: seq for channel, (seq, _) in newest.items()})
         findings += check.run()
         total += check.messages
-        checks.append(check)
-    for (earlier, later), (before, after) in zip(pairwise(recordings), pairwise(checks), strict=True):
-        findings += _between(earlier, later, before, after)
+        between += _between(recording, check, newest)
+        for channel in check.ended:
+            newest.pop(channel, None)
+        newest |= {channel: (seq, recording) for channel, seq in check.last()}
+    findings += between
+    findings += _cut(recordings)
     return Verdict(sound=all(finding.level == "info" for finding in findings), messages=total, findings=tuple(findings))
 
 
@@ -88,9 +94,13 @@ class _Stream:
 class _Check:
     """The check of one file."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, before: Mapping[RecordedChannel, int]) -> None:
+        """Prepare to check a file; before: by channel, the newest number in the files before it."""
         # by channel, its first number
         self.first: dict[RecordedChannel, int] = {}
+        # channels whose publisher has ended in this file
+        self.ended: set[RecordedChannel] = set()
+        self._before = before
         self._recording = recording
         self._findings: list[Finding] = []
         self._streams: dict[RecordedChannel, _Stream] = {}
@@ -148,10 +158,11 @@ class _Check:
                 self._report("index", "error", "", f"{text}; other readers may fail on it")
         return self._findings
 
-    def last(self, channel: RecordedChannel) -> int | None:
-        """Return the newest number of a channel, if its publisher has not ended in this file."""
-        newest = self._streams.get(channel)
-        return None if newest is None or newest.ended else newest.seq
+    def last(self) -> Iterator[tuple[RecordedChannel, int]]:
+        """Yield the newest number of each channel whose publisher has not ended in this file."""
+        for channel, newest in self._streams.items():
+            if not newest.ended and newest.seq is not None:
+                yield channel, newest.seq
 
     def _check_message(self, message: RecordedMessage, stream: _Stream, last_ns: int) -> int:
         """Check a message received after `last_ns` [ns]; return the latest time of reception."""
@@ -209,14 +220,19 @@ class _Check:
         except RecordingError:
             # reported as such
             return
-        for channel in self._streams:
+        for channel in {**self._before, **self._streams}:
             # they are of its own endpoint: what was received elsewhere came through others
             own = channel.site == message.site and (channel.via == "direct") == (channel.src == message.src)
             if own and (channel.topic, channel.src) in sent:
                 self._end_channel(channel, sent[channel.topic, channel.src], message.log_ns)
 
     def _end_channel(self, channel: RecordedChannel, sent: int, log_ns: int) -> None:
-        newest = self._streams[channel]
+        self.ended.add(channel)
+        newest = self._streams.get(channel)
+        if newest is None:
+            # what there is of it is in a file before this one
+            newest = self._streams[channel] = _Stream(channel)
+            newest.seq = self._before[channel]
         last = (sent - 1) & _SEQUENCE_MASK
         if not newest.ended and newest.seq is not None and last > newest.seq:
             newest.missing[newest.seq + 1, last] = log_ns
@@ -300,13 +316,27 @@ class _Check:
             self._findings.append(Finding(check=check, level=level, file=path, channel=channel, text=text))
 
 
-def _between(earlier: Recording, later: Recording, before: _Check, after: _Check) -> Iterator[Finding]:
-    """Yield what is missing between two files, by the `seq` of the messages."""
-    pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
-    for channel, first in after.first.items():
-        last = before.last(channel)
+def _cut(recordings: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield what recordings lack at the ends of their session, as a report of them says it."""
+    # it needs NumPy, and a file without a session does not
+    from telenano.recording.silence import cut_off
+
+    whole = recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)
+    # what cannot be read is reported as such
+    with contextlib.suppress(RecordingError):
+        for text in cut_off(whole):
+            yield Finding(check="end", level="warning", file=str(whole.path), channel="haptic/state", text=text)
+
+
+def _between(
+    later: Recording, check: _Check, newest: Mapping[RecordedChannel, tuple[int, Recording]]
+) -> Iterator[Finding]:
+    """Yield what is missing between a file and those before it, by the `seq` of the messages."""
+    for channel, first in check.first.items():
+        last, earlier = newest.get(channel, (None, later))
         if channel.topic in RECORD_TOPICS or last is None or first <= last + 1:
             continue
+        pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
         text = (
             f"seq {last + 1} to {first - 1} of {channel.src} ({first - last - 1}) missing "
             f"between {earlier.path.name} and this file, {pause_s:.6f} s apart"

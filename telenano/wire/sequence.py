@@ -16,8 +16,8 @@ _REWIND_RUN = 8
 _REWIND_NS = 1_000_000_000
 
 
-def counted(counts: Iterable[int]) -> int:
-    """Return the sum of counts of the wire; like each of them it stays at MOST_COUNTED."""
+def total(counts: Iterable[int]) -> int:
+    """Return the sum of counts, which stays where each of them does: no reader has a larger number to expect."""
     return min(sum(counts), MOST_COUNTED)
 
 

@@ -55,7 +55,8 @@ class Made:
     blocked_s: from when to when UDP is blocked from the slave to the master [s]; hand_mode: of the device at a session
     time; killed_s: when the hand's process is killed, from which on its numbers begin anew and its programme does not
     run, until anew_s if that is given; set_back_s: when the one clock of both sites is set back, and by how much, both
-    in [s].
+    in [s]; silent: topic and session time of what is not sent at all; anew_tip_s: when the process of the instrument is
+    another one, whose numbers begin anew [s].
     """
 
     ahead_s: float = 0.0
@@ -80,6 +81,8 @@ class Made:
     killed_s: float | None = None
     anew_s: float | None = None
     set_back_s: tuple[float, float] | None = None
+    silent: Callable[[str, float], bool] = lambda topic, time_s: False
+    anew_tip_s: float | None = None
 
     def hand_at(self, time_s: float) -> tuple[float, float]:
         """Return session_s [s], and F_m [N], of the hand at a session time."""
@@ -104,6 +107,8 @@ class Made:
         counts: dict[tuple[str, str], int] = {}
 
         def add(topic: str, src: str, time_s: float, **fields: Any) -> None:
+            if self.silent(topic, time_s):
+                return
             of_slave = src.endswith("@slave")
             t_ns = self.slave_ns(time_s) if of_slave else BEGAN_NS + round(time_s * NS)
             seq = counts.get((topic, src), 0)
@@ -127,6 +132,8 @@ class Made:
             session_s, pressed_now_n = self.hand_at(time_s)
             if self.killed_s is not None and abs(time_s - self.killed_s) < 0.5 * STEP_S:
                 counts.pop(("haptic/state", HAND), None)
+            if self.anew_tip_s is not None and abs(time_s - self.anew_tip_s) < 0.5 * STEP_S:
+                counts.pop(("afm/state", TIP), None)
             answered_s = min(time_s, self.answers) - trip_s
             is_answered = self.answers > 0.0
             add(
@@ -170,9 +177,10 @@ class Made:
             ended |= {"outside": "drift", "law": "wave"} if "was shown to hold" in text else {}
             add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data=ended)
         if self.end_s is None:
-            numbers = {"haptic/state": counts.get(("haptic/state", HAND), 0)}
-            data = end_data(numbers)
-            add("session/event", HAND, SESSION_S + 0.3, kind="node", level="info", id="", text="ended", data=data)
+            for src in (CONTROLLER, TIP, HAND):
+                own = {topic: count for (topic, source), count in counts.items() if source == src}
+                data = end_data({**own, "session/event": own.get("session/event", 0) + 1})
+                add("session/event", src, SESSION_S + 0.3, kind="node", level="info", id="", text="ended", data=data)
         channels: dict[tuple[str, str], int] = {}
         for log_ns, _, topic, src, t_ns, seq, payload in sorted(rows):
             if (topic, src) not in channels:

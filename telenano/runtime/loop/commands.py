@@ -24,9 +24,10 @@ from typing import Any, Literal, NamedTuple
 from telenano.runtime.loop.estop_latch import EstopLatch, begins_motion
 from telenano.timing.clock import Clock
 from telenano.wire import encode
+from telenano.wire.ends import read_end
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import Message, Scalar, SessionControl, SessionEvent
-from telenano.wire.nodes import is_estop, is_meant, is_pattern, site_of
+from telenano.wire.nodes import LAUNCHER, is_estop, is_meant, is_pattern, name_of, site_of
 
 CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]
 
@@ -83,6 +84,7 @@ class CommandClient:
 
     `failure` says why a required command failed, `tolerated_failures` holds by target the reasons of the others.
     `answers` are those of the last command by node, refusals among them; `ids` has the id of each answered command.
+    `ended` are nodes whose process ended on its way to where a command was over: what it said is true of none now.
     `void`: the failure is that an emergency stop has made the commands void. `latched` is a node in emergency stop from
     before, which a person has to release: until then, the command is tried again.
     """
@@ -115,6 +117,7 @@ class CommandClient:
         self.tolerated_failures: dict[str, str] = {}
         self.ids: dict[str, str] = {}
         self.answers: dict[str, SessionEvent] = {}
+        self.ended: set[str] = set()
         self._clock = clock
         self._publish = publish
         self._commands = deque(commands)
@@ -127,6 +130,8 @@ class CommandClient:
         self._id = ""
         # what the nodes that are to be placed have reported since the command was issued, and which of them are
         self._on_the_way: dict[str, SessionEvent] = {}
+        # number and stamp of the newest event of such a node, by which a new process is known
+        self._newest: dict[str, tuple[int, int]] = {}
         self._placed: set[str] = set()
         self._expected: set[str] = set()
         self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
@@ -158,8 +163,10 @@ class CommandClient:
         if event.kind == "ack" and event.data.get("command") == "estop" and self._would_move(event.src):
             self._give_up(f"{event.src} was stopped by an emergency stop")
             return False
-        if event.kind == "mode" and self._command is not None and self._command.placed:
-            self._record_way(self._command, event)
+        if self._command is not None and self._command.placed:
+            self._record_end(event)
+            if event.kind == "mode":
+                self._record_way(self._command, event)
         if event.id != self._id or event.kind not in ("ack", "refused") or event.src in self.answers:
             return False
         if event.kind == "refused" and (event.data.get("expired") is True or "latch" in event.data):
@@ -186,6 +193,37 @@ class CommandClient:
             self._give_up(f"{event.src} was stopped by an emergency stop")
         elif event.src in self.answers and event.data.get("mode") == "retracting":
             self._deadline_ns = now_ns
+
+    def note_end(self, node: str, text: str = "") -> None:
+        """Forget what the process of a node has said that has ended; where it was on its way, the command has failed.
+
+        Args:
+            node: The node as node@site.
+            text: A sentence on the end; empty where none is known.
+        """
+        command = self._command
+        if command is None or not command.placed or node not in command.expected:
+            return
+        for noted in (self._on_the_way, self._newest):
+            noted.pop(node, None)
+        self._placed.discard(node)
+        # the process that was armed is not there any more, and the next one is not armed
+        if node in self.answers and not self.failure:
+            self.ended.add(node)
+            self.failure = f"{node} ended while it was being placed{text and ': '}{text}; arm it again"
+
+    def _record_end(self, event: SessionEvent) -> None:
+        """Note the end of a process that its launcher, or itself, reports, or that the numbers of the next one show."""
+        if event.kind == "node" and name_of(event.src) == name_of(LAUNCHER) and "exit_code" in event.data:
+            self.note_end(str(event.data.get("about_node", "")), event.text)
+        elif read_end({"kind": event.kind, "data": event.data}) is not None:
+            self.note_end(event.src, event.text)
+        else:
+            seq, t_ns = self._newest.get(event.src, (event.seq, event.t_ns))
+            if event.seq < seq and event.t_ns > t_ns:
+                self.note_end(event.src)
+            if event.seq >= seq or event.t_ns > t_ns:
+                self._newest[event.src] = (event.seq, event.t_ns)
 
     def is_place(self, event: SessionEvent) -> bool:
         """Return whether an event says that a node which these commands wait for is placed."""

@@ -10,12 +10,14 @@ from made_sessions import BEGAN_NS, NS, Made, hand_force_n
 from telenano_studies.plot import read_traces
 
 import telenano
+from telenano.analysis.recording_document import judged_recording
 from telenano.analysis.report import write_report
-from telenano.cli.output import clock_warning
+from telenano.cli.output import clock_warning, closing_lines
 from telenano.recording.reader import Recording
 from telenano.recording.sender_time import SenderClock
 from telenano.recording.site_clock import read_site_clock
 from telenano.recording.site_merge import merge_sites
+from telenano.recording.verify import verify
 
 # what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
 FIGURES = ("verdict", "stable", "reason", "hold_ratio", "contact_x_cm", "release_force_nn", "greatest_pull_nn")
@@ -174,8 +176,10 @@ def test_a_hold_without_samples_of_the_tip_is_one_without_data(tmp_path: Path) -
     assert verdicts(summary) == ["no_data"] * 3
     assert summary["hold_ratio"] is None
     assert summary["recording"]["complete"] is False
-    (missing,) = summary["recording"]["missing"]
-    assert missing == "afm/state: nothing from 2.000 s to 8.000 s of the session"
+    assert summary["recording"]["missing"] == [
+        "1259 messages of afm_node@slave on afm/state are missing",
+        "afm/state: nothing from 2.000 s to 8.000 s of the session",
+    ]
 
 
 @pytest.mark.check("takes 1.4 s")
@@ -203,15 +207,17 @@ def test_a_pause_of_a_twentieth_of_a_hold_is_none(tmp_path: Path) -> None:
     assert verdicts(summary) == ["stable"] * 2
 
 
-@pytest.mark.parametrize(("until_s", "found"), [(0.0, ["no_data"] * 4), (2.0, ["stable", "no_data", "no_data"])])
+@pytest.mark.parametrize(("until_s", "found"), [(0.0, ["guarded"] * 4), (2.0, ["stable", "guarded", "guarded"])])
 def test_a_session_in_which_no_answer_reached_the_hand_is_not_stable(
     tmp_path: Path, until_s: float, found: list[str]
 ) -> None:
     summary = report(tmp_path, answers=until_s)
     assert verdicts(summary) == found
-    assert summary["verdict"] == "no_data"
-    text = f"haptic/command: no answer reached the hand from {until_s:.3f} s to 8.000 s of the session"
-    assert summary["recording"]["missing"] == [text]
+    assert (summary["verdict"], summary["stable"]) == ("guarded", False)
+    first_s = max(until_s, summary["holds"][found.index("guarded")]["start_s"])
+    assert summary["reason"].startswith(f"haptic/command: no answer reached the hand from {first_s:.3f} s to ")
+    # what the hand did not get is no message that the recorder lacks
+    assert summary["recording"]["missing"] == []
 
 
 def test_what_a_recording_that_ends_early_does_not_show_has_no_data(tmp_path: Path) -> None:
@@ -323,6 +329,61 @@ def test_every_hold_of_the_tip_and_every_time_that_the_hand_was_let_go_is_counte
     assert verdicts(own) == ["limit_cycle", "stable"]
 
 
+@pytest.mark.check("takes 0.8 s")
+@pytest.mark.parametrize(("back_s", "verdict"), [(3.6, "stable"), (3.8, "guarded"), (4.45, "guarded")])
+def test_a_hold_is_judged_with_its_hand_and_the_cause_of_its_absence_comes_first(
+    tmp_path: Path, back_s: float, verdict: str
+) -> None:
+    """The tip rests all the time; the motor of the hand is off from 2.95 s on, in a hold from 2.9 s to 4.5 s."""
+    summary = report(
+        tmp_path, hand_mode=off_between(2.95, back_s), events=((2.95, {"mode": "off", "position_m": 0.0}),)
+    )
+    first, hold = summary["holds"]
+    assert (first["verdict"], first["coupled_share"]) == ("stable", 1.0)
+    assert hold["verdict"] == summary["verdict"] == verdict
+    assert hold["coupled_share"] == pytest.approx(1.0 - (back_s - 2.95) / 1.6, abs=0.02)
+    assert summary["recording"]["missing"] == []
+    said = closing_lines(summary, tmp_path)[0]
+    share = f"{100.0 * hold['coupled_share']:.0f} %"
+    if verdict == "guarded":
+        cause = f"the hand was let go once, at 2.950 s, for {1e3 * (back_s - 2.95):.0f} ms"
+        assert summary["reason"].startswith(cause)
+        assert f"hand and tip were both in it for {share} of the hold" in hold["reason"]
+        assert "the hand held" not in said
+    else:
+        assert said.endswith(f"N for each newton at the tip, in the {share} of the hold in which both were in it")
+
+
+STANDS_S = (3.2, 3.5)
+
+
+def stood_still(made: Made, anew: bool) -> Made:
+    """Return a session whose AFM sends nothing for 0.3 s, and goes on, itself or a new process of it."""
+    made.silent = lambda topic, time_s: topic == "afm/state" and STANDS_S[0] < time_s < STANDS_S[1]
+    made.anew_tip_s = STANDS_S[1] if anew else None
+    return made
+
+
+@pytest.mark.check("takes 0.8 s")
+@pytest.mark.parametrize("anew", [False, True])
+def test_an_instrument_that_stood_still_has_lost_nothing(tmp_path: Path, anew: bool) -> None:
+    path = stood_still(Made(), anew).write(tmp_path)
+    summary = telenano.open(path).summary
+    assert verify([path]).sound
+    assert (summary["recording"]["complete"], summary["verdict"], summary["sources_silent"]) == (True, "guarded", 1)
+    words = "the AFM sent nothing from 3.200 s to 3.500 s"
+    assert summary["reason"].startswith(words)
+    (silence,) = summary["interruptions"]
+    assert (silence["kind"], silence["reason"]) == ("source_silent", "the AFM sent nothing")
+    assert summary["holds"][1]["coupled_share"] == pytest.approx(1.0 - 0.3 / 1.6, abs=0.02)
+    # the same time without samples, of which the numbers are missing
+    (tmp_path / "lost").mkdir()
+    lost_path = Made(without=lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.5).write(tmp_path / "lost")
+    lost = telenano.open(lost_path).summary
+    assert not verify([lost_path]).sound
+    assert (lost["recording"]["complete"], lost["verdict"], lost["sources_silent"]) == (False, "no_data", 0)
+
+
 def test_a_law_that_swung_before_the_network_was_away_is_blamed_for_it(tmp_path: Path) -> None:
     cycle = lambda time_s: hand_force_n(time_s - 0.02) + (0.3 * np.sin(50.0 * time_s) if 2.9 < time_s < 4.5 else 0.0)  # noqa: E731
     summary = report(
@@ -366,3 +427,33 @@ def test_a_clock_that_steps_back_inside_a_file_is_not_blamed_on_the_sites(
     summary = report(tmp_path, set_back_s=(at_s, by_s))
     assert summary["clocks"]["applied"] is False, summary["clocks"]
     assert clock_warning(summary) == ""
+
+
+def test_the_page_tells_a_silence_and_a_loss(tmp_path: Path) -> None:
+    document = judged_recording(Recording(stood_still(Made(), anew=False).write(tmp_path)))
+    (silence,) = [moment for moment in document["moments"] if moment["kind"] == "source_silent"]
+    assert (silence["level"], silence["src"]) == ("warning", "afm_node")
+    assert silence["text"] == "the AFM sent nothing for 300 ms, and no message is missing"
+    assert silence["t_s"] - document["session_s"][0] == pytest.approx(3.2, abs=0.01)
+    assert document["summary"]["recording"]["complete"] is True
+    (tmp_path / "lost").mkdir()
+    lost = Made(without=lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.5).write(tmp_path / "lost")
+    document = judged_recording(Recording(lost))
+    assert [moment for moment in document["moments"] if moment["kind"] == "source_silent"] == []
+    assert document["summary"]["recording"]["complete"] is False
+
+
+@pytest.mark.check("takes 4 s")
+@pytest.mark.parametrize("ahead_s", [0.0, 37.0])
+@pytest.mark.parametrize(("what", "verdict"), [("silent", "guarded"), ("without", "no_data")])
+def test_recordings_of_both_sites_tell_silence_from_loss_alone_and_together(
+    tmp_path: Path, what: str, verdict: str, ahead_s: float
+) -> None:
+    away: dict[str, Any] = {what: lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.6}
+    paths = [Made(ahead_s=ahead_s, **away).write(tmp_path, site) for site in ("master", "slave")]
+    both = tmp_path / "both.mcap"
+    merge_sites(paths, both)
+    for path in (paths[0], both):
+        summary = telenano.open(path).summary
+        assert summary["verdict"] == verdict
+        assert summary["recording"]["complete"] is verify([path]).sound is (what == "silent")

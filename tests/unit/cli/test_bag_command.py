@@ -144,8 +144,7 @@ def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_
     assert capsys.readouterr().out.splitlines() == lines[-3:]
     assert len(lines) > 10
     assert lines[-3:] == [
-        "fig12 with wave then passivity, 40 ms by the link: limit cycle; "
-        "the hand held 1.050 N for each newton at the tip",
+        "fig12 with wave then passivity, 40 ms by the link: limit cycle",
         f"picture: {tmp_path / 'fig12.png'}; all numbers: {tmp_path / 'summary.json'}",
         "next: `bin/telenano view s.mcap` shows it again, `bin/telenano up --scenario touch` lets you press",
     ]
@@ -164,6 +163,24 @@ def test_the_last_lines_give_the_reason_of_a_verdict_the_paths_as_typed_and_anot
     assert further.startswith("next: `bin/telenano view out/session.mcap` shows it again, ")
     assert "--scenario touch" not in further
     assert "(" not in closing_lines({**summary, "verdict": "stable"}, tmp_path)[0]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "share", "praise"),
+    [
+        ("stable", 1.0, "; the hand held 1.050 N for each newton at the tip"),
+        ("stable", 0.62, "; the hand held 1.050 N for each newton at the tip, in the 62 % of the hold in which both"),
+        ("guarded", 0.05, ""),
+        ("limit_cycle", 1.0, ""),
+        ("no_data", 1.0, ""),
+    ],
+)
+def test_the_last_line_says_what_the_hand_held_only_of_what_was_there(verdict: str, share: float, praise: str) -> None:
+    holds = [{"hold_ratio": 1.05, "coupled_share": share}, {"hold_ratio": None, "coupled_share": 0.1}]
+    happened = closing_lines({**SUMMARY, "verdict": verdict, "reason": "so", "holds": holds}, Path())[0]
+    assert praise in happened
+    assert ("the hand held" in happened) is bool(praise)
+    assert happened.endswith(praise) or share == 0.62
 
 
 LET_GO = {"kind": "hand_let_go", "start_s": 1.5, "end_s": 1.54, "reason": "no command within the deadline"}

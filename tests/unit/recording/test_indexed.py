@@ -69,7 +69,8 @@ def test_chunks_without_what_is_wanted_are_not_unpacked(path: Path, monkeypatch:
     monkeypatch.setattr(IndexedRecording, "_content", lambda *given: unpacked.append(given) or inside(*given))
     events = list(indexed.select(lambda channel: channel.topic == "session/event"))
     assert [event.fields()["text"] for event in events if event.src == "launcher@slave"] == ["first", "second"]
-    assert len(unpacked) <= 3
+    # no more than one for each event
+    assert len(unpacked) <= len(events) < len(indexed._layout.blocks)
 
 
 def damaged(path: Path, folder: Path, place: int, data: bytes) -> Path:

@@ -47,10 +47,15 @@ class Sender:
             self.client.advance()
 
     def answer(
-        self, node: str, kind: Literal["ack", "refused", "mode"] = "ack", identifier: str = "", **data: Any
+        self,
+        node: str,
+        kind: Literal["ack", "refused", "mode", "node"] = "ack",
+        identifier: str = "",
+        seq: int = 0,
+        **data: Any,
     ) -> bool:
         event = SessionEvent(
-            seq=0,
+            seq=seq,
             t_ns=self.clock.now_ns(),
             src=node,
             v=1,
@@ -403,6 +408,59 @@ def test_a_tip_that_is_held_or_another_device_that_stops_does_not_end_the_comman
     sender = placing()
     sender.answer(node, "mode", mode=mode)
     assert not sender.run_ms(1000)
+    assert sender.client.failure == ""
+
+
+# who tells of the end of the process that was armed: event and number of whom, and what it has
+ENDS: dict[str, tuple[str, int, dict[str, Any]]] = {
+    "its launcher": ("launcher@slave", 0, {"about_node": TIP, "exit_code": -9}),
+    "the launcher of the rig": ("launcher@master", 0, {"about_node": TIP, "exit_code": 1}),
+    "itself": (TIP, 8, {"state": "ended", "sent.afm/state": 100}),
+    "the numbers of the next process": (TIP, 0, {}),
+}
+
+
+@pytest.mark.parametrize("told", ENDS)
+def test_a_tip_whose_process_ends_on_its_way_fails_at_once_and_nothing_is_said_of_what_it_did(told: str) -> None:
+    src, seq, data = ENDS[told]
+    sender = Sender(PLACE_TIP)
+    sender.run_ms(500)
+    sender.answer(TIP, seq=6)
+    sender.answer(TIP, "mode", seq=7, mode="follow", placing_s=3.0)
+    sender.pass_ms(20)
+    sender.answer(src, "node", seq=seq, **data)
+    assert sender.client.advance()
+    assert sender.client.failure.startswith(f"{TIP} ended while it was being placed")
+    assert f"{TIP} says mode" not in sender.client.failure
+    assert not sender.client.void
+
+
+@pytest.mark.parametrize("told", ENDS)
+def test_a_tip_that_ends_before_it_has_answered_is_armed_in_its_next_process(told: str) -> None:
+    src, seq, data = ENDS[told]
+    sender = Sender(PLACE_TIP)
+    sender.run_ms(100)
+    # a place of before the command's answer is none of this process either
+    sender.answer(TIP, "mode", seq=7, mode="follow", placed=True)
+    sender.pass_ms(20)
+    sender.answer(src, "node", seq=seq, **data)
+    assert not sender.run_ms(300)
+    sender.answer(TIP, seq=1)
+    assert not sender.run_ms(100)
+    sender.answer(TIP, "mode", seq=2, mode="follow", placed=True)
+    assert sender.run_ms(1)
+    assert sender.client.failure == ""
+
+
+def test_the_end_of_another_node_and_an_event_that_was_overtaken_end_no_placing() -> None:
+    sender = Sender(PLACE_TIP)
+    sender.run_ms(500)
+    sender.answer(TIP, seq=6)
+    sender.answer("launcher@master", "node", about_node=BOTH[1], exit_code=-9)
+    # the same stamp: the link has let another one pass it
+    sender.answer(TIP, "mode", seq=5, mode="follow")
+    sender.answer(TIP, "mode", seq=7, mode="follow", placed=True)
+    assert sender.run_ms(1)
     assert sender.client.failure == ""
 
 

@@ -21,6 +21,8 @@ export interface Hold {
   peak_to_peak_n: number;
   /** Of a swing that stands in the place of a hold, where a person is the hand [Hz]. */
   frequency_hz?: number | null;
+  /** Share in which hand and tip were both in it, 0 to 1. */
+  coupled_share?: number;
 }
 export interface Swing {
   from_s: number;

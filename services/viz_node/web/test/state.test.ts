@@ -1,7 +1,7 @@
 import { describe, expect, it, vi } from "vitest";
 import { Document } from "../src/document";
 import { energyText } from "../src/panels/law";
-import { rangeText, sorted } from "../src/panels/summary";
+import { accountText, coupledText, interruptionsText, rangeText, sorted } from "../src/panels/summary";
 import { bannersOf } from "../src/state";
 import { Store } from "../src/store";
 import type { Hold } from "../src/document";
@@ -70,6 +70,17 @@ describe("the summary", () => {
     expect(words).toBe("25 stable, 1 released");
     // a few are listed as they are
     expect(sorted([hold("stable"), hold("stable", 2)]).notable).toHaveLength(2);
+  });
+
+  it("tells silence from loss, and in which part of a hold hand and tip were both", () => {
+    expect(accountText({ complete: true, missing: [] })).toBe("whole");
+    expect(accountText({ complete: false, missing: ["7 messages", "its end"] })).toBe("not whole: 7 messages; its end");
+    expect(interruptionsText([])).toBe("none");
+    const silent = { kind: "source_silent" };
+    expect(interruptionsText([silent, { kind: "tip_held" }, silent])).toBe("hand or AFM sent nothing (2 times), the tip was held");
+    expect(coupledText({ coupled_share: 0.05 })).toBe(", both in it for 5 %");
+    // a recording of before says nothing of it
+    expect(coupledText({}) + coupledText({ coupled_share: 1 })).toBe("");
   });
 
   it("tells of a delay that was set in the session", () => {

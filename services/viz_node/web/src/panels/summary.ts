@@ -14,11 +14,38 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["loop_round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
   ["link_round_trip_range_ms", "Round trip of the link", (value: [number, number]) => rangeText(value)],
   ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
+  ["recording", "Recording", (recording: RecordingAccount) => accountText(recording)],
+  ["interruptions", "Interruptions", (all: { kind: string }[]) => interruptionsText(all)],
   ["overruns", "Deadlines missed", String],
   ["hand_cycles", "Cycles of the hand", String],
   ["duration_s", "Duration", (value: number) => `${value.toFixed(1)} s`],
   ["version", "Version", String],
 ];
+
+/** Which messages that were sent a recording lacks, as `summary.json` says it. */
+export interface RecordingAccount {
+  complete: boolean;
+  missing: string[];
+}
+
+/** Whether a recording has all that was sent, or else what it lacks. */
+export function accountText({ complete, missing }: RecordingAccount): string {
+  return complete ? "whole" : `not whole: ${missing.join("; ")}`;
+}
+
+const INTERRUPTIONS: Record<string, string> = { process_ended: "a process ended", source_silent: "hand or AFM sent nothing", tip_held: "the tip was held", hand_let_go: "the hand was let go" };
+
+/** What interrupted a session, each kind with how often. */
+export function interruptionsText(all: readonly { kind: string }[]): string {
+  const kinds = [...new Set(all.map(({ kind }) => kind))];
+  const times = (kind: string): number => all.filter((one) => one.kind === kind).length;
+  return kinds.map((kind) => `${INTERRUPTIONS[kind] ?? kind.replaceAll("_", " ")}${times(kind) > 1 ? ` (${times(kind)} times)` : ""}`).join(", ") || "none";
+}
+
+/** The part of a hold in which hand and tip were both in it, where that is not all of it. */
+export function coupledText({ coupled_share: share = 1 }: Pick<Hold, "coupled_share">): string {
+  return share > 0.995 ? "" : `, both in it for ${Math.round(100 * share)} %`;
+}
 
 /** More holds of which there is nothing to say are one row. */
 const MOST_QUIET = 6;
@@ -109,6 +136,6 @@ export class SummaryPanel implements Panel {
     const told = hold.verdict === "released" ? [] : warnings(hold);
     const kind = hold.verdict === "released" ? "" : kindOf(hold.verdict).replace("good", told.length ? "warn" : "");
     const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;
-    return make("tr", { class: kind, title: [hold.reason, ...(hold.facts ?? []).map(({ text }) => text)].join("; ") }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, `${hold.verdict.replaceAll("_", " ")}${hold.frequency_hz ? `, ${+hold.frequency_hz.toPrecision(2)} Hz` : ""}${told.length ? `, ${told.join(", ")}` : ""}`));
+    return make("tr", { class: kind, title: [hold.reason, ...(hold.facts ?? []).map(({ text }) => text)].join("; ") }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, `${hold.verdict.replaceAll("_", " ")}${hold.frequency_hz ? `, ${+hold.frequency_hz.toPrecision(2)} Hz` : ""}${coupledText(hold)}${told.length ? `, ${told.join(", ")}` : ""}`));
   }
 }
