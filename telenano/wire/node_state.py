@@ -92,7 +92,8 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
         version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
         if version != node.state_version:
             raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
-        _compare(names, _declared(node.state_kind))
+        optional = _optional(node.state_kind)
+        _compare(names, tuple(name for name in _declared(node.state_kind) if name in names or name not in optional))
         node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
     except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
@@ -128,6 +129,22 @@ def _names(state: Any) -> tuple[str, ...]:
         within = _names(getattr(state, field)) if is_open else [name for k in _kinds(hint) for name in _declared(k)]
         names += (field, *(f"{field}.{name}" for name in within))
     return tuple(names)
+
+
+@cache
+def _optional(kind: Any) -> frozenset[str]:
+    """Return those names of `_declared` that recordings of before may lack: fields that were added with a default."""
+    defaults = getattr(kind, "_field_defaults", None)
+    if defaults is None:
+        known = msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
+        defaults = {field.name for field in known if not field.required}
+    found: set[str] = set()
+    for field, hint in _hints(kind).items():
+        for within in _kinds(hint):
+            names = _declared(within) if field in defaults else _optional(within)
+            found |= {f"{field}.{inner}" for inner in names}
+        found |= {field} & set(defaults)
+    return frozenset(found)
 
 
 @cache
