@@ -191,7 +191,7 @@ class AfmNode(DeviceNode):
         if control.command == "stop":
             return self._withdraw()
         if control.command == "set":
-            self._memory.interrupted = True
+            self._memory.interrupted = self._memory.guard.goes
             return self._set(control)
         if control.command == "arm":
             return self._arm(self._way(control.parameters) if self._memory.words else _TO_HAND)

@@ -323,7 +323,9 @@ def _next_way(
             ENDED_BY_SILENCE if ends else NOT_ENDED
         )
     if mode != MODE_FOLLOW or not inputs.of_hand:
-        return _changed(state, 0.0, state.surface_m, state.goes and is_wished(mode, reason)), NOT_ENDED
+        # A wish keeps its word until another command comes.
+        goes = state.goes and not inputs.interrupted and is_wished(mode, reason)
+        return _changed(state, 0.0, state.surface_m, goes), NOT_ENDED
     ended = NOT_ENDED
     if state.mode == MODE_RETRACTED or state.mode == MODE_ESTOP:
         state = _begun(state, inputs)

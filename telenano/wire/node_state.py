@@ -134,16 +134,18 @@ def _names(state: Any) -> tuple[str, ...]:
 @cache
 def _optional(kind: Any) -> frozenset[str]:
     """Return those names of `_declared` that recordings of before may lack: fields that were added with a default."""
-    defaults = getattr(kind, "_field_defaults", None)
-    if defaults is None:
-        known = msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
-        defaults = {field.name for field in known if not field.required}
+    if not (hints := _hints(kind)):
+        return frozenset()
+    if issubclass(kind, msgspec.Struct):
+        defaults = {field.name for field in msgspec.structs.fields(kind) if not field.required}
+    else:
+        defaults = set(kind._field_defaults)
     found: set[str] = set()
-    for field, hint in _hints(kind).items():
+    for field, hint in hints.items():
         for within in _kinds(hint):
             names = _declared(within) if field in defaults else _optional(within)
             found |= {f"{field}.{inner}" for inner in names}
-        found |= {field} & set(defaults)
+        found |= {field} & defaults
     return frozenset(found)
 
 

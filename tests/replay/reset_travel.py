@@ -62,7 +62,7 @@ def main(words: list[str]) -> None:
         quoted[node] = {"node_latch": {node: refusal.data["latch"]}, "node_t_ns": {node: refusal.t_ns}}
     for node, quotation in quoted.items():
         fields = {"id": f"again-{node[:3]}", "command": "arm", "target": node, "parameters": parameters, **quotation}
-        rig._launcher.publish("session/control", **fields)  # noqa: SLF001
+        rig._launcher.publish("session/control", **fields)
     rig.run_until(END_S)
     states, samples = rig.received("afm/state", TIP)[tips:], rig.received("haptic/state", HAND)[hands:]
     bases = [base_m(state) for state in states]

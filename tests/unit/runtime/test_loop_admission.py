@@ -84,7 +84,7 @@ class Device:
         )  # fmt: skip
 
     def control(self, command: str) -> None:
-        fields = {"id": command, "command": command, "target": "afm_node", "parameters": {}}
+        fields = {"id": command, "command": command, "target": "afm_node", "parameters": {"place": "hand"} if command == "arm" else {}}
         self.arrives("session/control", src="launcher@master", **fields)
 
     @property

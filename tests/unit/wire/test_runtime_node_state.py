@@ -213,7 +213,6 @@ FITS = "n@s: its state in the journal does not fit this code: "
     ("change", "sentence"),
     [
         (("state_version = NodeState, 1", "state_version = NodeState, 2"), "it has version 1, and this code reads ver"),
-        (("joules: float = 0.0", MORE), "it lacks account.left$"),
         ((MORE, "joules: float = 0.0"), "it has in addition account.left$"),
         (("newest", "latest"), "it lacks history.latest and has in addition history.newest$"),
         (("newest: int\n    values: tuple[float, ...]", "values: tuple[float, ...]\n    newest: int"), "another order"),
@@ -226,6 +225,14 @@ def test_a_state_of_another_version_or_with_other_fields_is_refused(change: tupl
     node = renamed(source)
     with pytest.raises(RecordingError, match=FITS + f".*{sentence}"):
         restore(renamed(source.replace(*change)), pack(node))
+
+
+def test_a_state_from_before_a_field_was_added_has_its_default() -> None:
+    node: Any = renamed(SOURCE)
+    node.step()
+    other: Any = renamed(SOURCE.replace("joules: float = 0.0", MORE))
+    restore(other, pack(node))
+    assert (other._account.joules, other._account.left) == (node._account.joules, 0.0)
 
 
 class Tip(NamedTuple):
