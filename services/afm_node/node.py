@@ -120,6 +120,8 @@ class AfmNode(DeviceNode):
         self._reach = reach_of(config, driver)
         self._other_spring = False
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
+        # The way back of this step, as afm/state has it.
+        self._way_back: dict[str, float] = {}
         self.state = "safe"
         driver.open()
         # The latency of a real instrument is known once it is open, and its programs depend on it.
@@ -359,6 +361,7 @@ class AfmNode(DeviceNode):
         by_hand = (True, *(arm or _STAYS), memory.interrupted, command.hand_force_n or 0.0)
         asked = memory.asks(base_m, action, age_s, arm is not None, estop, is_lost, by_hand=by_hand)
         memory.interrupted = False
+        self._way_back = {}
         step = self._instrument.step(memory, asked, Wanted((), base_m, place), elapsed_s)
         if step.allowed.offset_m:
             self._add_offset(step, base_m)
@@ -373,7 +376,8 @@ class AfmNode(DeviceNode):
         if memory.words and step.follows and not memory.guard.goes and place_m > allowed.base_m + _LEAST_WAY_M:
             speed = self._return_speed()
             time_s = safety.way_s(self._limits, allowed.base_m, place_m, memory.guard.surface_m, speed)
-            step.added_fields.update(return_place_m=place_m, return_speed_m_per_s=speed, return_s=time_s)
+            self._way_back = {"return_place_m": place_m, "return_speed_m_per_s": speed, "return_s": time_s}
+            step.added_fields.update(self._way_back)
 
     def _publish_state(self, step: Step) -> None:
         """Publish what was done and measured, and what the parts of the instrument have besides."""
@@ -470,6 +474,7 @@ class AfmNode(DeviceNode):
                 "mode": safety.MODE_NAMES[mode],
                 "reason": safety.REASON_NAMES[reason],
                 "base_position_m": base_m,
+                **self._way_back,
             }
             self.event("mode", "info", text, placed=True, **facts)
         memory.places = memory.places and safety.is_armed(mode, reason) and not memory.placed

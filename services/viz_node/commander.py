@@ -43,7 +43,15 @@ class RigCommander:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)
         if (wanted.name, target) == ("arm", _EVERYBODY):
-            answers = arm_devices(self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by)
+            answers = arm_devices(
+                self._site_file,
+                "master",
+                lambda event: None,
+                is_wanted,
+                parameters=parameters,
+                issued_ns=issued_ns,
+                by=by,
+            )
         else:
             answers = send_control(
                 wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by

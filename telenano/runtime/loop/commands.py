@@ -183,6 +183,9 @@ class CommandClient:
         now_ns, needs_s = self._clock.monotonic_ns(), event.data.get("placing_s")
         if event.data.get("placed") is True:
             self._placed.add(event.src)
+        elif event.src in self.answers and "ended" in event.data:
+            # Something has ended its way, and it stays where it is.
+            self._deadline_ns = now_ns
         elif isinstance(needs_s, int | float):
             self._deadline_ns = now_ns + command.deadline_ns + round(2e9 * needs_s)
         elif event.src in self.answers and event.data.get("mode") == "estop":
