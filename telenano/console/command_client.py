@@ -92,10 +92,15 @@ def arm_devices(
 
     Both stay where they are. `parameters` are for the tip: where it may go, which is then waited for.
     """
+    steps = arm_steps(site_file, site, parameters or {})
+    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+
+
+def arm_steps(site_file: Path, site: Site, parameters: Mapping[str, Scalar]) -> list[Command]:
+    """Return the commands of `arm_devices`, the one of the tip with parameters."""
     book = AddressBook.load(site_file)
     steps = [step for step in ARM if site == "master" or set(step.expected) <= set(addressed(book, "*", site))]
-    steps = [replace(step, parameters=parameters or {}) if step.target == name_of(TIP) else step for step in steps]
-    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+    return [replace(step, parameters=parameters) if step.target == name_of(TIP) else step for step in steps]
 
 
 def send_control(

@@ -1,16 +1,18 @@
-"""`telenano session arm --return`: the tip of a running rig goes back to a place, at a speed that is stated before.
+"""`telenano session arm --return`: the tip of a rig goes back to a place, at a speed that is stated before.
 
-Arming alone starts nothing: after a stop, a loss or a restart, tip and hand stay where they are, and the hand is set off
-by as much. Going back is a word of its own, with its numbers, which come from the guard of the instrument. It ends where
-the tip is by any input: another command, a key, and a hand that moves or presses (`telenano.afm.safety`).
+Arming alone starts nothing: after a stop, a loss or a restart, tip and hand stay where they are, and the hand is set
+off by as much. Going back is a word of its own, with its numbers, which come from the guard of the instrument. It ends
+where the tip is by any input: another command, a key, and a hand that moves or presses (`telenano.afm.safety`).
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.console.command_client import arm_devices, send_control, send_controls
+from telenano.console.command_client import arm_devices, send_controls
 from telenano.runtime.loop.arming import ARM_TIP, return_to
+from telenano.runtime.loop.commands import Command
 from telenano.wire.errors import RigError
 from telenano.wire.messages import SessionEvent
 from telenano.wire.nodes import TIP, Site
@@ -68,12 +70,34 @@ def go_back(
     Example:
         go_back(Path("sites.yaml"), announce=print)
     """
-    given = {"issued_ns": issued_ns, "by": by}
-    armed = arm_devices(site_file, site, on_answer, is_wanted, **given).get(TIP)  # type: ignore[arg-type]
+    issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
+    armed = arm_devices(site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by).get(TIP)
     if armed is None:
         raise RigError(f"the tip does not go back: {TIP} is not reached from the {site}'s site")
     way = _way_from(armed, place_m, speed_m_per_s)
     announce(way)
+    back = return_to(way.place_m, way.speed_m_per_s)
+    answers = send_way([back], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+    if refused := [event.text for event in answers.values() if event.kind == "refused"]:
+        raise RigError(f"the tip does not go back: {'; '.join(refused)}")
+    return way
+
+
+def send_way(
+    commands: Sequence[Command],
+    site_file: Path,
+    site: Site,
+    on_answer: Callable[[SessionEvent], None],
+    is_wanted: Callable[[], bool],
+    *,
+    issued_ns: int,
+    by: str | None = None,
+) -> dict[str, SessionEvent]:
+    """Send commands of which the last lets the tip go somewhere, as `send_controls`; end its way once it is unwanted.
+
+    Raises:
+        RigError: The way was ended, and the tip stays where it is; and as `send_controls`.
+    """
     was_unwanted = False
 
     def still() -> bool:
@@ -81,18 +105,15 @@ def go_back(
         was_unwanted = was_unwanted or not is_wanted()
         return not was_unwanted
 
-    back = return_to(way.place_m, way.speed_m_per_s)
     try:
-        answers = send_controls([back], site_file, site, on_answer, still, **given)  # type: ignore[arg-type]
+        return send_controls(commands, site_file, site, on_answer, still, issued_ns=issued_ns, by=by)
     except (RigError, KeyboardInterrupt) as error:
-        # Any other command ends the way of the base, and this one starts nothing.
-        if was_unwanted or isinstance(error, KeyboardInterrupt):
-            send_control(ARM_TIP, site_file, site, on_answer, by=by)
-            raise RigError("going back was ended: the tip stays where it is") from error
-        raise
-    if refused := [event.text for event in answers.values() if event.kind == "refused"]:
-        raise RigError(f"the tip does not go back: {'; '.join(refused)}")
-    return way
+        if not was_unwanted and isinstance(error, RigError):
+            raise
+        # Any other command ends the way of the base. This one starts nothing, and as it was issued with the way, an
+        # emergency stop that came meanwhile makes it void.
+        send_controls([ARM_TIP], site_file, site, on_answer, issued_ns=issued_ns, by=by)
+        raise RigError("going back was ended: the tip stays where it is") from error
 
 
 def _way_from(armed: SessionEvent, place_m: float | None, speed_m_per_s: float | None) -> WayBack:

@@ -40,7 +40,7 @@ def session(
         bool,
         typer.Option(
             "--return",
-            help="With arm: let the tip go back, at a place, speed and time that are printed; a key ends it.",
+            help="With arm: let the tip go back to a place; place, speed and time are printed, and a key ends it.",
         ),
     ] = False,
     take: Annotated[bool, typer.Option("--take", help="Take control from a page for this command.")] = False,
@@ -84,7 +84,15 @@ def _return(parameters: Sequence[str], site_file: Path, site: Site, *, as_json: 
             typer.echo(str(way))
 
     with RawKeyboard() as keys:
-        way = go_back(site_file, site, announce, lambda: not keys.pressed(), issued_ns=issued_ns, **numbers)
+        way = go_back(
+            site_file,
+            site,
+            announce,
+            lambda: not keys.pressed(),
+            place_m=numbers.get("place_m"),
+            speed_m_per_s=numbers.get("speed_m_per_s"),
+            issued_ns=issued_ns,
+        )
     text = f"the tip is back: its base is at {1e9 * way.place_m:.4g} nm"
     print_answer({"command": "arm", "text": text, **way._asdict()}, text, as_json=as_json)
 

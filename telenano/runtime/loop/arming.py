@@ -7,7 +7,7 @@ follows only an armed hand (`telenano.afm.safety`). The hand comes first because
 tip is placed once it follows.
 
 `ARM` starts nothing: tip and hand stay where they are. Only a word in the parameters of the tip's `arm` lets it go
-towards the sample: to where the hand is at the start of a session (`PLACE_TIP`), or back to a stated place (`return_to`).
+towards the sample: to the hand at the start of a session (`PLACE_TIP`), or back to a stated place (`return_to`).
 """
 
 from dataclasses import replace
