@@ -52,8 +52,8 @@ _ARMED = {
 _RETURN_M_PER_S = 50e-9
 # A way back that is shorter is none [m].
 _LEAST_WAY_M = 1e-10
-# What an `arm` may say, in which case the tip goes.
-_WORDS = ("place", "place_m", "speed_m_per_s")
+# What an `arm` may say, in which case the tip goes towards the sample.
+WORDS = ("place", "place_m", "speed_m_per_s")
 _ALARMING = (
     safety.REASON_ESTOP,
     safety.REASON_FORCE_LIMIT,
@@ -202,9 +202,9 @@ class AfmNode(DeviceNode):
     def _way(self, parameters: Mapping[str, Scalar]) -> Way:
         """Return where an `arm` with these parameters lets the base go; RefusedError says what is wrong with them."""
         limits = self._limits
-        if unknown := sorted(set(parameters) - set(_WORDS)):
-            raise RefusedError(f"not armed: unknown key {', '.join(unknown)}; arm takes {', '.join(_WORDS)}")
-        place, place_m, speed = (parameters.get(key) for key in _WORDS)
+        if unknown := sorted(set(parameters) - set(WORDS)):
+            raise RefusedError(f"not armed: unknown key {', '.join(unknown)}; arm takes {', '.join(WORDS)}")
+        place, place_m, speed = (parameters.get(key) for key in WORDS)
         if place is not None and (place != "hand" or place_m is not None):
             raise RefusedError(f"not armed: place = {place}: it is hand, or absent where place_m is given")
         if place_m is not None and not (_is_number(place_m) and limits.base_min_m <= place_m <= limits.base_max_m):
