@@ -327,6 +327,9 @@ class AfmNode(DeviceNode):
 
     def _command_age_s(self) -> float:
         memory = self._memory
+        if memory.disarmed and memory.command is not None and memory.command.hand_armed is True:
+            # A hand that was stopped and is armed again has no tip to feel.
+            return math.inf
         return self.freshness.command_age_s(memory.followed, memory.followed_received_ns, self.clock.now_ns())
 
     def _step(

@@ -131,6 +131,8 @@ class CommandClient:
         # what the nodes that are to be placed have reported since the command was issued, and which of them are
         self._on_the_way: dict[str, SessionEvent] = {}
         self._placed: set[str] = set()
+        # Those whose way to their place was ended by something else.
+        self._ended: set[str] = set()
         self._expected: set[str] = set()
         self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
         self._wished_ns = clock.monotonic_ns() if issued_ns is None else issued_ns
@@ -177,7 +179,7 @@ class CommandClient:
 
     def _record_way(self, command: Command, event: SessionEvent) -> None:
         """Record how far a node is that has to be placed, and give it twice the time that it says it needs."""
-        if event.src not in command.expected:
+        if event.src not in command.expected or event.src in self._ended:
             return
         self._on_the_way[event.src] = event
         now_ns, needs_s = self._clock.monotonic_ns(), event.data.get("placing_s")
@@ -185,6 +187,7 @@ class CommandClient:
             self._placed.add(event.src)
         elif event.src in self.answers and "ended" in event.data:
             # Something has ended its way, and it stays where it is.
+            self._ended.add(event.src)
             self._deadline_ns = now_ns
         elif isinstance(needs_s, int | float):
             self._deadline_ns = now_ns + command.deadline_ns + round(2e9 * needs_s)
@@ -219,6 +222,7 @@ class CommandClient:
         self._command, self._id, self.answers = command, f"{self._sender}-{self._issued}", {}
         self.latched = ""
         self._on_the_way, self._placed, self._expected = {}, set(), set(command.expected)
+        self._ended = set()
         self._issued += 1
         self._issued_ns = self._next_ns = self._last_answer_ns = self._clock.monotonic_ns()
         self._deadline_ns = self._issued_ns + command.deadline_ns
