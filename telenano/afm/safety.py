@@ -317,11 +317,15 @@ def _next_way(
 ) -> tuple[SafetyState, int]:
     """Return the state with offset and way of this tick, and how a way has ended in it."""
     if mode == MODE_HOLD:
-        # A base that goes to the place of the hand goes on when its commands come again.
-        ends = state.goes and math.isfinite(state.place_m)
-        return _changed(state, state.offset_m, state.surface_m, state.goes and not ends), (
-            ENDED_BY_SILENCE if ends else NOT_ENDED
-        )
+        # A base that goes to the place of the hand goes on when its commands come again, unless a command ends that.
+        ended = NOT_ENDED
+        if state.goes and (inputs.interrupted or (inputs.arm_requested and not inputs.goes)):
+            ended = ENDED_BY_COMMAND
+        elif state.goes and math.isfinite(state.place_m):
+            ended = ENDED_BY_SILENCE
+        if ended == NOT_ENDED:
+            return state, NOT_ENDED
+        return _changed(state, inputs.reference_m - state.base_m, state.surface_m, False), ended
     if mode != MODE_FOLLOW or not inputs.of_hand:
         # A wish keeps its word until another command comes.
         goes = state.goes and not inputs.interrupted and is_wished(mode, reason)

@@ -13,6 +13,7 @@ the hand has gone since.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from virtual_rig import LINK_NODE, QuietLog, VirtualBus, VirtualRig, constant_timing
@@ -86,6 +87,7 @@ class ResetRig(VirtualRig):
         super().__init__(None, seed, (), _TIMING, document)
         self.page = VirtualBus(self, "viz_node@master")
         self.said = [Stretch(0.0, False)]
+        self._to_hand = False
         # An instrument that is started again begins at its safe place, wherever the one before it was killed.
         self.begun_s: list[float] = []
         self.now_s = 0.0
@@ -158,6 +160,8 @@ class ResetRig(VirtualRig):
         for target in targets or (HAND, TIP):
             word = parameters if target == TIP else {}
             goes, stopped = self.said[-1].goes, self.said[-1].stopped
+            # A law may take the tip to the hand at a speed of its own, for as long as it follows.
+            keeps = self._to_hand and self.tips[-1].mode in ("follow", "hold")
             # Where the arm is obeyed, it is from now on.
             others = tuple(each for each in stopped if each != target)
             self._say(goes=goes or bool(word), stopped=others)
@@ -170,7 +174,8 @@ class ResetRig(VirtualRig):
             if kinds[target] != "ack":
                 self._say(goes=goes, stopped=stopped)
             elif target == TIP:
-                self._say(goes=bool(word), stopped=others)
+                self._to_hand = "place" in word or (keeps and not word)
+                self._say(goes=bool(word) or keeps, stopped=others)
         return kinds
 
     def lose(self, device: str, *, lost: bool) -> None:
@@ -251,7 +256,7 @@ def _of_tip(rig: ResetRig, said_at: Callable[[float], Stretch], scale: float) ->
     tips, hands = rig.tips, rig.hands
     found: list[str] = []
     first, begin = 0, None
-    for before, now in zip(tips, tips[1:], strict=False):
+    for before, now in pairwise(tips):
         if now.time_s > hands[-1].time_s - LEAD_S:
             break
         is_begun = any(before.time_s < begun_s <= now.time_s for begun_s in rig.begun_s)

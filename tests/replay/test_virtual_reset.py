@@ -1,7 +1,8 @@
-"""A reset starts nothing: whatever ended a contact, arming leaves tip and hand where they are, until a word is given."""
+"""A reset starts nothing: whatever ended a contact, arming leaves tip and hand where they are."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -164,7 +165,7 @@ def test_the_word_takes_the_tip_to_the_stated_place_at_the_stated_speed(place_m:
         rig.wait(0.2)
         assert rig.states[-1].return_place_m is None
         way = rig.tips[tips:]
-        steps = [(b.place_m - a.place_m) / (b.time_s - a.time_s) for a, b in zip(way, way[1:], strict=False)]
+        steps = [(b.place_m - a.place_m) / (b.time_s - a.time_s) for a, b in pairwise(way)]
         assert max(steps) == pytest.approx(speed_m_per_s, rel=0.02, abs=0.0)
         rig.wait(needs_s)
         placed = [event for event in rig.events if event.data.get("placed")][-1]

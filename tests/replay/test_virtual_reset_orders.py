@@ -1,4 +1,4 @@
-"""Orders of stop, loss, restart, re-plug and arm, drawn by a seed: the tip goes nowhere by itself, and stops are obeyed.
+"""Orders of stop, loss, restart, re-plug and arm, drawn by a seed: the tip goes nowhere by itself.
 
 Each order is some events of a person, a machine or a cable, with times between them that are as long as what they meet:
 a few milliseconds, a hold, a withdrawal. `reset_rig` judges the states of the devices.
