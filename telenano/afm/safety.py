@@ -325,7 +325,8 @@ def _next_way(
             ended = ENDED_BY_SILENCE
         if ended == NOT_ENDED:
             return state, NOT_ENDED
-        return _changed(state, inputs.reference_m - state.base_m, state.surface_m, False), ended
+        reference = inputs.reference_m if math.isfinite(inputs.reference_m) else state.from_m
+        return _changed(state, reference - state.base_m, state.surface_m, False), ended
     if mode != MODE_FOLLOW or not inputs.of_hand:
         # A wish keeps its word until another command comes.
         goes = state.goes and not inputs.interrupted and is_wished(mode, reason)
