@@ -29,6 +29,7 @@ ORIGINS = {
     "telenano/launcher/run.py: plan.out": NAMED,
     "telenano/launcher/run.py: plan.site_file": NAMED,
     "telenano/launcher/session.py: arm": OWN,
+    "telenano/launcher/session.py: at": OWN,
     "services/player/plan.py: others": NAMED,
     "packages/telenano-wide-area/telenano_wide_area/relay/protocol.py: RELAY": OWN,
     "telenano/recording/verify.py: how_to_add_package(package)": OWN,
