@@ -98,6 +98,7 @@ def assert_nothing_moves(rig: ResetRig, time_s: float = 0.3) -> None:
     assert not rig.faults()
 
 
+@pytest.mark.grid(way="emergency stop")
 @pytest.mark.parametrize("way", WAYS)
 def test_arming_leaves_tip_and_hand_where_they_are(way: str) -> None:
     with stopped(WAYS[way]) as rig:
@@ -118,6 +119,39 @@ def test_arming_leaves_tip_and_hand_where_they_are(way: str) -> None:
 def test_no_law_moves_tip_or_hand_when_it_is_armed(way: str, law: str) -> None:
     with stopped(WAYS[way], law) as rig:
         assert_nothing_moves(rig)
+
+
+CHANGES: dict[str, Way] = {
+    "law": lambda rig: rig.command("set", "controller", law="passivity"),
+    "law without energy": lambda rig: rig.command("set", "controller", law="position_force"),
+    "scale": lambda rig: rig.command("set", "controller", **{"virtual_impedance.position_scale": 3e-6}),
+    "gain": lambda rig: rig.command("set", "controller", **{"virtual_impedance.force_gain": 40.0}),
+    "stiffness of the law": lambda rig: rig.command(
+        "set", "controller", **{"virtual_impedance.stiffness_n_per_m": 9.0}
+    ),
+    "clamp": lambda rig: rig.command("set", "controller", **{"clamp.enabled": True}),
+    "place over the sample": lambda rig: rig.command("set", "afm_node", **{"lateral.x_m": 5e-9}),
+    "hold, and commands again": lambda rig: rig.halt(SLAVE_HALF, 0.12),
+    "hand held up": lambda rig: rig.halt(HAND, 0.12),
+    "armed again": lambda rig: rig.arm(),
+}
+
+
+@pytest.mark.grid(change="law")
+@pytest.mark.parametrize("change", CHANGES)
+def test_nothing_that_is_changed_while_the_hand_is_set_off_moves_the_tip(change: str) -> None:
+    with stopped(WAYS["emergency stop"]) as rig:
+        rig.arm()
+        rig.wait(0.05)
+        base_m, hand_m, hands = rig.base_m, rig.hands[-1].place_m, len(rig.hands)
+        CHANGES[change](rig)
+        rig.wait(0.4)
+        assert rig.states[-1].mode == "follow"
+        assert rig.base_m <= base_m + 1e-13
+        # A spring of the law draws the hand to its rest, away from the sample.
+        if "stiffness" not in change:
+            assert max(abs(at.place_m - hand_m) for at in rig.hands[hands:]) <= STILL_M
+        assert not rig.faults()
 
 
 def test_a_hand_that_is_armed_again_while_the_tip_is_held_does_not_get_it_back() -> None:
@@ -146,6 +180,7 @@ def test_a_hold_that_ends_brings_back_no_more_than_the_hand_has_moved() -> None:
         assert not rig.faults()
 
 
+@pytest.mark.grid(place_m=None)
 @pytest.mark.parametrize("place_m", [None, -30e-9, 10.5e-9])
 def test_the_word_takes_the_tip_to_the_stated_place_at_the_stated_speed(place_m: float | None) -> None:
     with stopped(WAYS["emergency stop"]) as rig:
@@ -192,6 +227,7 @@ INPUTS: dict[str, tuple[Callable[[ResetRig], Any], str]] = {
 }
 
 
+@pytest.mark.grid(given="hand moves")
 @pytest.mark.parametrize("given", INPUTS)
 def test_any_input_ends_the_way_of_the_tip(given: str) -> None:
     act, why = INPUTS[given]
