@@ -49,8 +49,10 @@ def go_back(
     on_answer: Callable[[SessionEvent], None] = lambda event: None,
     issued_ns: int | None = None,
     by: str | None = None,
-) -> WayBack:
+) -> WayBack | None:
     """Arm hand and tip where they are, then let the tip go back to a place, and wait until it is there.
+
+    Returns the way, None where the tip is already where the hand has it and no place is stated.
 
     Args:
         site_file: The site file of the rig.
@@ -64,7 +66,7 @@ def go_back(
         by: As of `send_control`.
 
     Raises:
-        RigError: There is no way back, or it was ended before the tip was there: it stays where it is then.
+        RigError: It is refused, or was ended before the tip was there: it stays where it is then.
         ConfigError, EndpointError, RefusedError: As of `send_control`.
 
     Example:
@@ -74,7 +76,8 @@ def go_back(
     armed = arm_devices(site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by).get(TIP)
     if armed is None:
         raise RigError(f"the tip does not go back: {TIP} is not reached from the {site}'s site")
-    way = _way_from(armed, place_m, speed_m_per_s)
+    if (way := _way_from(armed, place_m, speed_m_per_s)) is None:
+        return None
     announce(way)
     back = return_to(way.place_m, way.speed_m_per_s)
     answers = send_way([back], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
@@ -116,7 +119,7 @@ def send_way(
         raise RigError("going back was ended: the tip stays where it is") from error
 
 
-def _way_from(armed: SessionEvent, place_m: float | None, speed_m_per_s: float | None) -> WayBack:
+def _way_from(armed: SessionEvent, place_m: float | None, speed_m_per_s: float | None) -> WayBack | None:
     """Return the way that the instrument states, with what a person states otherwise."""
     if armed.kind == "refused":
         raise RigError(f"the tip does not go back: {armed.text}")
@@ -125,7 +128,7 @@ def _way_from(armed: SessionEvent, place_m: float | None, speed_m_per_s: float |
     place = place if place_m is None else place_m
     speed = speed if speed_m_per_s is None else speed_m_per_s
     if place is None or from_m is None:
-        raise RigError(f"the tip has no way back: it is where the hand has it ({armed.text})")
+        return None
     if speed is None:
         raise RigError("the instrument states no speed of its own for this way: state one with --speed")
     return WayBack(place, speed, from_m, abs(place - from_m) / speed)

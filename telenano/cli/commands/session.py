@@ -93,8 +93,10 @@ def _return(parameters: Sequence[str], site_file: Path, site: Site, *, as_json: 
             speed_m_per_s=numbers.get("speed_m_per_s"),
             issued_ns=issued_ns,
         )
-    text = f"the tip is back: its base is at {1e9 * way.place_m:.4g} nm"
-    print_answer({"command": "arm", "text": text, **way._asdict()}, text, as_json=as_json)
+    text = "the tip is where the hand has it: there is no way back"
+    if way is not None:
+        text = f"the tip is back: its base is at {1e9 * way.place_m:.4g} nm"
+    print_answer({"command": "arm", "text": text, **({} if way is None else way._asdict())}, text, as_json=as_json)
 
 
 def _number(key: str, value: object) -> float:
