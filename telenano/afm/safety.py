@@ -93,6 +93,8 @@ CLEARANCE_M = 5e-9
 MOVED_M = 1.5e-9
 # A hand that presses or pulls with more than this is no hand at rest [N].
 PRESSED_N = 0.5
+# A word to go is void when no armed hand has come for this time [s]: who arms the hand later means no more than that.
+WORD_WAITS_S = 5.0
 # Places of the base that differ by less are the same [m].
 _SAME_M = 1e-12
 
@@ -102,7 +104,8 @@ class SafetyState(NamedTuple):
 
     slower_m_per_s: what the base is still kept below its speed limit after a hold [m/s]. offset_m: how far the base is
     away from the sample of the reference of a hand [m]; surface_m: where the base last met a surface [m], infinite for
-    never. goes: the base goes to place_m [m], or will when FOLLOW begins; from_m: the reference when it began [m].
+    never. goes: the base goes to place_m [m], or will when FOLLOW begins; from_m: the reference when it began [m];
+    waited_s: for how long its word has waited for a hand [s].
     """
 
     mode: int
@@ -115,6 +118,7 @@ class SafetyState(NamedTuple):
     place_m: float = math.inf
     speed_m_per_s: float = math.inf
     from_m: float = 0.0
+    waited_s: float = 0.0
 
 
 class SafetyInputs(NamedTuple):
@@ -210,6 +214,7 @@ def safety_step(
         way.place_m,
         way.speed_m_per_s,
         way.from_m,
+        way.waited_s,
     )
     return after, SafetyOutputs(base, mode, limited, reason, refusal, way.offset_m, ended)
 
@@ -255,8 +260,8 @@ def way_s(
 
 
 @compiled
-def _changed(state: SafetyState, offset_m: float, surface_m: float, goes: bool) -> SafetyState:
-    """Return the state with another offset [m], another known surface [m], and whether the base goes on its way."""
+def _changed(state: SafetyState, offset_m: float, surface_m: float, goes: bool, waited_s: float) -> SafetyState:
+    """Return the state with other values of what a tick changes of a way."""
     return SafetyState(
         state.mode,
         state.base_m,
@@ -268,6 +273,7 @@ def _changed(state: SafetyState, offset_m: float, surface_m: float, goes: bool) 
         state.place_m,
         state.speed_m_per_s,
         state.from_m,
+        waited_s,
     )
 
 
@@ -285,6 +291,7 @@ def _worded(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
         inputs.place_m,
         inputs.speed_m_per_s,
         inputs.reference_m,
+        0.0,
     )
 
 
@@ -308,6 +315,7 @@ def _begun(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
         state.place_m,
         state.speed_m_per_s,
         inputs.reference_m,
+        0.0,
     )
 
 
@@ -326,11 +334,12 @@ def _next_way(
         if ended == NOT_ENDED:
             return state, NOT_ENDED
         reference = inputs.reference_m if math.isfinite(inputs.reference_m) else state.from_m
-        return _changed(state, reference - state.base_m, state.surface_m, False), ended
+        return _changed(state, reference - state.base_m, state.surface_m, False, 0.0), ended
     if mode != MODE_FOLLOW or not inputs.of_hand:
-        # A wish keeps its word until another command comes.
-        goes = state.goes and not inputs.interrupted and is_wished(mode, reason)
-        return _changed(state, 0.0, state.surface_m, goes), NOT_ENDED
+        # A wish keeps its word until another command comes, and for as long as a person waits for it.
+        waited = state.waited_s + dt if state.goes else 0.0
+        goes = state.goes and not inputs.interrupted and is_wished(mode, reason) and waited <= WORD_WAITS_S
+        return _changed(state, 0.0, state.surface_m, goes, waited if goes else 0.0), NOT_ENDED
     ended = NOT_ENDED
     if state.mode == MODE_RETRACTED or state.mode == MODE_ESTOP:
         state = _begun(state, inputs)
@@ -344,7 +353,7 @@ def _next_way(
         offset, ended = _way(params, state, inputs, dt)
     if ended > ENDED_THERE:
         offset = inputs.reference_m - state.base_m
-    return _changed(state, offset, surface, goes and ended == NOT_ENDED), ended
+    return _changed(state, offset, surface, goes and ended == NOT_ENDED, 0.0), ended
 
 
 @compiled

@@ -62,6 +62,18 @@ def test_a_way_beyond_the_rest_point_ends_where_the_tip_feels_the_sample(force_n
     assert outputs[-1].base_m == pytest.approx(output.base_m, rel=0.0, abs=1e-15)
 
 
+@pytest.mark.parametrize(("waits_s", "goes"), [(4.9, True), (5.1, False)])
+def test_a_word_that_waits_for_a_hand_is_void_after_a_while(waits_s: float, goes: bool) -> None:
+    state, output = armed(0.0, goes=True, command_age_s=math.inf)
+    assert (output.mode, state.goes) == (safety.MODE_RETRACTED, True)
+    state, _ = run(state, round(waits_s / DT), command_age_s=math.inf)
+    # The hand is armed by somebody else.
+    _, outputs = run(state, 200)
+    assert outputs[-1].mode == safety.MODE_FOLLOW
+    assert (outputs[-1].base_m > -1e-9) == goes
+    assert goes or outputs[-1].base_m == pytest.approx(AWAY_M, rel=1e-9, abs=0.0)
+
+
 def test_a_surface_that_was_met_is_kept_clear_of() -> None:
     met = SafetyState(safety.MODE_FOLLOW, -20e-9, safety.REASON_ARMED)
     met, _ = run(met, 1, reference_m=-20e-9, force_n=1.1e-9)
