@@ -32,6 +32,8 @@ STILL_M = 2e-5
 SAME_M = 1e-11
 # A command of the hand takes no longer until the tip has acted on it, or holds [s].
 LATEST_S = 0.06
+# A law of waves goes a little before its hand, by the impulse that is on its line.
+LEADS = 1.02
 # A law's reference is before the sample of the hand that has followed it by less than this [s].
 LEAD_S = 0.01
 # The devices have obeyed a stop after this time [s].
@@ -282,7 +284,7 @@ def _of_tip(rig: ResetRig, said_at: Callable[[float], Stretch], scale: float) ->
         while last < len(hands) and hands[last].time_s <= now.time_s + LEAD_S:
             highest = max(highest, hands[last].farthest_m)
             last += 1
-        if now.place_m > begin.place_m + scale * (highest - lowest) + SAME_M:
+        if now.place_m > begin.place_m + LEADS * scale * (highest - lowest) + SAME_M:
             away_nm = 1e9 * (now.place_m - begin.place_m)
             hand_nm = 1e9 * scale * (highest - lowest)
             found.append(
