@@ -92,7 +92,8 @@ def arm() -> None:
     for device in ("haptic_node", "afm_node"):
         while time.monotonic() < end:
             with contextlib.suppress(TelenanoError):
-                answers = send_control(Command("arm", device), DEFAULT_SITE_FILE, "master", lambda event: None)
+                command = Command("arm", device, parameters={"place": "hand"} if device == "afm_node" else {})
+                answers = send_control(command, DEFAULT_SITE_FILE, "master", lambda event: None)
                 if all(event.kind == "ack" for event in answers.values()):
                     break
 

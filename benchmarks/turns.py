@@ -52,7 +52,7 @@ def session() -> tuple[Any, dict[str, list[tuple[int, list[Any]]]]]:
         bus.receive = receive
     for until_s, command in ((0.15, ("arm", "*")), (0.3, ("start", "haptic_node"))):
         rig.run_until(until_s)
-        rig.command(*command)
+        rig.command(*command, **({"place": "hand"} if "arm" in command else {}))
     rig.run_until(SESSION_S)
     _sessions.append(rig)
     return rig, turns

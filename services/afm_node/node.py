@@ -2,7 +2,8 @@
 
 import contextlib
 import math
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, TypeGuard
 
 import msgspec
 
@@ -30,7 +31,7 @@ from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError, cause
-from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
+from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, Scalar, SessionControl
 from telenano.wire.node_state import FindInput, Part, part
 from telenano.wire.received import Received
 
@@ -47,6 +48,12 @@ _ARMED = {
     safety.MODE_FOLLOW: "armed: the tip follows fresh commands of an armed hand",
     safety.MODE_RETRACTED: "armed: the tip stays withdrawn until a fresh command of an armed hand comes",
 }
+# How fast the base goes back to a place where the `arm` does not state another speed [m/s]: in 2 s from 100 nm.
+_RETURN_M_PER_S = 50e-9
+# A way back that is shorter is none [m].
+_LEAST_WAY_M = 1e-10
+# What an `arm` may say, in which case the tip goes towards the sample.
+WORDS = ("place", "place_m", "speed_m_per_s")
 _ALARMING = (
     safety.REASON_ESTOP,
     safety.REASON_FORCE_LIMIT,
@@ -56,6 +63,17 @@ _ALARMING = (
     safety.REASON_DEVICE_LOST,
     safety.REASON_LATERAL_LIMIT,
 )
+
+
+class Way(NamedTuple):
+    """Where an `arm` lets the base go: whether at all, how far [m], how fast [m/s]; infinite as in `SafetyInputs`."""
+
+    goes: bool = False
+    place_m: float = math.inf
+    speed_m_per_s: float = math.inf
+
+
+_STAYS, _TO_HAND = Way(), Way(goes=True)
 
 
 class AfmNodeState(NamedTuple):
@@ -98,10 +116,12 @@ class AfmNode(DeviceNode):
         self._config, self._driver = config, driver
         self._limits = config.to_params().safety
         felt = None if config.feel is None else FeltState()
-        self._memory = AfmMemory(safety.initial_safety_state(self._limits), felt=felt)
+        self._memory = AfmMemory(safety.initial_safety_state(self._limits), felt=felt, words=True)
         self._reach = reach_of(config, driver)
         self._other_spring = False
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
+        # The way back of this step, as afm/state has it.
+        self._way_back: dict[str, float] = {}
         self.state = "safe"
         driver.open()
         # The latency of a real instrument is known once it is open, and its programs depend on it.
@@ -148,7 +168,8 @@ class AfmNode(DeviceNode):
         message = received.message
         if type(message) is AfmCommand:
             self._memory.command = message
-            if message.hand_armed is True:
+            self._memory.disarmed = self._is_disarmed(message)
+            if message.hand_armed is True and not self._memory.disarmed:
                 self._memory.followed, self._memory.followed_received_ns = message, received.received_ns
             command_age_s = self._command_age_s()
             self.stale += command_age_s > self._limits.command_deadline_s
@@ -172,30 +193,63 @@ class AfmNode(DeviceNode):
         if control.command == "stop":
             return self._withdraw()
         if control.command == "set":
+            self._memory.interrupted = self._memory.guard.goes
             return self._set(control)
         if control.command == "arm":
-            return self._arm()
+            return self._arm(self._way(control.parameters) if self._memory.words else _TO_HAND)
         return super().on_control(control)
 
-    def _arm(self) -> str:
-        """Arm the tip and begin what the scenario begins then: both, or neither where one of the two is refused."""
+    def _way(self, parameters: Mapping[str, Scalar]) -> Way:
+        """Return where an `arm` with these parameters lets the base go; RefusedError says what is wrong with them."""
+        limits = self._limits
+        if unknown := sorted(set(parameters) - set(WORDS)):
+            raise RefusedError(f"not armed: unknown key {', '.join(unknown)}; arm takes {', '.join(WORDS)}")
+        place, place_m, speed = (parameters.get(key) for key in WORDS)
+        if place is not None and (place != "hand" or place_m is not None):
+            raise RefusedError(f"not armed: place = {place}: it is hand, or absent where place_m is given")
+        if place_m is not None and not (_is_number(place_m) and limits.base_min_m <= place_m <= limits.base_max_m):
+            bounds = f"{limits.base_min_m:g} to {limits.base_max_m:g} m"
+            raise RefusedError(f"not armed: place_m = {place_m}: the base goes from {bounds}, towards the sample > 0")
+        if speed is not None and not (_is_number(speed) and 0.0 < speed <= limits.base_speed_m_per_s):
+            most = f"at most {limits.base_speed_m_per_s:g} m/s (safety.base_speed_m_per_s)"
+            raise RefusedError(f"not armed: speed_m_per_s = {speed}: it is above 0, and {most}")
+        if place_m is None and place is None:
+            if speed is not None:
+                raise RefusedError("not armed: speed_m_per_s is given, and no place_m to go to")
+            return _STAYS
+        if place_m is None:
+            return _TO_HAND if speed is None else Way(True, math.inf, float(speed))
+        return Way(True, float(place_m), self._return_speed() if speed is None else float(speed))
+
+    def _return_speed(self) -> float:
+        return min(_RETURN_M_PER_S, self._limits.base_speed_m_per_s)
+
+    def _arm(self, way: Way) -> str:
+        """Arm the tip and begin what the scenario begins then: both, or neither where one of the two is refused.
+
+        Without a way the tip stays where it is, and nothing begins.
+        """
         if self._programs.name:
             raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
-        begin, text = self._config.begin, ""
+        begin, text = self._config.begin if way.goes else None, ""
         if begin is not None and self._memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
             try:
                 # The guard judges below whether it lets the tip go, and no program steps before that.
                 text = self._request(begin, safety.MODE_RETRACTED)
             except RefusedError as error:
                 raise RefusedError(f"not armed: {error}") from error
-        done = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=True)
+        done = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=way)
         self._memory.places = True
         if done.arm_refusal == safety.ARM_NOT_REFUSED:
             self._report_reach()
-            return text or _ARMED[done.mode]
+            return text or f"{_ARMED[done.mode]}{'' if way.goes else self._stays_text(done)}"
         self._programs.end()
         if done.arm_refusal != safety.ARM_REFUSED_ALREADY_ARMED:
             raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[done.arm_refusal]}")
+        if done.mode == safety.MODE_FOLLOW and self._memory.guard.goes and self._memory.guard.offset_m:
+            text, facts = self._way_text(done)
+            self.event("mode", "info", f"the AFM is in mode follow: armed; {text}", **self._mode_facts(done), **facts)
+            return f"armed already: {text}"
         if done.mode == safety.MODE_FOLLOW:
             return "armed already"
         mode, reason = safety.MODE_NAMES[done.mode], safety.REASON_NAMES[done.reason]
@@ -264,8 +318,18 @@ class AfmNode(DeviceNode):
         if stalled_s := self.begin_turn(now_ns):
             self._step(now_ns, max(self._command_age_s(), stalled_s))
 
+    def _is_disarmed(self, command: AfmCommand) -> bool:
+        """Return whether the hand was disarmed while the tip is held: no later arming of the hand lets it go on."""
+        memory = self._memory
+        if not memory.words or memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
+            return False
+        return memory.disarmed or (memory.guard.mode == safety.MODE_HOLD and command.hand_armed is not True)
+
     def _command_age_s(self) -> float:
         memory = self._memory
+        if memory.disarmed and memory.command is not None and memory.command.hand_armed is True:
+            # A hand that was stopped and is armed again has no tip to feel.
+            return math.inf
         return self.freshness.command_age_s(memory.followed, memory.followed_received_ns, self.clock.now_ns())
 
     def _step(
@@ -274,14 +338,14 @@ class AfmNode(DeviceNode):
         age_s: float,
         wanted: AfmCommand | None = None,
         *,
-        arm: bool = False,
+        arm: Way | None = None,
         estop: bool = False,
     ) -> safety.SafetyOutputs:
         """Take a step at now_ns [ns] for a command of this age [s], by default the one in force."""
         memory, is_lost = self._memory, self.is_lost
         elapsed_s = min(max(now_ns - memory.stepped_ns, 1) * 1e-9, self._longest_step_s)
         memory.stepped_ns = now_ns
-        if self._programs.name and not arm:
+        if self._programs.name and arm is None:
             step = self._instrument.step_program(memory, self._programs, elapsed_s, estop, is_lost)
             if line := step.wanted.line:
                 lines = self._programs.report().lines
@@ -297,10 +361,26 @@ class AfmNode(DeviceNode):
             place = memory.pointer = Place(*command.lateral_m)
         elif x_m or y_m:
             place = Place(place.x_m + x_m, place.y_m + y_m)
-        asked = memory.asks(base_m, action, age_s, arm, estop, is_lost)
+        by_hand = (True, *(arm or _STAYS), memory.interrupted, command.hand_force_n or 0.0)
+        asked = memory.asks(base_m, action, age_s, arm is not None, estop, is_lost, by_hand=by_hand)
+        memory.interrupted = False
+        self._way_back = {}
         step = self._instrument.step(memory, asked, Wanted((), base_m, place), elapsed_s)
+        if step.allowed.offset_m:
+            self._add_offset(step, base_m)
         self._publish_state(step)
         return step.allowed
+
+    def _add_offset(self, step: Step, reference_m: float) -> None:
+        """Add to afm/state how far the hand is set off, and the way back that an `arm` would let the base go."""
+        memory, allowed = self._memory, step.allowed
+        step.added_fields["offset_m"] = allowed.offset_m
+        place_m = min(reference_m, safety.nearest_m(memory.guard.surface_m))
+        if memory.words and step.follows and not memory.guard.goes and place_m > allowed.base_m + _LEAST_WAY_M:
+            speed = self._return_speed()
+            time_s = safety.way_s(self._limits, allowed.base_m, place_m, memory.guard.surface_m, speed)
+            self._way_back = {"return_place_m": place_m, "return_speed_m_per_s": speed, "return_s": time_s}
+            step.added_fields.update(self._way_back)
 
     def _publish_state(self, step: Step) -> None:
         """Publish what was done and measured, and what the parts of the instrument have besides."""
@@ -310,6 +390,8 @@ class AfmNode(DeviceNode):
         self.publish("afm/state", **numbers, **step.fields(self._memory))
         self._instrument.parts.report(step, self._memory)
         self._report_changes(step.allowed)
+        if step.allowed.ended > safety.ENDED_THERE:
+            self._report_ended(step.allowed)
         self._report_place(step.allowed.base_m)
         self.steps += 1
 
@@ -342,13 +424,48 @@ class AfmNode(DeviceNode):
         if safety.is_wished(allowed.mode, allowed.reason):
             text += ", and waits for a fresh command of an armed hand"
         elif (allowed.mode, allowed.reason) == (safety.MODE_FOLLOW, safety.REASON_ARMED) and self._memory.followed:
-            wanted_m = to_paper_axis(self._memory.followed.base_position_m)
-            facts["placing_s"] = safety.placing_s(self._limits, allowed.base_m, wanted_m)
-            text += (
-                f"; its base goes from {1e9 * allowed.base_m:.4g} nm to {1e9 * wanted_m:.4g} nm at"
-                f" {1e9 * self._limits.base_speed_m_per_s:.4g} nm/s, for {facts['placing_s']:.2g} s"
-            )
+            way, facts = self._way_text(allowed)
+            text += f"; {way}"
         self.event("mode", level, text, mode=mode, reason=reason, base_position_m=allowed.base_m, **facts)
+
+    @staticmethod
+    def _mode_facts(allowed: safety.SafetyOutputs) -> dict[str, Any]:
+        mode, reason = safety.MODE_NAMES[allowed.mode], safety.REASON_NAMES[allowed.reason]
+        return {"mode": mode, "reason": reason, "base_position_m": allowed.base_m}
+
+    def _way_text(self, allowed: safety.SafetyOutputs) -> tuple[str, dict[str, Any]]:
+        """Return where the base goes, how fast and for how long, in words, and the facts of it."""
+        guard = self._memory.guard
+        followed = self._memory.followed or _NO_COMMAND
+        if not guard.goes and allowed.offset_m:
+            return self._stays_text(allowed).removeprefix("; "), {"placing_s": 0.0}
+        wanted_m = to_paper_axis(followed.base_position_m)
+        is_stated = guard.goes and math.isfinite(guard.place_m)
+        place_m = guard.place_m if is_stated else min(wanted_m, safety.nearest_m(guard.surface_m))
+        speed = min(guard.speed_m_per_s, self._limits.base_speed_m_per_s)
+        time_s = safety.way_s(self._limits, allowed.base_m, place_m, guard.surface_m, speed)
+        text = (
+            f"its base goes from {1e9 * allowed.base_m:.4g} nm to {1e9 * place_m:.4g} nm at {1e9 * speed:.4g} nm/s, for"
+            f" {time_s:.2g} s"
+        )
+        if is_stated:
+            text += "; any command, and a hand that moves or presses, ends it"
+        elif wanted_m > place_m:
+            text += (
+                f"; the hand is beyond, and the base goes on from there at {1e9 * safety.LET_IN_M_PER_S:g} nm/s until"
+                " the tip feels the sample"
+            )
+        return text, {"placing_s": time_s}
+
+    def _stays_text(self, allowed: safety.SafetyOutputs) -> str:
+        return f"; its base stays at {1e9 * allowed.base_m:.4g} nm, and a hand moves it from there"
+
+    def _report_ended(self, allowed: safety.SafetyOutputs) -> None:
+        """Report that the base does not go on to its place, and that an arming which waits for it has ended."""
+        why = safety.ENDINGS[allowed.ended]
+        text = f"the way of the base ended, because {why}: it stays at {1e9 * allowed.base_m:.4g} nm"
+        self.event("mode", "info", text, ended=why, **self._mode_facts(allowed))
+        self._memory.places = False
 
     def _report_place(self, base_m: float) -> None:
         """Report once after each arming that the tip is placed, or that the arming is void."""
@@ -360,6 +477,11 @@ class AfmNode(DeviceNode):
                 "mode": safety.MODE_NAMES[mode],
                 "reason": safety.REASON_NAMES[reason],
                 "base_position_m": base_m,
+                **self._way_back,
             }
             self.event("mode", "info", text, placed=True, **facts)
         memory.places = memory.places and safety.is_armed(mode, reason) and not memory.placed
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,13 +1,14 @@
 """The half of a law at the instrument's site, as a node: it runs on the arrival of messages."""
 
+import math
 from typing import Any, Literal, NamedTuple, cast
 
 from services.controller.half import ZERO_XY, ControllerHalf, HalfState
 from telenano.extend.laws import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
+from telenano.extend.virtual_mass import bounded
 from telenano.laws import energy, integration
 from telenano.laws.clamp import clamped
 from telenano.laws.config import ControllerConfig
-from telenano.laws.entering import LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from telenano.laws.integration import Settled, SlaveTiming, TimingParams
 from telenano.laws.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
 from telenano.numerics.frames import to_paper_axis
@@ -16,6 +17,7 @@ from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
 from telenano.wire.node_state import FindInput
+from telenano.wire.ranges import FORCE
 from telenano.wire.received import Received
 
 # A program that is silent for this time is over [ns]: it reports ten times a second.
@@ -25,6 +27,16 @@ _NO_COMMAND = -2
 _MOST_OUTSTANDING = 7
 
 
+class SetOff(NamedTuple):
+    """How far the instrument's base is away from the sample of what it is commanded [m], as it says itself.
+
+    surface_m: not used; recordings have it.
+    """
+
+    offset_m: float = 0.0
+    surface_m: float = math.inf
+
+
 class SlaveState(NamedTuple):
     """The state of the slave half.
 
@@ -32,7 +44,7 @@ class SlaveState(NamedTuple):
     that the newest signal descends from; asked_m: the references of the newest commands, the
     newest first, and carried_out_m, that of the one which the instrument had carried out at its newest sample [m];
     lateral_n: force on the tip in x and y [N]; instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a
-    program of the instrument [ns]; entry: how far the tip is let in to where the hand is.
+    program of the instrument [ns]; entry: how far the hand is set off.
     """
 
     half: HalfState
@@ -47,7 +59,7 @@ class SlaveState(NamedTuple):
     instrument_lost: bool
     occupied_until_ns: int
     across: LateralSlaveState
-    entry: Entry
+    entry: SetOff
 
 
 class SlaveController(ControllerHalf):
@@ -77,7 +89,7 @@ class SlaveController(ControllerHalf):
         # The instrument images or measures by itself until then, and obeys no hand.
         self._occupied_until_ns = 0
         self._across = lateral_slave_at_rest()
-        self._entry = entry_at_start()
+        self._entry = SetOff()
 
     def capture(self) -> SlaveState:
         return SlaveState(
@@ -203,23 +215,21 @@ class SlaveController(ControllerHalf):
         tip = TipMeasurement(*self.tip[:-1], self._asked_m[0] - self._carried_out_m)
         self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, tip, dt_s)
         self.reference = clamped(self._clamp, wanted, signal, tip)
-        force_scale = self.config.law_config().force_scale
-        self._entry = entry_step(self._entry, self.reference.position_m, tip, force_scale, dt_s)
 
     def _publish_command(self, *, answers: bool) -> None:
         follows = self.reference.active and self._hand_armed
         mode: Literal["position", "hold"] = "position" if follows else "hold"
         is_direct = self.lateral.motion.mode == DIRECT
         moves = not is_direct and hand_moves(self._across)
-        base_m = self.reference.position_m - self._entry.offset_m
         across = {"lateral_m": (self._across.x_m, self._across.y_m)} if moves else {}
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=(*(self.across.far if is_direct else ZERO_XY), 0.0 - base_m),
+            base_position_m=(*(self.across.far if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
             hand_seq=self._hand_stamp[0],
             hand_t_ns=self._hand_stamp[1],
             hand_armed=self._hand_armed,
+            hand_force_n=bounded(self.config.law_config().force_scale * self.signal.force_n, FORCE.high),
             **across,
         )
         self.timing = integration.slave_commanded(self.timing, command.seq, answers)
@@ -242,8 +252,10 @@ class SlaveController(ControllerHalf):
     def _on_instrument(self, message: AfmState, now_ns: int) -> None:
         self.across.own_m, self.across.own_n = message.base_position_m[:2], message.tip_force_n[:2]
         followed = self.tip.following
-        measured = TipMeasurement(
-            base_position_m=to_paper_axis(message.base_position_m),
+        self._entry = SetOff(message.offset_m or 0.0)
+        self.tip = TipMeasurement(
+            # The law sees the base where it would be without the offset, like a sample that lies deeper by as much.
+            base_position_m=to_paper_axis(message.base_position_m) + self._entry.offset_m,
             force_n=message.tip_force_n[2],
             separation_m=message.separation_m,
             separation_valid=message.separation_valid,
@@ -252,8 +264,7 @@ class SlaveController(ControllerHalf):
             and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
             outstanding_m=0.0,
         )
-        self.tip = shown_tip(self._entry, measured)
-        if self.tip.following and not followed and self._entry.offset_m > 0.0:
+        if self.tip.following and not followed and self._entry.offset_m:
             self._report_offset(self._entry.offset_m)
         self.state = "running" if self.tip.following else "safe"
         if self._instrument_lost:
@@ -272,14 +283,13 @@ class SlaveController(ControllerHalf):
         self._settle(settled)
 
     def _report_offset(self, offset_m: float) -> None:
-        """Report that hand and tip begin apart, because the hand is beyond where the tip may go at once."""
+        """Report that hand and tip begin apart, because arming has left both where they are."""
         apart_m = offset_m / self.config.law_config().position_scale
         text = (
-            f"the hand is {1e3 * apart_m:.3g} mm further than the tip may go at once: the base starts"
-            f" {1e9 * offset_m:.3g} nm short of it, and follows at {1e9 * LET_IN_M_PER_S:g} nm/s while the tip"
-            " presses little"
+            f"the hand is set off by {1e3 * apart_m:.3g} mm: the tip is {1e9 * offset_m:.3g} nm further away from the"
+            " sample than the place of the hand, and the hand moves it from there"
         )
-        self.event("mode", "warning", text, offset_m=offset_m, apart_m=apart_m)
+        self.event("mode", "info", text, offset_m=offset_m, apart_m=apart_m)
 
     def _count_port_energy(self) -> None:
         section = self.config.law_config()

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from telenano.console.command_client import arm_devices, send_control
+from telenano.console.command_client import arm_steps, send_control
 from telenano.console.coupling import recouple
 from telenano.console.emergency_stop import Answer, LocalRig, emergency_stop
+from telenano.console.going_back import send_way
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import Scalar
@@ -43,7 +44,10 @@ class RigCommander:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)
         if (wanted.name, target) == ("arm", _EVERYBODY):
-            answers = arm_devices(self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by)
+            steps = arm_steps(self._site_file, "master", parameters)
+            answers = send_way(
+                steps, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by
+            )
         else:
             answers = send_control(
                 wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by

@@ -36,6 +36,8 @@ _STATE_KEYS = {
 }
 # in afm/state, where what is felt is no force
 _FELT_KEYS = ("felt_channel", "felt_clamp")
+# The way back of a tip that was armed where it is, in steps that a page can show: 0.1 nm, 1 pm/s, 0.1 s.
+_RETURN_DIGITS = {"return_place_m": 10, "return_speed_m_per_s": 12, "return_s": 1}
 # the operator's time changes with each sample, and is shown with a tenth of a second
 _COARSE = {"session_s": 1, "silence_s": 1, "uptime_s": 0}
 # keys that a message may be without
@@ -114,7 +116,10 @@ class Feed:
             self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
         if keys := _STATE_KEYS.get(seen.topic):
             felt = {key: value for key in _FELT_KEYS if (value := seen.fields.get(key)) is not None}
-            self._set_state(f"{seen.topic}/{site}", _facts(seen.fields, keys) | felt)
+            back = {
+                key: round(value, n) for key, n in _RETURN_DIGITS.items() if (value := seen.fields.get(key)) is not None
+            }
+            self._set_state(f"{seen.topic}/{site}", _facts(seen.fields, keys) | felt | back)
         elif seen.topic == "link/status":
             ways = {way: _facts(seen.fields[way], _WAY_KEYS) for way in ("forward", "backward")}
             clock = seen.fields["clock"]

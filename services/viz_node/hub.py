@@ -61,6 +61,7 @@ _MOST_READS = 8
 _MOST_ASKED_BYTES = 4096
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
+_ARM = "arm"
 _METRICS_NS = 1_000_000_000
 # The age of the loop is sent to the pages at this interval.
 _AGE_S = 1.0
@@ -97,12 +98,14 @@ class Commander(Protocol):
 class Wish:
     """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
 
-    def __init__(self, session: Session, command: str, arrived_s: float) -> None:
+    def __init__(self, session: Session, command: str, arrived_s: float, *, goes: bool = False) -> None:
         self.session = session
         self.arrived_s = arrived_s
         self.reason = ""
         self.needs_lease = command not in FREE_COMMANDS
         self._command = command
+        # Whether it lets the tip go somewhere, which any other command ends.
+        self.goes = goes
         self._is_void = threading.Event()
 
     def make_void(self, reason: str) -> None:
@@ -500,9 +503,12 @@ class Hub:
     ) -> Answers:
         """Send a command in its turn, unless it is void or too old by then."""
         self._check_arrival(session, request)
-        wish = Wish(session, request.command, arrived_s)
+        wish = Wish(session, request.command, arrived_s, goes=request.command == _ARM and bool(request.parameters))
         if wish.needs_lease:
             self.desk.act(session, request.lease)
+        for other in self._wishes:
+            if other.goes:
+                other.make_void("another command came after it")
         self._wishes.append(wish)
         try:
             async with self._turn:

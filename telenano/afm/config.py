@@ -20,7 +20,7 @@ from telenano.afm.layers import Ground, Height
 from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
-from telenano.afm.safety import placing_s
+from telenano.afm.safety import way_s
 from telenano.afm.sample.surface import PLANE, Surface
 from telenano.afm.sample_maps import over_map
 from telenano.afm.sample_models import checked_sample
@@ -460,8 +460,9 @@ class _OwnSections(Settings):
         0.34
         """
         limits = self.to_guard()
-        way_s = placing_s(limits, limits.retract_position_m, reference_m)
-        return way_s + _PLACING_ROUND_TRIPS * round_trip_s + _BEGINNING_S
+        # A hand beyond the rest point is let in from there, which is no part of placing.
+        placing_s = way_s(limits, limits.retract_position_m, min(reference_m, 0.0))
+        return placing_s + _PLACING_ROUND_TRIPS * round_trip_s + _BEGINNING_S
 
 
 # The drivers and the environments that need no package.

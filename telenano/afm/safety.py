@@ -19,6 +19,20 @@ released; otherwise the outputs carry the reason of the refusal. The tip stays i
 a fresh position command comes, and FOLLOW begins with that. A stop, a retraction or the loss of the device ends the
 wish.
 
+Arming starts nothing. The references of a hand (`of_hand`) count from where the base is when FOLLOW begins: the base is
+at reference - offset, and the offset is chosen so that it stays there. Only the word for it (`goes`) lets the base go
+towards the sample by itself, as far as `place_m`:
+
+- at `speed_m_per_s` to its rest point (z = 0), and no nearer than a clearance in front of the surface it last met;
+- further, where the place lies beyond, at the speed of the paper's approach (Fig. 12), until it feels the sample.
+
+A way ends by another command, and one to a stated place by a hand that moves or presses too: the base stays where it is
+then (`ended`). A place that is not finite is where the hand stands, as at the start of a session: the base goes there
+with the hand.
+
+The law sees the base where it would be without the offset, so the offset is to it a sample that lies deeper by as much.
+The references of a program (`of_hand` false) are places of the base, and no offset acts on them.
+
 `reason` is why the last transition happened. The arrival in RETRACTED keeps the reason of the retraction, so that it
 can still be read when the operator comes back.
 """
@@ -56,17 +70,55 @@ ARM_REFUSAL_NAMES: dict[int, str] = {
 LIMITED_BY_RANGE = 1  # bits of `limited`
 LIMITED_BY_SPEED = 2
 
+# How a way of the base to a place has ended.
+NOT_ENDED, ENDED_THERE, ENDED_BY_COMMAND, ENDED_BY_MOTION, ENDED_BY_FORCE = range(5)
+ENDED_BY_SILENCE, ENDED_BY_CONTACT = range(5, 7)
+# What ends a way before the base is there, in words.
+ENDINGS: dict[int, str] = {
+    ENDED_BY_COMMAND: "another command came",
+    ENDED_BY_MOTION: "the hand moved",
+    ENDED_BY_FORCE: "the hand pressed",
+    ENDED_BY_SILENCE: "no fresh command of the hand came",
+    ENDED_BY_CONTACT: "the tip felt the sample",
+}
+
+# The speed beyond the rest point of the base, or in front of a surface: of the approach of Fig. 12 for 1 N at the hand
+# [m/s].
+LET_IN_M_PER_S = 15e-9
+# A tip that is pressed or pulled with more than this has met the sample [N].
+SMALL_FORCE_N = 1e-9
+# The pull of the water film begins within this distance of a surface [m]; a meniscus breaks at 4 nm in Table 2.
+CLEARANCE_M = 5e-9
+# A reference that goes further than this while the base is on its way is of a hand that moves [m]: 1 mm at the hand.
+MOVED_M = 1.5e-9
+# A hand that presses or pulls with more than this is no hand at rest [N].
+PRESSED_N = 0.5
+# A word to go is void when no armed hand has come for this time [s]: who arms the hand later means no more than that.
+WORD_WAITS_S = 5.0
+# Places of the base that differ by less are the same [m].
+_SAME_M = 1e-12
+
 
 class SafetyState(NamedTuple):
     """Mode (MODE_*), base position last commanded [m] and reason (REASON_*) of the last transition.
 
-    slower_m_per_s: what the base is still kept below its speed limit after a hold [m/s].
+    slower_m_per_s: what the base is still kept below its speed limit after a hold [m/s]. offset_m: how far the base is
+    away from the sample of the reference of a hand [m]; surface_m: where the base last met a surface [m], infinite for
+    never. goes: the base goes to place_m [m], or will when FOLLOW begins; from_m: the reference when it began [m];
+    waited_s: for how long its word has waited for a hand [s].
     """
 
     mode: int
     base_m: float
     reason: int
     slower_m_per_s: float = 0.0
+    offset_m: float = 0.0
+    surface_m: float = math.inf
+    goes: bool = False
+    place_m: float = math.inf
+    speed_m_per_s: float = math.inf
+    from_m: float = 0.0
+    waited_s: float = 0.0
 
 
 class SafetyInputs(NamedTuple):
@@ -75,7 +127,9 @@ class SafetyInputs(NamedTuple):
     reference_m: base position asked for [m]; command_age_s: age of that command, and of the armed hand behind it [s],
     infinite if none ever came; action: ACTION_*; arm_requested: now; estop: pressed; force_n: tip force last measured
     [N], repulsive positive; device_lost: nothing is known of the tip, and nothing reaches the base; lateral_n: force
-    across the tip [N].
+    across the tip [N]. of_hand: the reference is that of a hand, and no place of the base. goes, with arm_requested:
+    the base may go to place_m [m] at speed_m_per_s [m/s], where infinite means that of the hand, and the speed limit.
+    interrupted: another command has come. hand_force_n: what the hand presses with [N].
     """
 
     reference_m: float
@@ -86,16 +140,28 @@ class SafetyInputs(NamedTuple):
     force_n: float
     device_lost: bool = False
     lateral_n: float = 0.0
+    of_hand: bool = False
+    goes: bool = False
+    place_m: float = math.inf
+    speed_m_per_s: float = math.inf
+    interrupted: bool = False
+    hand_force_n: float = 0.0
 
 
 class SafetyOutputs(NamedTuple):
-    """Base position to apply [m], mode, `limited` (bits LIMITED_BY_*, 0 for none), reason, why arming was refused."""
+    """Base position to apply [m], mode, `limited` (bits LIMITED_BY_*, 0 for none), reason, why arming was refused.
+
+    offset_m: how far the base is away from the sample of the hand's reference [m]; ended: how a way to a place has
+    ended in this tick (ENDED_*).
+    """
 
     base_m: float
     mode: int
     limited: int
     reason: int
     arm_refusal: int
+    offset_m: float = 0.0
+    ended: int = NOT_ENDED
 
 
 def initial_safety_state(params: SafetyParams) -> SafetyState:
@@ -120,6 +186,7 @@ def safety_step(
         refusal = _arm_refusal(params, state, inputs)
         if refusal == ARM_NOT_REFUSED:
             mode, reason = MODE_RETRACTED, REASON_ARMED
+            state = _worded(state, inputs)
     if is_wished(mode, reason):
         if inputs.device_lost:
             reason = REASON_DEVICE_LOST
@@ -130,10 +197,26 @@ def safety_step(
                 reason = REASON_RETRACT_REQUESTED
     slower = _slower(params, state, mode, dt)
     speed = params.base_speed_m_per_s - slower
-    base, limited = _next_base(params, state.base_m, mode, inputs.reference_m, speed, dt)
+    way, ended = _next_way(params, state, inputs, mode, reason, dt)
+    base, limited = _next_base(params, state.base_m, mode, inputs.reference_m - way.offset_m, speed, dt)
+    if way.goes and mode == MODE_FOLLOW and _is_on_the_way(way, base):
+        limited |= LIMITED_BY_SPEED
     if mode == MODE_RETRACTING and base <= params.retract_position_m:
         mode = MODE_RETRACTED
-    return SafetyState(mode, base, reason, slower), SafetyOutputs(base, mode, limited, reason, refusal)
+    after = SafetyState(
+        mode,
+        base,
+        reason,
+        slower,
+        way.offset_m,
+        way.surface_m,
+        way.goes,
+        way.place_m,
+        way.speed_m_per_s,
+        way.from_m,
+        way.waited_s,
+    )
+    return after, SafetyOutputs(base, mode, limited, reason, refusal, way.offset_m, ended)
 
 
 @compiled
@@ -156,10 +239,164 @@ def is_placed(allowed: SafetyOutputs) -> bool:
     return allowed.mode == MODE_FOLLOW and allowed.limited & LIMITED_BY_SPEED == 0
 
 
-def placing_s(params: SafetyParams, base_m: float, reference_m: float) -> float:
-    """Return how long the commanded base takes from base_m to a reference that stands at reference_m [s]."""
-    target = min(max(reference_m, params.base_min_m), params.base_max_m)
-    return abs(target - base_m) / params.base_speed_m_per_s
+@compiled
+def nearest_m(surface_m: float) -> float:
+    """Return how near the base goes to the sample at the speed of a way [m], for a surface that it last met [m]."""
+    return min(0.0, surface_m - CLEARANCE_M)
+
+
+def way_s(
+    params: SafetyParams,
+    base_m: float,
+    place_m: float,
+    surface_m: float = math.inf,
+    speed_m_per_s: float = math.inf,
+) -> float:
+    """Return how long the commanded base takes from base_m to a place [s], where nothing ends its way."""
+    target = min(max(place_m, params.base_min_m), params.base_max_m)
+    quick_m = max(min(target, nearest_m(surface_m)), min(base_m, target))
+    speed = min(speed_m_per_s, params.base_speed_m_per_s)
+    return abs(quick_m - base_m) / speed + max(target - quick_m, 0.0) / min(speed, LET_IN_M_PER_S)
+
+
+@compiled
+def _changed(state: SafetyState, offset_m: float, surface_m: float, goes: bool, waited_s: float) -> SafetyState:
+    """Return the state with other values of what a tick changes of a way."""
+    return SafetyState(
+        state.mode,
+        state.base_m,
+        state.reason,
+        state.slower_m_per_s,
+        offset_m,
+        surface_m,
+        goes,
+        state.place_m,
+        state.speed_m_per_s,
+        state.from_m,
+        waited_s,
+    )
+
+
+@compiled
+def _worded(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
+    """Return the state with the word of an arming: where the base may go."""
+    return SafetyState(
+        state.mode,
+        state.base_m,
+        state.reason,
+        state.slower_m_per_s,
+        state.offset_m,
+        state.surface_m,
+        inputs.goes,
+        inputs.place_m,
+        inputs.speed_m_per_s,
+        inputs.reference_m,
+        0.0,
+    )
+
+
+@compiled
+def _begun(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
+    """Return the state with which the base begins to follow a hand, or to go to a place: it stays where it is.
+
+    A withdrawn base that goes where the hand is goes there, or to where the hand is let in from, with the hand.
+    """
+    offset = inputs.reference_m - state.base_m
+    if state.goes and not math.isfinite(state.place_m) and state.mode != MODE_FOLLOW:
+        offset = max(inputs.reference_m - nearest_m(state.surface_m), 0.0)
+    return SafetyState(
+        state.mode,
+        state.base_m,
+        state.reason,
+        state.slower_m_per_s,
+        offset,
+        state.surface_m,
+        state.goes,
+        state.place_m,
+        state.speed_m_per_s,
+        inputs.reference_m,
+        0.0,
+    )
+
+
+@compiled
+def _next_way(
+    params: SafetyParams, state: SafetyState, inputs: SafetyInputs, mode: int, reason: int, dt: float
+) -> tuple[SafetyState, int]:
+    """Return the state with offset and way of this tick, and how a way has ended in it."""
+    if mode == MODE_HOLD:
+        # A base that goes to the place of the hand goes on when its commands come again, unless a command ends that.
+        ended = NOT_ENDED
+        if state.goes and (inputs.interrupted or (inputs.arm_requested and not inputs.goes)):
+            ended = ENDED_BY_COMMAND
+        elif state.goes and math.isfinite(state.place_m):
+            ended = ENDED_BY_SILENCE
+        if ended == NOT_ENDED:
+            return state, NOT_ENDED
+        reference = inputs.reference_m if math.isfinite(inputs.reference_m) else state.from_m
+        return _changed(state, reference - state.base_m, state.surface_m, False, 0.0), ended
+    if mode != MODE_FOLLOW or not inputs.of_hand:
+        # A wish keeps its word until another command comes, and for as long as a person waits for it.
+        waited = state.waited_s + dt if state.goes else 0.0
+        goes = state.goes and not inputs.interrupted and is_wished(mode, reason) and waited <= WORD_WAITS_S
+        return _changed(state, 0.0, state.surface_m, goes, waited if goes else 0.0), NOT_ENDED
+    ended = NOT_ENDED
+    if state.mode == MODE_RETRACTED or state.mode == MODE_ESTOP:
+        state = _begun(state, inputs)
+    elif inputs.arm_requested and inputs.goes and (math.isfinite(inputs.place_m) or state.offset_m != 0.0):
+        state = _begun(_worded(state, inputs), inputs)
+    elif state.goes:
+        ended = _ending(state, inputs)
+    surface = state.base_m if inputs.force_n > SMALL_FORCE_N else state.surface_m
+    offset, goes = state.offset_m, state.goes
+    if ended == NOT_ENDED and goes:
+        offset, ended = _way(params, state, inputs, dt)
+    if ended > ENDED_THERE:
+        offset = inputs.reference_m - state.base_m
+    return _changed(state, offset, surface, goes and ended == NOT_ENDED, 0.0), ended
+
+
+@compiled
+def _is_on_the_way(way: SafetyState, base_m: float) -> bool:
+    """Return whether a base that goes is not where it is placed: at a stated place, or where a hand is let in from."""
+    return math.isfinite(way.place_m) or (way.offset_m > 0.0 and base_m < nearest_m(way.surface_m) - _SAME_M)
+
+
+@compiled
+def _ending(state: SafetyState, inputs: SafetyInputs) -> int:
+    """Return by which input a way ends now."""
+    if inputs.interrupted or (inputs.arm_requested and not inputs.goes):
+        return ENDED_BY_COMMAND
+    if not math.isfinite(state.place_m):
+        return NOT_ENDED
+    # Written so that a reference or a force that is no number ends it too.
+    if not abs(inputs.reference_m - state.from_m) <= MOVED_M:
+        return ENDED_BY_MOTION
+    return NOT_ENDED if abs(inputs.hand_force_n) <= PRESSED_N else ENDED_BY_FORCE
+
+
+@compiled
+def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float) -> tuple[float, int]:
+    """Return the offset of this tick of a way, and whether and how the way has ended with it."""
+    reference, offset = inputs.reference_m, state.offset_m
+    goal = 0.0
+    if math.isfinite(state.place_m):
+        goal = reference - min(max(state.place_m, params.base_min_m), params.base_max_m)
+    speed = min(state.speed_m_per_s, params.base_speed_m_per_s)
+    if reference - offset > state.base_m + params.base_speed_m_per_s * dt:
+        # The base has still to come to where the offset lets it be.
+        return offset, NOT_ENDED
+    if offset < goal:
+        offset = min(offset + speed * dt, goal)
+        return offset, ENDED_THERE if offset == goal else NOT_ENDED
+    least = max(reference - nearest_m(state.surface_m), goal)
+    if offset > least:
+        offset = max(offset - speed * dt, least)
+    elif offset > goal:
+        if abs(inputs.force_n) > SMALL_FORCE_N:
+            return offset, ENDED_BY_CONTACT
+        offset = max(offset - min(speed, LET_IN_M_PER_S) * dt, goal)
+    return offset, ENDED_THERE if offset == goal else NOT_ENDED
 
 
 @compiled

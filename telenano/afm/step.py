@@ -38,7 +38,10 @@ class AfmStepState(NamedTuple):
 
 
 class AfmInputs(NamedTuple):
-    """One tick of inputs, as `SafetyInputs` without the force, and the place of the tip over the sample [m]."""
+    """One tick of inputs, as `SafetyInputs` without the force, and the place of the tip over the sample [m].
+
+    of_hand: the reference is that of a hand, where the base goes once it is armed.
+    """
 
     reference_m: float
     command_age_s: float
@@ -47,6 +50,7 @@ class AfmInputs(NamedTuple):
     estop: bool
     x_m: float = 0.0
     y_m: float = 0.0
+    of_hand: bool = False
 
 
 class AfmOutputs(NamedTuple):
@@ -86,6 +90,8 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
         force_n=state.force_n,
         device_lost=False,
         lateral_n=state.lateral_n,
+        of_hand=inputs.of_hand,
+        goes=inputs.of_hand,
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     moved = inputs_at(allowed.base_m, inputs.x_m, inputs.y_m)

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from telenano.console.bridges import live_rig as live_rig
     from telenano.console.command_client import send_control as send_control
     from telenano.console.coupling import recouple as recouple
+    from telenano.console.going_back import go_back as go_back
     from telenano.console.lease_register import holding as holding
     from telenano.console.live_recording import LiveRecording as LiveRecording
     from telenano.console.page_hand import RigHand as RigHand

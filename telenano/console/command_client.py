@@ -20,7 +20,7 @@ from telenano.runtime.wiring.observer import RIG_HINT, require_rig
 from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.messages import Message, NodeHealth, Scalar, SessionEvent
-from telenano.wire.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
+from telenano.wire.nodes import LINK, PAGE, TIP, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
@@ -84,13 +84,23 @@ def arm_devices(
     on_answer: Callable[[SessionEvent], None],
     is_wanted: Callable[[], bool] = lambda: True,
     *,
+    parameters: Mapping[str, Scalar] | None = None,
     issued_ns: int | None = None,
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
-    """Arm hand and tip, as far as this site reaches them, and wait until the tip is placed; as `send_controls`."""
+    """Arm hand and tip, as far as this site reaches them; as `send_controls`.
+
+    Both stay where they are. `parameters` are for the tip: where it may go, which is then waited for.
+    """
+    steps = arm_steps(site_file, site, parameters or {})
+    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+
+
+def arm_steps(site_file: Path, site: Site, parameters: Mapping[str, Scalar]) -> list[Command]:
+    """Return the commands of `arm_devices`, the one of the tip with parameters."""
     book = AddressBook.load(site_file)
     steps = [step for step in ARM if site == "master" or set(step.expected) <= set(addressed(book, "*", site))]
-    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+    return [replace(step, parameters=parameters) if step.target == name_of(TIP) else step for step in steps]
 
 
 def send_control(

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from telenano.console.command_client import send_control
 from telenano.numerics.frames import to_paper_axis
-from telenano.runtime.loop.arming import ARM_TIP
+from telenano.runtime.loop.arming import PLACE_TIP
 from telenano.runtime.loop.commands import Command
 from telenano.runtime.wiring.observer import RIG_HINT, Observer
 from telenano.wire.errors import RigError
@@ -122,7 +122,7 @@ def couple(rig: RunningRig) -> str:
     stays = "the tip stays withdrawn until it is armed"
     states.require(lambda: states.hand_still.for_s(_REST_S), _REST_PATIENCE_S, f"a hand at rest; {stays}")
     try:
-        rig.send(ARM_TIP, _RETRACT_S)
+        rig.send(PLACE_TIP, _RETRACT_S)
     except RigError as error:
         raise RigError(f"not coupled: {error}; {stays}") from error
     states.require(

@@ -9,7 +9,7 @@ from telenano.launcher.readiness import READY_DEADLINE_S, ReadinessGate
 from telenano.launcher.recorder_wait import LastMessages, RecorderWait
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
+from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, PLACE_TIP, START, for_stand_in
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.wiring.link_transports import LineCheck
@@ -78,6 +78,7 @@ class SessionNode(RigNode):
         self._commands: CommandClient | None = None
         # a person has asked for the session, and so for all that it arms, by starting this process
         self._wished_ns = context.clock.monotonic_ns()
+        self._is_ordered = False
         # The device whose earlier emergency stop is waited for, and since when.
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
@@ -163,6 +164,9 @@ class SessionNode(RigNode):
             self.reports.append(f"{event.src}: {event.text}")
         if self._commands is not None:
             self._commands.on_event(event)
+        # To start the session is a person's order to place the tip, once.
+        is_answer = (event.src, event.kind, event.data.get("command")) == (TIP, "ack", "arm")
+        self._is_ordered |= is_answer and self.phase == "arming"
 
     def report(self, level: str, text: str, **data: Scalar) -> None:
         super().report(level, text, **data)
@@ -227,13 +231,18 @@ class SessionNode(RigNode):
     def _first_steps(self) -> list[Command]:
         """Return the commands that begin the session; a stand-in for the hand gets those that the hand would get."""
         of_hand = [ARM_HAND, START] if HAND in self._needed else [for_stand_in(step) for step in (ARM_HAND, START)]
-        return [of_hand[0], *([ARM_TIP] if TIP in self._needed else []), of_hand[1]]
+        arm_tip = ARM_TIP if self._is_ordered else PLACE_TIP
+        return [of_hand[0], *([arm_tip] if TIP in self._needed else []), of_hand[1]]
 
     def _advance_arming(self) -> None:
         if any(node not in self.health for node in self.others):
             # A node was lost while the devices were armed, and is waited for as at the start.
             self.phase, self._commands = "starting", None
             self._readiness.reset()
+            if self._is_ordered:
+                at = f" --site {self.site}" if self.site else ""
+                text = "a node was lost after the tip had been ordered to its place: it stays where it is then"
+                self.report("warning", f"{text}; `telenano session arm --return{at}` takes it back", about_node=TIP)
         elif (commands := self._commands) is not None and not commands.advance():
             self._await_release(commands.latched)
         elif commands is not None:

@@ -127,7 +127,6 @@ class Rig:
         """
         halves = Halves(
             law=controller.params(),
-            force_scale=controller.law_config().force_scale,
             band=controller.deadband.to_params(),
             clamp=controller.clamp_params(),
             master=controller.master_timing(),

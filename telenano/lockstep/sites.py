@@ -19,7 +19,6 @@ from telenano.hand.step import step as haptic_step
 from telenano.laws import integration
 from telenano.laws.clamp import ClampParams, clamped
 from telenano.laws.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
-from telenano.laws.entering import Entry, entry_at_start, entry_step, shown_tip
 from telenano.laws.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
@@ -32,13 +31,9 @@ _RATE_NS = round(LOOP_DEADLINE_S * 1e9)
 
 
 class Halves(NamedTuple):
-    """Constants of the two halves: the law, the dead band, the clamp behind the slave half, and their timing.
-
-    force_scale: alpha_f of the law, newtons at the hand per newton at the tip.
-    """
+    """Constants of the two halves: the law, the dead band, the clamp behind the slave half, and their timing."""
 
     law: Any
-    force_scale: float
     band: DeadbandParams
     clamp: ClampParams
     master: TimingParams
@@ -52,7 +47,8 @@ def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     sample, mode = answer.sample, answer.allowed.mode
     following = mode == afm_safety.MODE_FOLLOW or mode == afm_safety.MODE_HOLD
     return TipMeasurement(
-        base_position_m=sample.base_m,
+        # A half sees the base where it would be without the offset.
+        base_position_m=sample.base_m + answer.allowed.offset_m if following else sample.base_m,
         force_n=sample.force_n,
         separation_m=sample.distance_m,
         separation_valid=True,
@@ -119,7 +115,6 @@ class Slave(NamedTuple):
     """The slave half: timing, law, newest signal, what the instrument measured, and what it is to do.
 
     hand_ns, the time that its command counts from: that of the hand's sample, told delay included [ns]; -1 for none.
-    entry: how far the tip is let in to where the hand is.
     """
 
     timing: SlaveTiming
@@ -128,7 +123,6 @@ class Slave(NamedTuple):
     tip: TipMeasurement
     reference: SlaveReference
     hand_ns: int
-    entry: Entry
 
 
 class Lateral(NamedTuple):
@@ -258,9 +252,7 @@ def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int
     elif tick.begins:
         law, _ = slave_receive(halves.law, law, NO_SIGNAL, s.tip, halves.period_s)
     reported_ns = hand_ns + _reported_delay_ns(now_ns - hand_ns)
-    s = Slave(
-        timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=reported_ns, entry=s.entry
-    )
+    s = Slave(timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=reported_ns)
     return _slave_stepped(halves, s, now_ns, timing.pacing.elapsed, True)
 
 
@@ -279,7 +271,6 @@ def _slave_stepped(halves: Halves, s: Slave, now_ns: int, elapsed: int, answers:
         tip=s.tip,
         reference=reference,
         hand_ns=s.hand_ns,
-        entry=entry_step(s.entry, reference.position_m, s.tip, halves.force_scale, dt),
     )
 
 
@@ -296,11 +287,11 @@ def _instrument_stepped(
     x_m, y_m = lateral.x_m, lateral.y_m
     if i.armed and now_ns <= lateral.until_ns:
         x_m, y_m = x_m + lateral.speed_x_m_per_s * dt, y_m + lateral.speed_y_m_per_s * dt
-    asked = AfmInputs(s.reference.position_m - s.entry.offset_m, age_s, action, arm, False, x_m, y_m)
+    asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, x_m, y_m, True)
     state, answer = instrument_step(params, i.state, asked, dt)
     felt, allowed = answer.sample, answer.allowed
     moved = felt.base_m - i.base_m if i.armed else 0.0
-    tip = shown_tip(s.entry, _tip_of(answer))
+    tip = _tip_of(answer)
     after = Instrument(
         state=state,
         stepped_ns=now_ns,
@@ -378,9 +369,7 @@ def carried_out(
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, True)
     s, settled = _slave_measured(halves, s, tip, now_ns)
     law, signal = slave_send(halves.law, s.law, tip, settled.periods * halves.period_s)
-    s = Slave(
-        timing=s.timing, law=law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns, entry=s.entry
-    )
+    s = Slave(timing=s.timing, law=law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
     return s, i, signal
 
 
@@ -402,9 +391,7 @@ def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) 
     timing, settled = integration.slave_measured(
         s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows
     )
-    s = Slave(
-        timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns, entry=s.entry
-    )
+    s = Slave(timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
     return s, settled
 
 
@@ -452,5 +439,4 @@ def slave_at(halves: Halves) -> Slave:
         tip=NO_TIP,
         reference=SlaveReference(0.0, False),
         hand_ns=-1,
-        entry=entry_at_start(),
     )

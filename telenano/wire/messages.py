@@ -26,6 +26,7 @@ from telenano.wire.ranges import (
     ChannelValue,
     DurationS,
     EnergyJ,
+    ForceN,
     ForceVector,
     Percent,
     PositionM,
@@ -34,6 +35,7 @@ from telenano.wire.ranges import (
     QuaternionPart,
     RateHz,
     TimeS,
+    VelocityMPerS,
     VelocityVector,
     VoltageV,
     WaveVector,
@@ -284,6 +286,9 @@ class AfmCommand(_OfHand):
         ),
     ] = None
     hand_armed: HandArmed = None
+    hand_force_n: Annotated[
+        ForceN | None, about("What the hand presses with in the sample of hand_seq [N], towards the sample > 0")
+    ] = None
 
 
 class AfmState(_OfHand):
@@ -327,6 +332,22 @@ class AfmState(_OfHand):
             "arming is under way"
         ),
     ] = None
+    offset_m: Annotated[
+        PositionM | None,
+        about(
+            "How far the base is away from the sample of the place that afm/command asks for [m]: the hand is set off "
+            "by as much; absent where it is not"
+        ),
+    ] = None
+    return_place_m: Annotated[
+        PositionM | None,
+        about(
+            "Where the instrument would let the base go back to for an arm with this as place_m, towards the sample "
+            "> 0 [m]; absent where there is no way back"
+        ),
+    ] = None
+    return_speed_m_per_s: Annotated[VelocityMPerS | None, about("How fast it would go there [m/s]")] = None
+    return_s: Annotated[DurationS | None, about("How long it would take [s]")] = None
 
 
 class AfmScanline(Message):

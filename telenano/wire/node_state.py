@@ -93,7 +93,8 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
         version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
         if version != node.state_version:
             raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
-        _compare(names, _declared_for(node.state_kind, len(names)))
+        optional = _optional(node.state_kind)
+        _compare(names, tuple(name for name in _declared(node.state_kind) if name in names or name not in optional))
         node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
     except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
@@ -118,17 +119,6 @@ def _declared(kind: Any) -> tuple[str, ...]:
     )
 
 
-def _declared_for(kind: Any, recorded: int) -> tuple[str, ...]:
-    """Return the names of a kind of state, without fields at its end that an older state of fewer names may lack."""
-    names, hints = _declared(kind), _hints(kind)
-    for field in reversed(kind._fields):
-        if len(names) <= recorded or field not in kind._field_defaults:
-            break
-        own = 1 + sum(len(_declared(within)) for within in _kinds(hints[field]))
-        names = names[:-own]
-    return names
-
-
 def _names(state: Any) -> tuple[str, ...]:
     """Return the names of the fields of a state, where the values say what kind a field declared as Any is of."""
     kind: Any = type(state)
@@ -140,6 +130,24 @@ def _names(state: Any) -> tuple[str, ...]:
         within = _names(getattr(state, field)) if is_open else [name for k in _kinds(hint) for name in _declared(k)]
         names += (field, *(f"{field}.{name}" for name in within))
     return tuple(names)
+
+
+@cache
+def _optional(kind: Any) -> frozenset[str]:
+    """Return those names of `_declared` that recordings of before may lack: fields that were added with a default."""
+    if not (hints := _hints(kind)):
+        return frozenset()
+    if issubclass(kind, msgspec.Struct):
+        defaults = {field.name for field in msgspec.structs.fields(kind) if not field.required}
+    else:
+        defaults = set(kind._field_defaults)
+    found: set[str] = set()
+    for field, hint in hints.items():
+        for within in _kinds(hint):
+            names = _declared(within) if field in defaults else _optional(within)
+            found |= {f"{field}.{inner}" for inner in names}
+        found |= {field} & defaults
+    return frozenset(found)
 
 
 @cache

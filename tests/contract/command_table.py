@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from services.afm_node.node import AfmNode
+from services.afm_node.node import WORDS, AfmNode
 from services.controller.half import ControllerHalf
 from services.haptic_node.node import HapticNode
 from services.player.node import SETTERS, PlayerNode
@@ -65,6 +65,8 @@ def parameters(node: str, command: str) -> str:
     """Say what a command takes."""
     if command == "mark":
         return "any: they are the data of the mark"
+    if (node, command) == ("afm_node", "arm"):
+        return f"{', '.join(f'`{key}`' for key in WORDS)}, or none; `place` is `hand`"
     if command != "set":
         return "none"
     if node in WHOLE_SECTIONS:

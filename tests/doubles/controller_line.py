@@ -214,7 +214,7 @@ def answer_twice(line: ControllerLine) -> None:
 class ControllerRig(InstrumentRig):
     def arm_and_follow_to(self, x_s_m: float) -> list[float]:
         """Arm, and follow to a place; give where the base was after each tick, towards the sample [m]."""
-        self.control("arm")
+        self.control("arm", place="hand")
         bases = [self.line.base_m]
         while abs(bases[-1] - x_s_m) > 1e-12:
             self.tick(1, x_s_m)

@@ -64,7 +64,7 @@ def push_by_hand(
     # The halves have to hear each other first.
     begins_s = ARMED_S if not settings else 0.6
     rig.run_until(begins_s)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     begins_s += STARTED_S - ARMED_S
     rig.run_until(begins_s)
     rig.command("start", "haptic_node")
@@ -107,7 +107,7 @@ class LatePage:
         self.rig = VirtualRig(None, 1, settings, TIMING, document)
         self._bus, self._now_s = VirtualBus(self.rig, "viz_node@master"), begins_s
         self.rig.run_until(begins_s)
-        self.rig.command("arm", "*")
+        self.rig.command("arm", "*", place="hand")
         self.rig.command("start", "haptic_node")
 
     def hold(self, duration_s: float, across_m: float | None) -> None:

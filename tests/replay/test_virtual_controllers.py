@@ -85,7 +85,7 @@ def session(monkeypatch: pytest.MonkeyPatch, *, is_emulated: bool) -> tuple[Any,
 
             monkeypatch.setattr(wire.driver, "exchange", exchange)
         rig.run_until(0.2)
-        rig.command("arm", "*")
+        rig.command("arm", "*", place="hand")
         rig.run_until(BEGIN_S)
         rig.command("start", HAND)
         rig.run_until(BEGIN_S + END_S)

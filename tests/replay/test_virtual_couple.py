@@ -91,7 +91,7 @@ def parted(law: str, folder: Path | None) -> VirtualRig:
     }
     rig = VirtualRig(folder, 1, (), scenario=scenario)
     rig.run_until(ARMED_S)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     rig.run_until(STARTED_S)
     rig.command("start", "*")
     rig.run_until(STALLED_S)
@@ -139,7 +139,7 @@ def test_hand_that_presses_is_not_let_go_of_and_an_emergency_stop_stays_latched(
     rig = VirtualRig(None, 1)
     console = VirtualConsole(rig, 0.0)
     console.run(ARMED_S)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     console.run(STARTED_S - ARMED_S)
     rig.command("start", "*")
     console.run(0.6)

@@ -24,7 +24,7 @@ def test_the_virtual_rig_and_lockstep_agree(tmp_path: Path, kind: str) -> None:
     cell = cell_of("wave", 20.0)
     rig = VirtualRig(tmp_path / "rec", SEED, (), TIMING, scenario_over(cell, direction_of(KINDS[kind], tmp_path)))
     rig.run_until(ARMED_S)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     rig.run_until(STARTED_S)
     rig.command("start", "haptic_node")
     rig.run_until(STARTED_S + cell.hold_s()[1] + 0.01)

@@ -39,7 +39,7 @@ def course(
     done: list[tuple[float, str]] = []
     seen, now_s = dict.fromkeys(WATCHED, 0), 0.9
     rig.run_until(0.45)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     rig.run_until(now_s)
     rig.command("start", "haptic_node")
 

@@ -117,7 +117,7 @@ def _arm(t_ns: int) -> SessionControl:
         id="arm",
         command="arm",
         target="afm_node",
-        parameters={},
+        parameters={"place": "hand"},
     )
 
 

@@ -161,7 +161,7 @@ def test_a_rerun_begins_in_the_middle(ends: dict[str, Recording], node: str) -> 
 def test_a_changed_law_is_rerun(tmp_path: Path) -> None:
     rig = VirtualRig(tmp_path, seed=3)
     rig.run_until(0.15)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     for time_s, law in ((0.3, "wave"), (0.6, "smith")):
         rig.run_until(time_s)
         rig.command("set", "controller", law=law)

@@ -55,7 +55,7 @@ class Session:
         self.time_s = 0.0
         self.stalls: list[Stall] = []
         self.run(0.15 + 2e-3 * link_ms)
-        self.rig.command("arm", "*")
+        self.rig.command("arm", "*", place="hand")
         self.run(0.12)
         self.rig.command("start", HAND)
         # the hand is on its way by now
@@ -73,7 +73,7 @@ class Session:
         if self.tips()[-1].mode not in ("follow", "hold"):
             self.run(0.15)
             # a node that stalled takes nothing that could be from before
-            self.rig.command("arm", TIP, self.tips()[-1])
+            self.rig.command("arm", TIP, self.tips()[-1], place="hand")
             self.run(0.15 + 2e-3 * self.link_ms)
 
     def tips(self) -> Sequence[Any]:

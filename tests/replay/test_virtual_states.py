@@ -171,7 +171,7 @@ def rig() -> Iterator[VirtualRig]:
     link = '{"jitter": {"scale_s": 0.002}, "rate": {"rate_bytes_per_s": 500000.0}}'
     made = VirtualRig(None, 3, [f"delay_node.forward={link}", "controller.law=smith"])
     made.run_until(0.15)
-    made.command("arm", "*")
+    made.command("arm", "*", place="hand")
     made.run_until(0.3)
     made.command("start", "haptic_node")
     made.command("set", "controller", **{"smith.force_gain": 8.0})

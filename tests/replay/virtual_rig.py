@@ -420,7 +420,7 @@ def record_session(
     """Record a session: arm, start, press, let go."""
     rig = VirtualRig(folder, seed, settings, scenario=scenario)
     rig.run_until(ARMED_S)
-    rig.command("arm", "*")
+    rig.command("arm", "*", place="hand")
     rig.run_until(STARTED_S)
     rig.command("start", "haptic_node")
     rig.run_until(duration_s)

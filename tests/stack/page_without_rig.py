@@ -25,13 +25,17 @@ class SaidRig:
     """Says what hand and tip of a rig would say, and obeys a stop and an arm at once.
 
     `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
-    neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes.
+    neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes;
+    `way_s`: how long a way back takes, which is `way` in afm/state, where it stays wanted; `words`: the
+    parameters of each arm.
     """
 
     def __init__(self) -> None:
         self.is_stopped = self.is_deaf = self.is_silent = False
         self.asked: list[str] = []
-        self.delay_s = 0.0
+        self.delay_s = self.way_s = 0.0
+        self.way: dict[str, float] = {}
+        self.words: list[Mapping[str, Any]] = []
         self._force_n = 0.0
 
     def push(self, force_n: float, across_n: tuple[float, float]) -> None:
@@ -57,7 +61,7 @@ class SaidRig:
                     "reference_m": (0.0, 0.0, 0.0),
                 },
             ),
-            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests}),
+            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests, **self.way}),
             ("node/health", HAND, health),
             ("node/health", TIP, health),
         ]
@@ -82,6 +86,12 @@ class SaidRig:
         time.sleep(self.delay_s)
         if command == "arm":
             self.is_stopped = False
+            self.words.append(parameters)
+            end_s = time.monotonic() + (self.way_s if parameters else 0.0)
+            while time.monotonic() < end_s:
+                if not is_wanted():
+                    return {TIP: ("refused", "going back was ended: the tip stays where it is")}
+                time.sleep(0.01)
         return {TIP: ("refused", "the tip is stopped") if self.is_stopped else ("ack", "done")}
 
     def estop(self, by: str) -> dict[str, tuple[str, str]]:

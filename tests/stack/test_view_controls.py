@@ -58,6 +58,38 @@ def test_after_a_stop_the_rig_is_armed_within_reach_of_the_thumb_and_no_second_t
     assert page.faults == []
 
 
+def test_going_back_is_a_choice_of_its_own_with_its_numbers_and_a_key_ends_it(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    rig, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    assert not page.page.is_visible("#go-back")
+    rig.way = {"offset_m": 1.105e-7, "return_place_m": 0.0, "return_speed_m_per_s": 5e-8, "return_s": 2.0}
+    page.page.locator("#go-back").wait_for()
+    assert page.page.inner_text("#go-back") == "Go back to 0.0 nm (50 nm/s, 2.0 s)"
+    page.page.click("#arm")
+    until(lambda: rig.words == [{}], "an arm that starts nothing")
+    word = {"place_m": 0.0, "speed_m_per_s": 5e-8}
+    rig.way_s = 30.0
+    for begins, ends in (("button", "x"), ("key", "press")):
+        rig.words.clear()
+        if begins == "button":
+            page.page.click("#go-back")
+        else:
+            page.page.keyboard.press("g")
+        until(lambda: rig.words == [word], "a tip that goes back")
+        if ends == "press":
+            page.page.mouse.click(5.0, 5.0)
+        else:
+            page.page.keyboard.press(ends)
+        until(lambda: rig.words == [word, {}], "an arm that ends it")
+        until(lambda: "going back was ended" in page.page.inner_text("#answers"), "the answer")
+    rig.is_stopped = True
+    page.page.locator("#go-back").wait_for(state="hidden")
+    assert page.faults == []
+
+
 def test_the_bar_is_shown_where_the_other_button_is_far(chromium: Any, rig_page: tuple[SaidRig, str]) -> None:
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=PHONE)

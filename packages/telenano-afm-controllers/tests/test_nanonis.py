@@ -324,7 +324,7 @@ def test_a_frequency_shift_is_felt_through_the_driver(bench_of: Any, tmp_path: P
     config = {"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}, "feel": FEEL}
     rig = ControllerRig(bench_of("afm_node@slave"), line, config)
     rig.tick(80, RETRACTED_M)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     rig.tick(150, 0.0)
     for z_m in (1.9e-9, 1.5e-9, 1.1e-9, 0.9e-9, 0.7e-9):
         rig.tick(80, 2e-9 - z_m)

@@ -128,7 +128,7 @@ def test_gates_are_where_the_curve_snaps_in_and_lets_go() -> None:
 def rig_over(bench_of: Any, path: Path, **changes: Any) -> Rig:
     rig = Rig(bench_of("afm_node@slave"), config_of(path, **changes))
     rig.go(0.0)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     return rig
 
 

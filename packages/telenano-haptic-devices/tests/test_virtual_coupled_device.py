@@ -48,7 +48,7 @@ class Session:
     def __init__(self, scenario: dict[str, Any]) -> None:
         self.rig = VirtualRig(None, 1, (), constant_timing(10_000), scenario)
         self.rig.run_until(ARMED_S)
-        self.rig.command("arm", "*")
+        self.rig.command("arm", "*", place="hand")
         self.rig.run_until(STARTED_S)
         self.rig.command("start", "*", self.states()[-1])
 
@@ -168,7 +168,7 @@ def test_tip_of_a_hand_that_is_lost_holds_and_is_withdrawn_as_after_the_death_of
     texts = [event.text for event in session.rig.received("session/event", "afm_node@slave")]
     assert texts.count("the AFM is in mode hold: command_deadline") == 1, texts
     # Both may be armed once the hand has been silent for a second; the arm is now where it presses too hard.
-    session.rig.command("arm", "*", session.at(1.7))
+    session.rig.command("arm", "*", session.at(1.7), place="hand")
     counts = len(session.states()), len(session.rig.received("afm/state", "afm_node@slave"))
     session.at(2.0)
     assert "position" in {state.mode for state in session.states()[counts[0] :]}

@@ -2,7 +2,7 @@
 
 import contextlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,16 +10,19 @@ import typer
 
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
 from telenano.console.command_client import arm_devices, parse_parameters, send_control
 from telenano.console.coupling import recouple
+from telenano.console.going_back import WayBack, go_back
 from telenano.console.lease import CONSOLE
 from telenano.console.lease_register import holding
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.timing.clock import process_start_ns
 from telenano.wire.errors import ConfigError
+from telenano.wire.messages import SessionEvent
 from telenano.wire.nodes import Site
 
 SessionCommand = Literal["arm", "start", "stop", "estop", "set", "mark", "couple"]
@@ -33,10 +36,20 @@ def session(
     target: TargetOption = "*",
     site: SiteOption = None,
     site_file: RigFileOption = None,
+    back: Annotated[
+        bool,
+        typer.Option(
+            "--return",
+            help="With arm: let the tip go back to a place; place, speed and time are printed, and a key ends it.",
+        ),
+    ] = False,
     take: Annotated[bool, typer.Option("--take", help="Take control from a page for this command.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing.
+
+    `arm` starts nothing: tip and hand stay where they are. With --return the tip goes back to its place, or to place_m
+    at speed_m_per_s.
 
     `set` without --target is for the nodes that have the key; those that do not know it do not count.
 
@@ -50,8 +63,46 @@ def session(
                 raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
             text = recouple(site_file or _usual_file(site), issued_ns=process_start_ns())
             print_answer({"command": "couple", "text": text}, text, as_json=as_json)
+        elif back:
+            if command != "arm" or target != "*":
+                raise ConfigError("--return is an option of arm, which is then for both devices")
+            _return(parameters or (), site_file or _usual_file(site), site or "master", as_json=as_json)
         else:
             send_command(command, parameters or (), target, site_file, site, as_json=as_json)
+
+
+def _return(parameters: Sequence[str], site_file: Path, site: Site, *, as_json: bool) -> None:
+    """Let the tip go back, with its numbers before it does; a key ends it."""
+    given = parse_parameters(parameters)
+    if unknown := sorted(set(given) - {"place_m", "speed_m_per_s"}):
+        raise ConfigError(f"arm --return takes place_m and speed_m_per_s, and not {', '.join(unknown)}")
+    numbers = {key: _number(key, value) for key, value in given.items()}
+    issued_ns = process_start_ns()
+
+    def announce(way: WayBack) -> None:
+        if not as_json:
+            typer.echo(str(way))
+
+    with RawKeyboard() as keys:
+        way = go_back(
+            site_file,
+            site,
+            announce,
+            lambda: not keys.pressed(),
+            place_m=numbers.get("place_m"),
+            speed_m_per_s=numbers.get("speed_m_per_s"),
+            issued_ns=issued_ns,
+        )
+    text = "the tip is where the hand has it: there is no way back"
+    if way is not None:
+        text = f"the tip is back: its base is at {1e9 * way.place_m:.4g} nm"
+    print_answer({"command": "arm", "text": text, **({} if way is None else way._asdict())}, text, as_json=as_json)
+
+
+def _number(key: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"{key}={value}: a number is needed")
+    return float(value)
 
 
 def send_command(
@@ -70,18 +121,31 @@ def send_command(
         book_file = site_file or _usual_file(site)
         at, issued_ns = site or "master", process_start_ns()
         if (command, target) == ("arm", "*"):
-            answers = arm_devices(book_file, at, show, issued_ns=issued_ns)
+            answers = arm_devices(book_file, at, show, parameters=wanted.parameters, issued_ns=issued_ns)
         else:
             answers = send_control(wanted, book_file, at, show, issued_ns=issued_ns)
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
+    elif command == "arm" and (hint := _way_back(answers.values())):
+        typer.echo(hint)
     refused = [event.text for event in answers.values() if event.kind == "refused"]
     if (command, target) == ("set", "*") and len(refused) < len(answers):
         # Without a target each node is asked, and the key is that of one or a few of them.
         refused = [text for text in refused if not all(_OF_ANOTHER.search(line) for line in text.splitlines())]
     if refused:
         raise typer.Exit(EXIT_FAILED)
+
+
+def _way_back(answers: Iterable[SessionEvent]) -> str:
+    """Return how the tip goes back, where an instrument states a way; empty where none does."""
+    for event in answers:
+        keys = ("return_place_m", "return_speed_m_per_s", "return_s")
+        place, speed, time_s = (event.data.get(key) for key in keys)
+        if isinstance(place, float) and isinstance(speed, float) and isinstance(time_s, float):
+            numbers = f"{1e9 * place:.4g} nm at {1e9 * speed:.4g} nm/s, for {time_s:.2g} s"
+            return f"the tip stays where it is; `telenano session arm --return` takes it back to {numbers}"
+    return ""
 
 
 # What a node says of a key that it does not have.

@@ -42,7 +42,9 @@ class AfmMemory(msgspec.Struct, array_like=True):
     it was received [ns]; forces on the tip at the last step [N]; where the tip is, and where a person wants it; the
     times of the last report of a program, of the last step, and of the next one [ns]; what is felt, None where it is
     the force; the number of the last look at what lies on the sample, under the name that it has in recordings of
-    before; whether the tip was placed at the last step, and whether that is still to be reported after arming.
+    before; whether the tip was placed at the last step, and whether that is still to be reported after arming; whether
+    the hand was disarmed while the tip was held, after which no command ends the hold; whether another command has come
+    since the last step; whether an `arm` has to say where the tip may go, which in recordings of before it did not.
     """
 
     guard: safety.SafetyState
@@ -60,12 +62,25 @@ class AfmMemory(msgspec.Struct, array_like=True):
     particles_look: int = 0
     placed: bool = False
     places: bool = False
+    disarmed: bool = False
+    interrupted: bool = False
+    words: bool = False
 
-    def asks(self, base_m: float, action: int, command_age_s: float, *now: bool) -> safety.SafetyInputs:
-        """Return what the guard is asked; `now`: whether to arm, whether to stop, and whether the device is lost."""
+    def asks(
+        self, base_m: float, action: int, command_age_s: float, *now: bool, by_hand: tuple[Any, ...] = ()
+    ) -> safety.SafetyInputs:
+        """Return what the guard is asked.
+
+        Args:
+            base_m: The reference [m].
+            action: What is to be done with it.
+            command_age_s: The age of the command [s].
+            now: Whether to arm, whether to stop, and whether the device is lost.
+            by_hand: The inputs from `of_hand` on, where the reference is that of a hand.
+        """
         arm, estop, is_lost = now
         across_n = math.hypot(*self.lateral_n)
-        return safety.SafetyInputs(base_m, command_age_s, action, arm, estop, self.force_n, is_lost, across_n)
+        return safety.SafetyInputs(base_m, command_age_s, action, arm, estop, self.force_n, is_lost, across_n, *by_hand)
 
 
 @dataclass(slots=True)

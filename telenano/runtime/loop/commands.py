@@ -133,6 +133,8 @@ class CommandClient:
         # number and stamp of the newest event of such a node, by which a new process is known
         self._newest: dict[str, tuple[int, int]] = {}
         self._placed: set[str] = set()
+        # Those whose way to their place was ended by something else.
+        self._ended: set[str] = set()
         self._expected: set[str] = set()
         self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
         self._wished_ns = clock.monotonic_ns() if issued_ns is None else issued_ns
@@ -181,12 +183,16 @@ class CommandClient:
 
     def _record_way(self, command: Command, event: SessionEvent) -> None:
         """Record how far a node is that has to be placed, and give it twice the time that it says it needs."""
-        if event.src not in command.expected:
+        if event.src not in command.expected or event.src in self._ended:
             return
         self._on_the_way[event.src] = event
         now_ns, needs_s = self._clock.monotonic_ns(), event.data.get("placing_s")
         if event.data.get("placed") is True:
             self._placed.add(event.src)
+        elif event.src in self.answers and "ended" in event.data:
+            # Something has ended its way, and it stays where it is.
+            self._ended.add(event.src)
+            self._deadline_ns = now_ns
         elif isinstance(needs_s, int | float):
             self._deadline_ns = now_ns + command.deadline_ns + round(2e9 * needs_s)
         elif event.src in self.answers and event.data.get("mode") == "estop":
@@ -257,6 +263,7 @@ class CommandClient:
         self._command, self._id, self.answers = command, f"{self._sender}-{self._issued}", {}
         self.latched = ""
         self._on_the_way, self._placed, self._expected = {}, set(), set(command.expected)
+        self._ended = set()
         self._issued += 1
         self._issued_ns = self._next_ns = self._last_answer_ns = self._clock.monotonic_ns()
         self._deadline_ns = self._issued_ns + command.deadline_ns

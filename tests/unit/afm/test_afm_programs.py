@@ -288,7 +288,7 @@ def test_the_tip_goes_where_it_is_told_while_it_follows_and_presses_there(bench_
     afm = Imager(bench_of("afm_node@slave"), section)
     afm.node.on_message(command(afm))
     afm.node.on_control(afm.bench.make("session/control", "console@master", id="b", command="arm", target="*",
-                                       parameters={}))  # fmt: skip
+                                       parameters={"place": "hand"}))  # fmt: skip
     afm.set(**{"lateral.x_m": 30e-9})
     heights = []
     for _ in range(60):

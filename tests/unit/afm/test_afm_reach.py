@@ -51,7 +51,7 @@ def arm(afm: Imager) -> None:
         hand_seq=0, hand_t_ns=bench.clock.now_ns(), hand_armed=True,
     )  # fmt: skip
     afm.node.on_message(command)
-    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {}}
+    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {"place": "hand"}}
     afm.node.on_control(bench.make("session/control", "console@master", **fields))
 
 

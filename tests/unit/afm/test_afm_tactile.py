@@ -129,7 +129,9 @@ def test_what_begins_when_the_instrument_is_armed(bench_of: Any) -> None:
     afm.node.on_message(
         afm.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=afm.bench.clock.now_ns())
     )
-    arm = afm.bench.make("session/control", "console@master", id="b", command="arm", target="*", parameters={})
+    arm = afm.bench.make(
+        "session/control", "console@master", id="b", command="arm", target="*", parameters={"place": "hand"}
+    )
     assert "the tip touches the sample" in afm.node.on_control(arm)
     afm.run()
     assert afm.outcome()[0] == "finished"

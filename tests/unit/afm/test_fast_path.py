@@ -77,7 +77,7 @@ def test_the_controller_approaches_and_the_rig_feels_the_sample_through_the_t7(b
     z_m = both.approach()
     assert both.call("ZCtrl.StatusGet") == [nanonis_model.OFF]
     assert z_m == pytest.approx(0.0, abs=3e-9)
-    both.rig.control("arm")
+    both.rig.control("arm", place="hand")
     same = simulated_afm(PARAMS)
     same.open()
     worst_n = 0.0
@@ -97,7 +97,7 @@ def test_the_controller_approaches_and_the_rig_feels_the_sample_through_the_t7(b
 def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> None:
     both.rig.tick(30)
     z_m = both.approach()
-    both.rig.control("arm")
+    both.rig.control("arm", place="hand")
     both.rig.tick(400, CONTACT_M)
     assert both.states()[-1].in_contact
     # the rig dies: the script on the T7 retracts, and the controller stays where it is
@@ -105,7 +105,7 @@ def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> N
     assert both.rig.line.model.output_v == 0.0
     assert both.call("ZCtrl.ZPosGet") == [pytest.approx(z_m, abs=1e-12)]
     both.rig.tick(900)
-    both.rig.control("arm")
+    both.rig.control("arm", place="hand")
     both.rig.tick(400, CONTACT_M)
     assert both.states()[-1].in_contact
     # a person withdraws at the controller: the tip is free whatever the rig sends

@@ -118,7 +118,7 @@ def grid(tmp_path: Path) -> Path:
 def test_a_recorded_frequency_shift_is_felt_and_shown_as_no_force(bench_of: Any, grid: Path) -> None:
     rig = Rig(bench_of("afm_node@slave"), config_of(grid, rest_distance_m=2e-9, feel=FEEL))
     rig.go(0.0)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     for z_m in np.linspace(1.9e-9, 0.7e-9, 20).tolist():
         # the middle of four columns, whose shifts differ by 1 %
         state = rig.go(2e-9 - z_m, 5)
@@ -134,7 +134,7 @@ def test_a_recorded_frequency_shift_is_felt_and_shown_as_no_force(bench_of: Any,
 def test_leaving_the_branch_retracts_and_arming_begins_anew(bench_of: Any, grid: Path) -> None:
     rig = Rig(bench_of("afm_node@slave"), config_of(grid, rest_distance_m=2e-9, feel=FEEL))
     rig.go(0.0)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     for z_m in np.linspace(1.9e-9, 0.3e-9, 80).tolist():
         rig.go(2e-9 - z_m, 3)
     state = rig.go(1.7e-9, 3)
@@ -143,7 +143,7 @@ def test_leaving_the_branch_retracts_and_arming_begins_anew(bench_of: Any, grid:
     assert sum("has left the branch of feel.table: the tip retracts" in text for text in said) == 1
     assert any("force_invalid" in text for text in said)
     rig.go(0.0, 20)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     assert rig.go(0.5e-9, 20).mode == "follow"
 
 
@@ -151,7 +151,7 @@ def test_the_guard_judges_what_is_felt(bench_of: Any, grid: Path) -> None:
     changes = {"safety": {"force_limit_n": 1.5e-9}, "feel": FEEL, "rest_distance_m": 2e-9}
     rig = Rig(bench_of("afm_node@slave"), config_of(grid, **changes))
     rig.go(0.0)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     for z_m in np.linspace(1.9e-9, 0.75e-9, 40).tolist():
         rig.go(2e-9 - z_m, 3)
     assert any("force_limit" in text for text in rig.said())
@@ -167,6 +167,6 @@ def test_an_instrument_without_the_channel_retracts_as_soon_as_it_is_armed(bench
 
     rig = Rig(bench_of("afm_node@slave"), AfmConfig.model_validate({"feel": FEEL}))
     rig.go(0.0)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     assert rig.go(0.0, 3).mode in ("retracting", "retracted")
     assert any("frequency_shift = nan has left the branch" in text for text in rig.said())

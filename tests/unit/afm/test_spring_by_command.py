@@ -27,7 +27,7 @@ def force_n(afm: Imager) -> float:
 def spring(bench_of: Any) -> Imager:
     afm = Imager(bench_of("afm_node@slave"), SPRING)
     afm.node.on_message(command(afm))
-    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {}}
+    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {"place": "hand"}}
     afm.node.on_control(afm.bench.make("session/control", "console@master", **fields))
     return afm
 

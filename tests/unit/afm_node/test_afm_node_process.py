@@ -52,8 +52,8 @@ class Instrument:
             clock.advance_ns(max(0, self.node.deadline_ns() - clock.monotonic_ns()))
             self.node.on_deadline(clock.monotonic_ns())
 
-    def control(self, command: str) -> str:
-        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
+    def control(self, command: str, **parameters: Any) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
         return self.node.on_control(self.bench.make("session/control", "console@master", **fields))
 
     def states(self) -> list[Any]:
@@ -68,7 +68,7 @@ def afm(bench_of: Any) -> Instrument:
 def follow(afm: Instrument) -> None:
     """Arm, and let the base reach its rest point."""
     afm.command()
-    afm.control("arm")
+    afm.control("arm", place="hand")
     afm.pass_ms(80.0, every_ms=1.0)
     afm.states()
 
@@ -114,7 +114,7 @@ def test_without_commands_there_is_a_state_a_millisecond(afm: Instrument) -> Non
 
 def test_an_armed_tip_stays_withdrawn_until_a_fresh_command_of_an_armed_hand_comes(afm: Instrument) -> None:
     waits = "armed: the tip stays withdrawn until a fresh command of an armed hand comes"
-    assert afm.control("arm") == waits
+    assert afm.control("arm", place="hand") == waits
     for armed in (False, None):
         for _ in range(400):
             afm.bench.clock.advance_ns(1_000_000)
@@ -123,10 +123,10 @@ def test_an_armed_tip_stays_withdrawn_until_a_fresh_command_of_an_armed_hand_com
     # a command that is armed and late is none either
     afm.command(hand_ms=60.0)
     assert afm.states()[-1].mode == "retracted"
-    assert afm.control("arm") == waits
+    assert afm.control("arm", place="hand") == waits
     afm.command()
     assert afm.states()[-1].mode == "follow"
-    assert afm.control("arm") == "armed already"
+    assert afm.control("arm", place="hand") == "armed already"
 
 
 @pytest.mark.parametrize("armed", [False, None])
@@ -151,7 +151,7 @@ def test_a_tip_withdraws_from_a_hand_that_is_armed_no_more_as_from_one_that_is_l
 
 def test_a_tip_reports_once_after_each_arming_that_it_is_placed(afm: Instrument) -> None:
     afm.command()
-    afm.control("arm")
+    afm.control("arm", place="hand")
     (begun,) = [event for event in afm.bench.take("session/event") if event.kind == "mode"]
     # 98 nm are left after the first step, at 2 um/s
     assert begun.data["placing_s"] == pytest.approx(0.049, rel=0.05, abs=0.0)
@@ -163,7 +163,7 @@ def test_a_tip_reports_once_after_each_arming_that_it_is_placed(afm: Instrument)
     first = next(state for state in states if state.placed)
     assert [state.placed for state in states] == [state.t_ns >= first.t_ns for state in states]
     assert first.base_position_m[2] == 0.0
-    assert afm.control("arm") == "armed already"
+    assert afm.control("arm", place="hand") == "armed already"
     afm.command()
     assert [event.data["placed"] for event in afm.bench.take("session/event") if event.data.get("placed")] == [True]
 
@@ -173,13 +173,13 @@ def test_an_arm_while_the_tip_is_held_says_so_and_one_with_which_it_retracts_is_
     afm.pass_ms(100.0)
     assert afm.states()[-1].mode == "hold"
     told = "armed already, but in mode hold: command_deadline; without fresh commands the tip retracts"
-    assert afm.control("arm") == told
+    assert afm.control("arm", place="hand") == told
     afm.command()
-    assert afm.control("arm") == "armed already"
+    assert afm.control("arm", place="hand") == "armed already"
     # the step of the arm itself is the first that sees the silence
     afm.bench.clock.advance_ns(300_000_000)
     with pytest.raises(RefusedError, match=r"^not armed: the AFM is in mode retracting: hold_expired$"):
-        afm.control("arm")
+        afm.control("arm", place="hand")
     assert afm.states()[-1].mode == "retracting"
 
 
@@ -193,7 +193,7 @@ def test_the_end_of_a_session_withdraws_the_tip_and_is_no_emergency_stop(afm: In
     assert states[-1].base_position_m[2] == pytest.approx(100e-9, rel=1e-9, abs=0.0)
     reasons = [event.data["reason"] for event in afm.bench.take("session/event") if event.kind == "mode"]
     assert reasons[-1] == "retract_requested"
-    afm.control("arm")
+    afm.control("arm", place="hand")
     afm.pass_ms(10.0, every_ms=1.0)
     assert afm.states()[-1].mode == "follow"
 
@@ -205,7 +205,7 @@ def test_estop_is_latched_until_armed_and_a_withdrawal_releases_none(afm: Instru
     assert afm.control("stop") == "the tip is in emergency stop already"
     afm.pass_ms(200.0, every_ms=1.0)
     assert {state.mode for state in afm.states()} == {"estop"}
-    afm.control("arm")
+    afm.control("arm", place="hand")
     afm.command()
     assert afm.states()[-1].mode == "follow"
 
@@ -355,7 +355,7 @@ def test_played_commands_count_from_their_reception_where_they_are_allowed(bench
     fields["hand_armed"] = True
     command = bench.received("afm/command", "controller@slave", **fields)
     node.on_message(command)
-    arm = {"id": "a", "command": "arm", "target": "afm_node", "parameters": {}}
+    arm = {"id": "a", "command": "arm", "target": "afm_node", "parameters": {"place": "hand"}}
     control = bench.make("session/control", "console@master", **arm)
     assert "armed" in node.on_control(control)
     if not allow:

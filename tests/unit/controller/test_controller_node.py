@@ -517,8 +517,8 @@ def test_law_without_a_local_loop_waits_for_signals_and_gets_one_with_the_clamp(
         node = SlaveController(bench.context, config)
         heard_forward(bench, node, "position_force", 0, 5e-8)
         (command,) = bench.take("afm/command")
-        # The tip was not following before, so the clamp did not act, and the base goes no further than its rest point.
-        assert command.base_position_m[2] == 0.0
+        # The tip was not following before, so the clamp did not act; the guard of the instrument sets the hand off.
+        assert command.base_position_m[2] == -5e-8
         for _ in range(2):
             node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
         news = bench.take("afm/command")

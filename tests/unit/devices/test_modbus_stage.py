@@ -308,7 +308,7 @@ def test_function_76_has_the_bytes_of_the_manual() -> None:
 def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) -> None:
     rig = Rig(bench_of("afm_node@slave"))
     rig.tick(5)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     rig.tick(400)
     state = rig.bench.take("afm/state")[-1]
     assert (state.v, state.device, state.mode, state.separation_valid) == (1, "ok", "follow", False)
@@ -319,13 +319,13 @@ def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) 
     assert rig.bench.take("afm/state")[-1].mode == "retracting"
     with pytest.raises(Exception, match="device_lost"):
         rig.tick(200)
-        rig.control("arm")
+        rig.control("arm", place="hand")
     rig.line.reachable = True
     rig.tick(600)
     state = rig.bench.take("afm/state")[-1]
     assert (state.device, state.mode) == ("ok", "retracted")
     assert rig.line.model.output_v == pytest.approx(2.5 - 100e-9 / 8e-8, abs=2e-3)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     rig.tick(5)
     assert rig.bench.take("afm/state")[-1].mode == "follow"
     texts = [event.text for event in rig.bench.take("session/event")]

@@ -173,7 +173,7 @@ def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> Rig:
 def approach(rig: Rig) -> None:
     """Arm, and follow to the place near the sample, no faster than the guard lets the base go."""
     rig.tick(3, NEAR_M)
-    rig.control("arm")
+    rig.control("arm", place="hand")
     volts = [rig.line.model.output_v]
     while abs(volts[-1] - NEAR_V) > DAC_STEP_V:
         rig.tick(1, NEAR_M)

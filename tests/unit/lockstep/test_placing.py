@@ -6,8 +6,6 @@ import pytest
 from law_loop import TRIED_LAWS
 
 import telenano
-from telenano.extend.laws import NO_TIP
-from telenano.laws.entering import CLEARANCE_M, LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from telenano.wire.errors import RigError
 
 SPEED = "afm_node.safety.base_speed_m_per_s"
@@ -47,28 +45,3 @@ def test_a_hand_that_is_beyond_the_surface_when_it_is_armed_gives_no_law_a_strik
     assert float(force_n.max()) < 0.2
     assert abs(float(session["base_position_m"][0])) <= 2e-9
     assert bool(session["hand_following"].all())
-
-
-def test_an_offset_keeps_the_base_from_the_last_known_surface_and_is_let_in_while_nothing_presses() -> None:
-    away = NO_TIP._replace(base_position_m=-100e-9)
-    entry = entry_step(entry_at_start(), 12e-9, away, 1e8, 1e-3)
-    assert entry.offset_m == 12e-9
-    # a hand that is not beyond the rest point has none
-    assert entry_step(entry, -3e-9, away, 1e8, 1e-3).offset_m == 0.0
-    # a surface in front of the rest point is kept clear of
-    met = Entry(0.0, -20e-9)
-    assert entry_step(met, 0.0, away, 1e8, 1e-3).offset_m == pytest.approx(20e-9 + CLEARANCE_M, rel=1e-12, abs=0.0)
-    follows = away._replace(base_position_m=0.0, following=True)
-    let_in = entry_step(entry, 12e-9, shown_tip(entry, follows), 1e8, 0.1)
-    assert let_in.offset_m == pytest.approx(12e-9 - 0.1 * LET_IN_M_PER_S, rel=1e-12, abs=0.0)
-    for force_n, surface_m in ((1.1e-9, 0.0), (-1.1e-9, float("inf"))):
-        pressed = shown_tip(entry, follows._replace(force_n=force_n))
-        stands = entry_step(entry, 12e-9, pressed, 1e8, 0.1)
-        assert (stands.offset_m, stands.surface_m) == (12e-9, surface_m)
-
-
-def test_the_law_sees_the_base_where_it_would_be_without_the_offset() -> None:
-    entry = Entry(5e-9, float("inf"))
-    follows = NO_TIP._replace(base_position_m=1e-9, following=True)
-    assert shown_tip(entry, follows).base_position_m == 6e-9
-    assert shown_tip(entry, follows._replace(following=False)).base_position_m == 1e-9

@@ -84,7 +84,8 @@ class Device:
         )  # fmt: skip
 
     def control(self, command: str) -> None:
-        fields = {"id": command, "command": command, "target": "afm_node", "parameters": {}}
+        word = {"place": "hand"} if command == "arm" else {}
+        fields = {"id": command, "command": command, "target": "afm_node", "parameters": word}
         self.arrives("session/control", src="launcher@master", **fields)
 
     @property

@@ -32,7 +32,8 @@ class Armed(NamedTuple):
     def command(self, name: str) -> tuple[str, str]:
         """Give a command, which quotes the newest stop; return kind and text of the answer."""
         quoted = {self.node.context.key: self.handler.latch.quotation}
-        fields = {"id": f"{name}-{self.bench.clock.now_ns()}", "command": name, "target": "*", "parameters": {}}
+        fields = {"id": f"{name}-{self.bench.clock.now_ns()}", "command": name, "target": "*"}
+        fields["parameters"] = {"place": "hand"} if name == "arm" else {}
         control = self.bench.make("session/control", "console@master", **fields, node_latch=quoted)
         self.handler.handle(control, self.bench.clock.now_ns())
         answer = self.bench.take("session/event")[-1]

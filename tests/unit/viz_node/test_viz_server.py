@@ -319,6 +319,26 @@ def test_an_emergency_stop_empties_the_queues_of_all_pages(rig: Rig, client: Tes
     assert first.ask(**command(command="arm"))["ok"] is True
 
 
+def test_any_command_of_a_page_ends_a_tip_that_goes_back_and_no_other_command(
+    rig: Rig, client: TestClient, stack: ExitStack
+) -> None:
+    goes, other = Page(stack, client), Page(stack, client)
+    for word, is_ended in (({"place_m": 0.0, "speed_m_per_s": 5e-8}, True), ({}, False)):
+        rig.commander.held.clear()
+        begun = len(rig.commander.begun)
+        goes.send({"id": "goes", **command(command="arm", target="*", parameters=word)})
+        until(lambda begun=begun: len(rig.commander.begun) > begun)
+        other.send({"id": "other", **command(command="mark", target="recorder")})
+        if is_ended:
+            assert goes.take("answer")["ok"] is False
+        else:
+            until(lambda: len(rig.hub._wishes) == 2)
+        rig.commander.held.set()
+        if not is_ended:
+            assert goes.take("answer")["ok"] is True
+        assert other.take("answer")["ok"] is True
+
+
 def test_a_page_that_leaves_takes_its_commands_with_it_and_leaves_those_of_others(
     rig: Rig, client: TestClient, stack: ExitStack
 ) -> None:

@@ -353,7 +353,7 @@ class Live(Apparatus):
             )
         if states["afm/state"].mode not in ("follow", "hold"):
             self._command("set", LINK, _CLEAN)
-            self._send(Command("arm", TIP, placed=True))
+            self._send(Command("arm", TIP, parameters={"place": "hand"}, placed=True))
 
     def _states(self) -> dict[str, Any]:
         """Return the newest state of both devices."""

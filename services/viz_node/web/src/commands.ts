@@ -10,10 +10,14 @@ const PLACED_MS = 600_000;
 const DEVICES = "*";
 /** After the last press of the stop, and after it is first shown, the bar that arms cannot be pressed: a second tap never arms [ms]. */
 const REARM_MS = 1500;
+/** What ends a tip's way back. */
+const INPUTS = ["keydown", "pointerdown", "wheel"] as const;
 
 /** Commands of the operator; each shows what became of it. */
 export class Commands {
   private stops = 0;
+  /** Whether the tip goes back at a word of this page. */
+  private isGoing = false;
   /** When the rig was stopped, as this page saw it, or when its stop was pressed last [ms]. */
   private stoppedAt = -Infinity;
   private wasStopped = false;
@@ -70,11 +74,40 @@ export class Commands {
     return this.store.fact("afm/state/slave", "mode") === "estop" || this.store.fact("haptic/state/master", "estop") === true;
   }
 
-  /** Arm hand and tip in one request; the answer says whether both are, and the tip is placed. */
+  /** Arm hand and tip in one request: both stay where they are. The answer says whether both are armed. */
   async arm(): Promise<boolean> {
     this.onArm();
     const fields = { k: "command", command: "arm", target: DEVICES, parameters: {}, lease: this.store.ownLease };
     return this.ask("arm hand and tip", fields, PLACED_MS);
+  }
+
+  /** Where an armed tip would go back to, in words with place, speed and time; undefined where it has no way back. */
+  get wayBack(): { text: string; place_m: number; speed_m_per_s: number } | undefined {
+    const [place, speed, time] = ["return_place_m", "return_speed_m_per_s", "return_s"].map((key) => this.store.fact("afm/state/slave", key));
+    if (typeof place !== "number" || typeof speed !== "number" || typeof time !== "number") return undefined;
+    return { text: `Go back to ${(place * 1e9).toFixed(1)} nm (${(speed * 1e9).toFixed(0)} nm/s, ${time.toFixed(1)} s)`, place_m: place, speed_m_per_s: speed };
+  }
+
+  /** Let the tip go back, as its button says; any key and any press of the pointer ends it, and the tip stays where it is. */
+  async goBack(): Promise<boolean> {
+    const way = this.wayBack;
+    if (!way || this.isGoing) return false;
+    this.onArm();
+    this.isGoing = true;
+    const { place_m, speed_m_per_s } = way;
+    const fields = { k: "command", command: "arm", target: DEVICES, parameters: { place_m, speed_m_per_s }, lease: this.store.ownLease };
+    // The server gives the way up for whatever command comes after it; arming starts nothing. The stop needs no more.
+    const end = (event: Event): void => {
+      if ((event as KeyboardEvent).key !== "Escape" && this.isGoing) void this.arm();
+      this.isGoing = false;
+    };
+    for (const name of INPUTS) addEventListener(name, end, { capture: true });
+    try {
+      return await this.ask(way.text.replace("Go", "go"), fields, PLACED_MS);
+    } finally {
+      this.isGoing = false;
+      for (const name of INPUTS) removeEventListener(name, end, { capture: true });
+    }
   }
 
   /** Return whether hand and tip may be armed at the end of something that begins now: not after a stop that comes meanwhile. */

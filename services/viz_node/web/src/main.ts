@@ -168,6 +168,7 @@ addEventListener("keydown", (event) => {
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
   if (event.key === "o" && commands.may) part("couple").click();
+  if (event.key === "g" && commands.may && !event.repeat) void commands.goBack();
   if (event.key === "h") handPanel.lease.first();
   // clutch and mode of the hand across the sample, where there is one
   if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();

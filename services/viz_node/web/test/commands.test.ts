@@ -88,3 +88,29 @@ test("a stop that cannot be sent is not called refused", async () => {
   await commands.estop();
   expect(notes[1]).toMatch(/^not sent: emergency stop: not sent · .*type: telenano estop$/);
 });
+
+test("the way back has its numbers, goes by a word of its own, and is ended by a key or a press", async () => {
+  const { commands, store, asked, answer } = page();
+  commands.link = "open";
+  expect(commands.wayBack).toBeUndefined();
+  expect(await commands.goBack()).toBe(false);
+  store.take({ k: "tick", state: { "afm/state/slave": { mode: "follow", return_place_m: 1.05e-8, return_speed_m_per_s: 5e-8, return_s: 2.2 } } });
+  expect(commands.wayBack?.text).toBe("Go back to 10.5 nm (50 nm/s, 2.2 s)");
+  const listeners = new Map<string, (event: object) => void>();
+  vi.stubGlobal("addEventListener", (name: string, listener: (event: object) => void) => void listeners.set(name, listener));
+  vi.stubGlobal("removeEventListener", (name: string) => void listeners.delete(name));
+  for (const [name, event, ends] of [["keydown", { key: "x" }, 1], ["pointerdown", {}, 1], ["keydown", { key: "Escape" }, 0]] as const) {
+    const before = asked.length;
+    const done = commands.goBack();
+    expect(asked.slice(before)).toMatchObject([{ command: "arm", target: "*", parameters: { place_m: 1.05e-8, speed_m_per_s: 5e-8 } }]);
+    listeners.get(name)!(event);
+    listeners.get(name)!(event);
+    // arming starts nothing, and what is pressed again asks for no more; the stop is a request of its own
+    expect(asked.slice(before + 1)).toMatchObject(Array(ends).fill({ command: "arm", target: "*", parameters: {} }));
+    answer(false, "another command came after it");
+    if (ends) answer(true, "armed already");
+    expect(await done).toBe(false);
+    expect(listeners.size).toBe(0);
+  }
+  vi.unstubAllGlobals();
+});

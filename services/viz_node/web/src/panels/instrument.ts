@@ -8,14 +8,14 @@ import { INSTRUMENT, place } from "../tip";
 const MODES: Record<string, string> = {
   follow: "The tip follows the hand.",
   hold: "The tip holds its place: no fresh command comes.",
-  retracted: "The tip is away. Bilateral, or Arm, brings it back.",
+  retracted: "The tip is away. Arm it, and then let it go back.",
   retracting: "The tip moves away from the sample.",
-  estop: "Emergency stop: the tip is away. Arm brings it back.",
+  estop: "Emergency stop: the tip is away. Arm releases it; it stays until it is to go back.",
 };
 /** Why the guard has moved the tip away, by the reason that it reports. */
 const REASONS: Record<string, string> = {
-  hold_expired: "No fresh command came, as when a delay begins: the tip is away. Bilateral brings it back.",
-  force_limit: "The force on the tip was above its limit: the tip is away. Bilateral brings it back.",
+  hold_expired: "No fresh command came, as when a delay begins: the tip is away. Arm it, and then let it go back.",
+  force_limit: "The force on the tip was above its limit: the tip is away. Arm it, and then let it go back.",
   force_invalid: "The force on the tip is not known: the tip is away.",
   device_lost: "The instrument does not answer: the tip is away.",
 };
@@ -72,8 +72,9 @@ export class InstrumentPanel implements Panel {
       button.disabled = !commands.may || !(running && isFit);
     }
     let shown = MODES[mode] ?? "";
+    if (mode === "follow" && commands.wayBack) shown = "The tip stays where it was armed, and the hand moves it from there.";
     if (program && running) shown = `${program.program}: ${program.state}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
-    else if (mode.startsWith("retract")) shown = this.whyAway() ?? (program?.text ? `${program.text[0]!.toUpperCase()}${program.text.slice(1)}. Bilateral, or Arm, brings it back.` : shown);
+    else if (mode.startsWith("retract")) shown = this.whyAway() ?? (program?.text ? `${program.text[0]!.toUpperCase()}${program.text.slice(1)}. Arm it, and then let it go back.` : shown);
     if (this.state.textContent !== shown) this.state.textContent = shown;
   }
 

@@ -5,6 +5,7 @@ import { make } from "../dom";
 export class SessionPanel implements Panel {
   private readonly start: HTMLButtonElement;
   private readonly armed: HTMLButtonElement;
+  private readonly back: HTMLButtonElement;
   private readonly mark: HTMLInputElement;
   private readonly buttons: HTMLButtonElement[];
 
@@ -18,15 +19,19 @@ export class SessionPanel implements Panel {
     this.start = button("start", "Start", () => commands.command("start", "start", "haptic_node"));
     const stop = button("stop", "Stop", () => commands.command("stop", "stop", "haptic_node"));
     this.armed = button("arm", "Arm", () => commands.arm());
+    this.armed.title = "Arm hand and tip: both stay where they are";
+    this.back = button("go-back", "Go back", () => commands.goBack());
+    this.back.title = "Let the tip go back (g): any key, any press and any command ends it";
+    this.back.hidden = true;
     const couple = button("couple", "Couple", () => commands.couple());
     couple.title = "Couple hand and tip again (o): the tip is withdrawn, and comes back to where the hand is";
     this.mark = make("input", { id: "mark-text", type: "text", placeholder: "Text of a mark", "aria-label": "Text of the mark", maxlength: 200 });
     this.mark.addEventListener("keydown", (event) => event.key === "Enter" && void this.setMark());
     const mark = button("mark", "Mark", () => this.setMark());
     const split = button("split", "New file", () => commands.command("begin a new file", "set", "recorder", { "record.split": true }));
-    this.buttons = [this.start, stop, couple, this.armed, mark, split];
+    this.buttons = [this.start, stop, couple, this.armed, this.back, mark, split];
     const programme = make("div", { class: "segments", role: "group", "aria-label": "Force profile of the operator" }, this.start, stop);
-    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple, this.armed), make("div", { class: "row tight" }, this.mark, mark, split));
+    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple, this.armed), this.back, make("div", { class: "row tight" }, this.mark, mark, split));
   }
 
   begin(): void {
@@ -45,6 +50,14 @@ export class SessionPanel implements Panel {
     this.start.setAttribute("aria-pressed", String(runs && !isStopped));
     this.start.nextElementSibling!.setAttribute("aria-pressed", String(isKnown && !runs));
     this.armed.setAttribute("aria-pressed", String(isKnown && !isStopped && store.fact("haptic/state/master", "mode") !== "safe"));
+    this.writeWayBack();
+  }
+
+  /** The second choice after an arming, with its numbers; it is there only while the instrument states them. */
+  private writeWayBack(): void {
+    const { wayBack, isStopped } = this.cockpit.commands;
+    this.back.hidden = !wayBack || isStopped;
+    if (wayBack && this.back.textContent !== wayBack.text) this.back.textContent = wayBack.text;
   }
 
   private setMark(): Promise<boolean> {

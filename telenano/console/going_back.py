@@ -1,0 +1,127 @@
+"""`telenano session arm --return`: the tip of a rig goes back to a place, at a speed that is stated before.
+
+Arming alone starts nothing: after a stop, a loss or a restart, tip and hand stay where they are, and the hand is set
+off by as much. Going back is a word of its own, with its numbers, which come from the guard of the instrument. It ends
+where the tip is by any input: another command, a key, and a hand that moves or presses (`telenano.afm.safety`).
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from telenano.console.command_client import arm_devices, send_controls
+from telenano.runtime.loop.arming import ARM_TIP, return_to
+from telenano.runtime.loop.commands import Command
+from telenano.wire.errors import RigError
+from telenano.wire.messages import SessionEvent
+from telenano.wire.nodes import TIP, Site
+
+
+class WayBack(NamedTuple):
+    """Where the base goes back to, towards the sample > 0 [m], how fast [m/s], from where [m], and for how long [s]."""
+
+    place_m: float
+    speed_m_per_s: float
+    from_m: float
+    time_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"the base of the tip goes from {1e9 * self.from_m:.4g} nm to {1e9 * self.place_m:.4g} nm at"
+            f" {1e9 * self.speed_m_per_s:.4g} nm/s, for {self.time_s:.2g} s; any key or command ends it, and so does a"
+            " hand that moves or presses"
+        )
+
+
+def go_back(
+    site_file: Path,
+    site: Site = "master",
+    announce: Callable[[WayBack], None] = lambda way: None,
+    is_wanted: Callable[[], bool] = lambda: True,
+    *,
+    place_m: float | None = None,
+    speed_m_per_s: float | None = None,
+    on_answer: Callable[[SessionEvent], None] = lambda event: None,
+    issued_ns: int | None = None,
+    by: str | None = None,
+) -> WayBack | None:
+    """Arm hand and tip where they are, then let the tip go back to a place, and wait until it is there.
+
+    Returns the way, None where the tip is already where the hand has it and no place is stated.
+
+    Args:
+        site_file: The site file of the rig.
+        site: The site at which the command is given.
+        announce: Called with the way before it begins.
+        is_wanted: Called again and again; once it returns false, the tip stays where it is.
+        place_m: The place of the base, towards the sample > 0 [m]; None is the one that the instrument states.
+        speed_m_per_s: The speed [m/s]; None is the one that the instrument states.
+        on_answer: Called with each answer of the devices.
+        issued_ns: As of `send_control`.
+        by: As of `send_control`.
+
+    Raises:
+        RigError: It is refused, or was ended before the tip was there: it stays where it is then.
+        ConfigError, EndpointError, RefusedError: As of `send_control`.
+    """
+    issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
+    armed = arm_devices(site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by).get(TIP)
+    if armed is None:
+        raise RigError(f"the tip does not go back: {TIP} is not reached from the {site}'s site")
+    if (way := _way_from(armed, place_m, speed_m_per_s)) is None:
+        return None
+    announce(way)
+    back = return_to(way.place_m, way.speed_m_per_s)
+    answers = send_way([back], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+    if refused := [event.text for event in answers.values() if event.kind == "refused"]:
+        raise RigError(f"the tip does not go back: {'; '.join(refused)}")
+    return way
+
+
+def send_way(
+    commands: Sequence[Command],
+    site_file: Path,
+    site: Site,
+    on_answer: Callable[[SessionEvent], None],
+    is_wanted: Callable[[], bool],
+    *,
+    issued_ns: int,
+    by: str | None = None,
+) -> dict[str, SessionEvent]:
+    """Send commands of which the last lets the tip go somewhere, as `send_controls`; end its way once it is unwanted.
+
+    Raises:
+        RigError: The way was ended, and the tip stays where it is; and as `send_controls`.
+    """
+    was_unwanted = False
+
+    def still() -> bool:
+        nonlocal was_unwanted
+        was_unwanted = was_unwanted or not is_wanted()
+        return not was_unwanted
+
+    try:
+        return send_controls(commands, site_file, site, on_answer, still, issued_ns=issued_ns, by=by)
+    except (RigError, KeyboardInterrupt) as error:
+        if not was_unwanted and isinstance(error, RigError):
+            raise
+        # Any other command ends the way of the base. This one starts nothing, and as it was issued with the way, an
+        # emergency stop that came meanwhile makes it void.
+        send_controls([ARM_TIP], site_file, site, on_answer, issued_ns=issued_ns, by=by)
+        raise RigError("going back was ended: the tip stays where it is") from error
+
+
+def _way_from(armed: SessionEvent, place_m: float | None, speed_m_per_s: float | None) -> WayBack | None:
+    """Return the way that the instrument states, with what a person states otherwise."""
+    if armed.kind == "refused":
+        raise RigError(f"the tip does not go back: {armed.text}")
+    stated = {key: armed.data.get(key) for key in ("return_place_m", "return_speed_m_per_s", "base_position_m")}
+    place, speed, from_m = (float(value) if isinstance(value, int | float) else None for value in stated.values())
+    place = place if place_m is None else place_m
+    speed = speed if speed_m_per_s is None else speed_m_per_s
+    if place is None or from_m is None:
+        return None
+    if speed is None:
+        raise RigError("the instrument states no speed of its own for this way: state one with --speed")
+    return WayBack(place, speed, from_m, abs(place - from_m) / speed)
