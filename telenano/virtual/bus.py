@@ -1,16 +1,18 @@
 """The bus in memory: what a node publishes goes to the rig, and what has arrived is taken by a reader as on a socket."""
 
 import heapq
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
-from typing import TYPE_CHECKING, Any, Protocol
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from telenano.runtime.bus.bus import ConnectionEvent, MessageReader, Taken
 from telenano.runtime.bus.publisher import version_of
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth
-from telenano.wire.nodes import LINK, name_of
+from telenano.wire.nodes import LINK, RECORDER, name_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -19,8 +21,8 @@ if TYPE_CHECKING:
 
 # A reader takes this number of messages at once.
 _BATCH = 256
-# A recorder takes what comes within this time together, as on a socket [ns]; each keeps its own time of reception.
-_RECORDER_PERIOD_NS = 1_000_000
+# A recorder takes what comes within this time together [ns]; each message keeps its own time of reception.
+_RECORDER_PERIOD_NS = 5_000_000
 _NEXT = Arrival.NEXT
 _DUPLICATE = Arrival.DUPLICATE
 _LATE = Arrival.LATE
@@ -93,17 +95,23 @@ class VirtualBus:
         self.reader = VirtualReader(rig.clock, topics or TOPICS, newest_only=is_newest_only)
         self._rig = rig
         self._numbers: dict[str, int] = {}
-        self._names_of: dict[str, tuple[str, ...]] = {}
+        # By topic, the version of its messages and what draws how long one takes to be sent [ns].
+        self._sending: dict[str, tuple[int, Callable[[], int]]] = {}
 
     def publish(self, topic: str, **fields: Any) -> Message:
         rig, seq = self._rig, self._numbers.get(topic, 0)
-        self._numbers[topic] = seq + 1
+        version, draw = self._sending.get(topic) or self._open(topic)
         # sent some time after the turn began, which no re-run knows
-        t_ns = rig.clock.now_ns() + rig.draw(rig.timing.sending, "sending", self.key, topic)
-        values = {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version_of(topic), **fields}
-        message, payload = compose(topic, values)
+        t_ns = rig.clock.now_ns() + draw()
+        message, payload = compose(topic, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version, **fields})
+        self._numbers[topic] = seq + 1
         rig.carry(topic, message, payload)
         return message
+
+    def _open(self, topic: str) -> tuple[int, Callable[[], int]]:
+        names = ("sending", self.key, topic)
+        self._sending[topic] = version_of(topic), self._rig.streams.draws(self._rig.timing.sending, names)
+        return self._sending[topic]
 
     def send(self, topic: str, payload: bytes) -> None:
         self._rig.forward(self.key, topic, payload)
@@ -165,6 +173,14 @@ class _Intake(Protocol):
         """Record one message, and return it if the node has to act on it."""
 
 
+class RecorderWay(NamedTuple):
+    """A topic on its way from an endpoint to a recorder: how late it comes [ns], its listener, and its first frame."""
+
+    draw: Callable[[], int]
+    listener: _Listener
+    frame: bytes
+
+
 class RecordingBus(VirtualBus):
     """The bus of a recorder: it hands over what every endpoint sends, each message with its time of reception."""
 
@@ -173,19 +189,27 @@ class RecordingBus(VirtualBus):
         self._listeners: Mapping[str, _Listener] = {listener.publisher: listener for listener in listeners}
         self._record: Callable[..., Received | None] = intake.record
         self._taken_ns = 0
-        self._wanted: dict[tuple[str, str], _Listener | None] = {}
-        self._frames: dict[str, bytes] = {}
-        # The messages on their way, in the order of sending.
-        self.coming: list[tuple[int, int, _Listener, str, bytes]] = []
+        self._ways: dict[tuple[str, str], RecorderWay | None] = {}
+        # When the newest message of an endpoint is received [ns]: a recorder receives from one in the order of sending.
+        self.newest_ns: dict[str, int] = {}
+        # The messages on their way: when each is received [ns], its number, its way and its bytes.
+        self.coming: list[tuple[int, int, RecorderWay, bytes]] = []
 
-    def listener_of(self, endpoint: str, topic: str) -> _Listener | None:
-        """Return the listener that receives a topic from an endpoint; None where the recorder does not want it."""
+    def way(self, endpoint: str, topic: str) -> RecorderWay | None:
+        """Return the way of a topic from an endpoint to this recorder; None where it does not want it."""
         place = (endpoint, topic)
-        if place not in self._wanted:
+        try:
+            return self._ways[place]
+        except KeyError:
             listener = self._listeners.get(endpoint)
-            is_wanted = listener is not None and listener.subscriber.wants(topic)
-            self._wanted[place] = listener if is_wanted else None
-        return self._wanted[place]
+            if listener is None or not listener.subscriber.wants(topic):
+                self._ways[place] = None
+            else:
+                # The streams of the first recorder have no name of their own.
+                further = () if self.key == RECORDER else (self.key,)
+                draw = self._rig.streams.draws(self._rig.timing.recorder, ("recorder", endpoint, topic, *further))
+                self._ways[place] = RecorderWay(draw, listener, topic.encode())
+            return self._ways[place]
 
     def next_ns(self) -> int:
         return max(self.coming[0][0], self._taken_ns + _RECORDER_PERIOD_NS) if self.coming else NEVER_NS
@@ -200,13 +224,11 @@ class RecordingBus(VirtualBus):
         if coming[-1][0] <= now_ns:
             taken, self.coming = coming, []
         else:
-            later = next(place for place, message in enumerate(coming) if message[0] > now_ns)
+            later = bisect_right(coming, now_ns, key=itemgetter(0))
             taken, self.coming = coming[:later], coming[later:]
         self._taken_ns = now_ns
-        frames = self._frames
-        for at_ns, _, listener, topic, payload in taken:
-            frame = frames.get(topic) or frames.setdefault(topic, topic.encode())
-            received = record(listener, (frame, payload), at_ns + epoch_ns)
+        for at_ns, _, way, payload in taken:
+            received = record(way.listener, (way.frame, payload), at_ns + epoch_ns)
             if received is not None:
                 yield received
 

@@ -14,8 +14,11 @@ the impairments of the scenario. So a session takes less than its duration, and 
 (`stall`): what is sent to it meanwhile waits for it.
 """
 
+import gc
 import heapq
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,7 +100,6 @@ class Engine:
         counts_inputs: Whether node/health has the inputs of a node, by which a launcher knows that it is ready.
         hears_recorders: Whether the nodes receive what recorders publish, as they do in a rig of processes. Without
             that a session is the same to the bit whether or not it is recorded.
-        facts: Further metadata of recordings, by name.
     """
 
     def __init__(
@@ -112,7 +114,6 @@ class Engine:
         keeps: bool = False,
         counts_inputs: bool = False,
         hears_recorders: bool = True,
-        facts: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         self.loaded, self.timing, self.disk = loaded, timing, disk
         self.clock = VirtualClock(start_ns=BEGIN_NS, epoch_offset_ns=EPOCH_OFFSET_NS)
@@ -121,7 +122,15 @@ class Engine:
         self._hears_recorders = hears_recorders
         self.book = AddressBook.load(site_file)
         self.files = site_file, scenario_file
-        self.facts = {"simulation": {"time": "virtual", "seed": str(seed), "timing": str(timing)}, **(facts or {})}
+        # This stands in every recording, beside what is known of its versions.
+        self.facts = {
+            "simulation": {
+                "time": "virtual",
+                "about": "real nodes on a bus in memory; no process, socket or device took part",
+                "seed": str(seed),
+                "delays_ns": json.dumps(asdict(timing)),
+            }
+        }
         self.buses: dict[str, VirtualBus] = {}
         self.loops: dict[str, NodeLoop] = {}
         self.logs: dict[str, QuietLog] = {}
@@ -133,16 +142,18 @@ class Engine:
         self._endpoints: dict[str, VirtualBus] = {}
         self._recorders: list[RecordingBus] = []
         self._order = 0
-        # a connection keeps the order of what is sent through it
-        self._last_arrival_ns: dict[tuple[str, str], int] = {}
-        # a recorder receives from an endpoint in the order of sending
-        self._received_ns: dict[tuple[str, str], int] = {}
+        # By sender, reader and topic, what draws how long a message takes, and when the newest arrives: a connection
+        # keeps the order of what is sent through it [ns].
+        self._connections: dict[tuple[str, str, str], tuple[Callable[[], int], list[int]]] = {}
+        self._newest_ns: dict[tuple[str, str], list[int]] = {}
         # When each node takes its next turn [ns], in the order of their names; those to be found again stand in a set.
         self._due_of: dict[str, int] = {}
         self._unknown: set[str] = set()
         self._late_ns: dict[str, int] = {}
         self._stalled_until_ns: dict[str, int] = {}
         self._routes: dict[tuple[str, str], Route] = {}
+        # No node takes a further turn, whatever the time.
+        self.is_over = False
 
     def start(self, key: str, takes_ns: int = 0, *, starting_period_ns: int = HEALTH_PERIOD_NS) -> Node:
         """Build a node by its row in the table of nodes, and let its loop take turns when that time [ns] has passed.
@@ -153,7 +164,7 @@ class Engine:
         self._endpoints.pop(key, None)
         node, bus = self._built(key, None)
         self.clock.advance_ns(takes_ns)
-        self.run(key, node, bus, starting_period_ns=starting_period_ns)
+        self.run_node(key, node, bus, starting_period_ns=starting_period_ns)
         return node
 
     def build(self, key: str, context: NodeContext) -> Node:
@@ -162,8 +173,12 @@ class Engine:
 
     def _built(self, key: str, given: NodeContext | None) -> tuple[Node, Any]:
         kind = node_kind(name_of(key))
-        config = self.loaded.section(kind.name, kind.config)
+        config = self.config_of(key, self.loaded.section(kind.name, kind.config))
         return kind.build(self.wiring(key, given), config)
+
+    def config_of(self, key: str, config: Any) -> Any:
+        """Return the section of a node as the node gets it."""
+        return config
 
     def wiring(self, key: str, given: NodeContext | None = None) -> VirtualWiring:
         """Return what a builder of a node is given."""
@@ -177,7 +192,7 @@ class Engine:
             network=network_of(key),
             wake_descriptor=-1,
             period_s=self.loaded.scenario.period_s,
-            machine=VirtualMachine(key, self.streams, self.disk_of(key)),
+            machine=VirtualMachine(key, self.streams, self.disk),
             recorded_facts=self.facts,
             site_file=site_file,
             scenario_file=scenario_file,
@@ -185,17 +200,13 @@ class Engine:
             given=given,
         )
 
-    def disk_of(self, key: str) -> Disk:
-        """Return the disk of a node."""
-        return self.disk
-
     def endpoint(self, key: str) -> VirtualBus:
         """Return the endpoint of a publisher, opened when it is first asked for."""
         if key not in self._endpoints:
             self._endpoints[key] = VirtualBus(self, key)
         return self._endpoints[key]
 
-    def run(self, key: str, node: Node, bus: Any, *, starting_period_ns: int = HEALTH_PERIOD_NS) -> None:
+    def run_node(self, key: str, node: Node, bus: Any, *, starting_period_ns: int = HEALTH_PERIOD_NS) -> None:
         """Let the loop of a node take turns from now on."""
         self.buses[key] = bus
         self.loops[key] = NodeLoop(node, bus, REALTIME, starting_period_ns=starting_period_ns)
@@ -225,9 +236,20 @@ class Engine:
 
     def advance(self, end_ns: int) -> None:
         """Let the nodes take their turns until a time on the monotonic clock [ns]."""
-        clock, loops, unknown, share = self.clock, self.loops, self._unknown, self.timing.stall_share
-        late_ns, wake = self._late_ns, self.timing.wake
-        while True:
+        # As in the process of a node, nothing is made in a turn that needs the garbage collector.
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            self._advance(end_ns)
+        finally:
+            if collects:
+                gc.enable()
+
+    def _advance(self, end_ns: int) -> None:
+        clock, streams, loops = self.clock, self.streams, self.loops
+        wake, share = self.timing.wake, self.timing.stall_share
+        late_of = {key: (streams.of(("stall", key)).random, streams.draws(wake, ("wake", key))) for key in loops}
+        while not self.is_over:
             due_of, unknown = self._due_of, self._unknown
             for key in unknown:
                 # One that was stopped takes no turn, whatever it is sent.
@@ -236,32 +258,29 @@ class Engine:
             unknown.clear()
             now_ns = clock.monotonic_ns()
             # Nodes stand in the order of their names, by which the first of those that are due takes its turn.
-            due_ns, next_key = end_ns + 1, ""
-            for key, at_ns in due_of.items():
+            due_ns, key = end_ns + 1, ""
+            for name, at_ns in due_of.items():
                 if at_ns < due_ns:
                     if at_ns <= now_ns:
-                        due_ns, next_key = now_ns, key
+                        due_ns, key = now_ns, name
                         break
-                    due_ns, next_key = at_ns, key
-            if not next_key or due_ns > end_ns:
-                break
+                    due_ns, key = at_ns, name
+            if not key or due_ns > end_ns:
+                return
             clock.advance_ns(due_ns - now_ns)
             # its next turn, and that of each node that something is brought to, has to be found anew
-            unknown.add(next_key)
-            self.turn(next_key, loops[next_key])
+            unknown.add(key)
+            self.turn(key, loops[key])
             # a loop wakes up late, and now and then very late
-            is_stalled = share > 0.0 and self.streams.of(("stall", next_key)).random() < share
-            late_ns[next_key] = self.draw(wake, "wake", next_key) + _STALL_NS * is_stalled
-            if self.is_over():
-                break
+            if key not in late_of:
+                late_of[key] = streams.of(("stall", key)).random, streams.draws(wake, ("wake", key))
+            random, wakes = late_of[key]
+            is_stalled = share > 0.0 and random() < share
+            self._late_ns[key] = wakes() + _STALL_NS * is_stalled
 
     def turn(self, key: str, loop: NodeLoop) -> None:
         """Let a node take a turn."""
         loop.turn()
-
-    def is_over(self) -> bool:
-        """Return whether the rig takes no more turns, whatever the time."""
-        return False
 
     def draw(self, low_high: Range, *names: str) -> int:
         """Draw a delay [ns] from the stream of these names."""
@@ -320,20 +339,17 @@ class Engine:
     def _record(self, endpoint: str, topic: str, payload: bytes, sent_ns: int) -> None:
         """Bring a message to the recorders that listen to an endpoint, a little later than to all others."""
         for bus in self._recorders:
-            if (listener := bus.listener_of(endpoint, topic)) is None:
+            if (way := bus.way(endpoint, topic)) is None:
                 continue
             self._order += 1
-            # The stream of the first recorder has no name of its own.
-            names = ("recorder", endpoint, topic) if bus.key == RECORDER else ("recorder", endpoint, topic, bus.key)
-            arrives_ns = sent_ns + self.draw(self.timing.recorder, *names)
-            place = (bus.key, endpoint)
-            last_ns = self._received_ns.get(place, 0)
+            arrives_ns = sent_ns + way.draw()
+            last_ns = bus.newest_ns.get(endpoint, 0)
             if arrives_ns < last_ns:
                 arrives_ns = last_ns
-            self._received_ns[place] = arrives_ns
+            bus.newest_ns[endpoint] = arrives_ns
             if not bus.coming:
                 self._unknown.add(bus.key)
-            bus.coming.append((arrives_ns, self._order, listener, topic, payload))
+            bus.coming.append((arrives_ns, self._order, way, payload))
 
     def _route(self, topic: str, message: Message) -> Route:
         src = message.src
@@ -359,12 +375,16 @@ class Engine:
         self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int, message: Message | None
     ) -> None:
         """Bring a message from an endpoint to a reader."""
-        arrives_ns = sent_ns + self.draw(self.timing.site, "site", sender, key, topic)
-        place = (sender, key)
-        last_ns = self._last_arrival_ns.get(place, 0)
-        if arrives_ns < last_ns:
-            arrives_ns = last_ns
-        self._last_arrival_ns[place] = arrives_ns
+        place = (sender, key, topic)
+        connection = self._connections.get(place)
+        if connection is None:
+            draw = self.streams.draws(self.timing.site, ("site", *place))
+            connection = self._connections[place] = draw, self._newest_ns.setdefault((sender, key), [0])
+        draw, newest_ns = connection
+        arrives_ns = sent_ns + draw()
+        if arrives_ns < newest_ns[0]:
+            arrives_ns = newest_ns[0]
+        newest_ns[0] = arrives_ns
         self._put(key, topic, payload, message, arrives_ns)
 
     def _put(self, key: str, topic: str, payload: bytes, message: Message | None, arrives_ns: int) -> None:
@@ -374,7 +394,11 @@ class Engine:
 
     def _due_ns(self, key: str) -> int:
         loop = self.loops[key]
-        wanted_ns = min(loop.node.deadline_ns(), loop.health_due_ns, self.buses[key].next_ns())
+        wanted_ns, report_ns, arrives_ns = loop.node.deadline_ns(), loop.health_due_ns, self.buses[key].next_ns()
+        if report_ns < wanted_ns:
+            wanted_ns = report_ns
+        if arrives_ns < wanted_ns:
+            wanted_ns = arrives_ns
         return max(wanted_ns + self._late_ns[key], self._stalled_until_ns[key])
 
 

@@ -1,6 +1,7 @@
 """Delays of a rig in virtual time: each from a stream of random numbers of its own, which one seed begins."""
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
 # low <= delay < high [ns]
@@ -49,6 +50,7 @@ class RandomStreams:
     def __init__(self, seed: int) -> None:
         self.seed = seed
         self._streams: dict[tuple[str, ...], random.Random] = {}
+        self._draws: dict[tuple[Range, tuple[str, ...]], Callable[[], int]] = {}
 
     def of(self, names: tuple[str, ...]) -> random.Random:
         """Return the stream of these names."""
@@ -59,12 +61,23 @@ class RandomStreams:
 
     def draw(self, low_high: Range, names: tuple[str, ...]) -> int:
         """Draw a delay [ns] from the stream of these names."""
+        return self.draws(low_high, names)()
+
+    def draws(self, low_high: Range, names: tuple[str, ...]) -> Callable[[], int]:
+        """Return what draws a delay [ns] from the stream of these names."""
         low, high = low_high
         width = high - low
         if width == 1:
-            return low
-        bits_of = (self._streams.get(names) or self.of(names)).getrandbits
-        bits = width.bit_length()
-        while (drawn := bits_of(bits)) >= width:
-            pass
-        return low + drawn
+            return lambda: low
+        place = (low_high, names)
+        if (found := self._draws.get(place)) is not None:
+            return found
+        bits_of, bits = self.of(names).getrandbits, width.bit_length()
+
+        def draw() -> int:
+            while (drawn := bits_of(bits)) >= width:
+                pass
+            return low + drawn
+
+        self._draws[place] = draw
+        return draw
