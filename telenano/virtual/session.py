@@ -1,7 +1,7 @@
 """A session of a planned rig in virtual time: the launcher's own node starts, arms, runs and stops the nodes.
 
     plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
-    outcome = SimulatedSession(plan, seed=7).run()
+    outcome = SimulatedRig(plan, seed=7).run()
 """
 
 import traceback
@@ -35,7 +35,7 @@ from telenano.wire.received import Received
 
 CONSOLE = "console@master"
 # The recorder of the other site writes to this folder in that of the session.
-_FAR_FOLDER = "far"
+FAR_FOLDER = "far"
 # After a node has ended, its last messages arrive within this time [ns].
 _DELIVERY_NS = 5_000_000
 # A recorder is stopped when it has what was sent last [ns].
@@ -94,7 +94,7 @@ class ConsoleNode(Node):
 class VirtualProcesses:
     """The nodes of a rig in virtual time, as a supervisor starts and ends processes."""
 
-    def __init__(self, rig: "SimulatedSession", folder: Path) -> None:
+    def __init__(self, rig: "SimulatedRig", folder: Path) -> None:
         self._rig, self._folder = rig, folder
         self._ended: dict[str, int] = {}
         self._ready_ns = 0
@@ -144,7 +144,7 @@ class VirtualProcesses:
             rig.let_pass(_DELIVERY_NS)
 
 
-class SimulatedSession(Engine):
+class SimulatedRig(Engine):
     """A session of a plan in virtual time.
 
     Args:
@@ -244,7 +244,7 @@ class SimulatedSession(Engine):
     def config_of(self, key: str, config: Any) -> Any:
         """Return the section of a node, for the recorder of the other site with a folder of its own."""
         if key == FAR_RECORDER and isinstance(config, RecorderConfig):
-            return config.model_copy(update={"directory": config.directory / _FAR_FOLDER})
+            return config.model_copy(update={"directory": config.directory / FAR_FOLDER})
         return config
 
     def _elapsed_s(self) -> float | None:
