@@ -78,8 +78,8 @@ GROUPS = {
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor", "conformance"),
 }  # fmt: skip
 # `--help` lists these, which are enough to begin with, and `--help-all` lists every command.
-FIRST_COMMANDS = ("up", "simulate", "session", "estop", "replay", "status", "view", "link", "bag", "experiment", "study",
-                  "scan", "curve", "scenario", "new", "device", "doctor")  # fmt: skip
+FIRST_COMMANDS = ("up", "simulate", "session", "estop", "replay", "status", "view", "link", "bag", "experiment",
+                  "study", "scan", "curve", "scenario", "new", "device", "doctor")  # fmt: skip
 # The help of `up` begins with these options.
 FIRST_OPTIONS = ("scenario", "round_trip_ms", "settings", "duration_s", "sweep", "out", "overwrite", "headless",
                  "no_view", "as_json")  # fmt: skip

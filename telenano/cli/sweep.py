@@ -38,7 +38,8 @@ class Point(NamedTuple):
         pairs = list(zip(self.options[::2], self.options[1::2], strict=True))
         delays = [_number(option, value) for option, value in pairs if option == _DELAY_OPTION]
         fields: dict[str, Any] = {_DELAY: delays[-1]} if delays else {}
-        fields |= {SEED: _whole(option, value) for option, value in pairs if option == _SEED_OPTION}
+        seeds = [_whole(option, value) for option, value in pairs if option == _SEED_OPTION]
+        fields |= {SEED: seeds[-1]} if seeds else {}
         asked = dict(request)
         settings = (*asked["settings"], *(value for option, value in pairs if option == "--set"))
         return validated(type(request), {**asked, **fields, "settings": settings, "out": folder / self.name})

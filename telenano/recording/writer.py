@@ -66,9 +66,7 @@ class RecordingWriter:
         writer.finish()
     """
 
-    def __init__(
-        self, stream: IO[bytes], path: Path, node: str, settings: FileSettings, disk: Disk = OWN_DISK
-    ) -> None:
+    def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings, disk: Disk = OWN_DISK) -> None:
         """Start writing to a binary stream; `path` names it in errors, `node` is the recorder (node@site)."""
         self.path = path
         self.node = node
@@ -107,9 +105,7 @@ class RecordingWriter:
         return cls.create(node, validate(FileSettings, {"directory": path.parent, "file_name": path.name}, origin))
 
     @classmethod
-    def create(
-        cls, node: str, settings: FileSettings, number: int = 0, disk: Disk = OWN_DISK
-    ) -> "RecordingWriter":
+    def create(cls, node: str, settings: FileSettings, number: int = 0, disk: Disk = OWN_DISK) -> "RecordingWriter":
         """Create the file, under the first free name from a number on; nothing is ever overwritten."""
         stem, suffix = Path(settings.file_name).stem, Path(settings.file_name).suffix
         while True:

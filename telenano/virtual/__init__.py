@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from telenano.virtual.bus import VirtualBus as VirtualBus
     from telenano.virtual.rig import ARMED_S as ARMED_S
     from telenano.virtual.rig import EPOCH_OFFSET_NS as EPOCH_OFFSET_NS
+    from telenano.virtual.rig import LINK_ENDPOINT as LINK_ENDPOINT
     from telenano.virtual.rig import LINK_NODE as LINK_NODE
     from telenano.virtual.rig import NODES as NODES
     from telenano.virtual.rig import STARTED_S as STARTED_S

@@ -1,23 +1,21 @@
-"""The bus in memory: what a node publishes goes to the rig, and what has arrived is taken by a reader as on a socket."""
+"""The bus in memory: what a node publishes goes to the rig, and a reader takes what has arrived as from a socket."""
 
 import heapq
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from telenano.runtime.bus.bus import ConnectionEvent, MessageReader, Taken
 from telenano.runtime.bus.publisher import version_of
 from telenano.timing.clock import NEVER_NS, Clock
+from telenano.virtual.world import World
 from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth
 from telenano.wire.nodes import LINK, RECORDER, name_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
-
-if TYPE_CHECKING:
-    from telenano.virtual.rig import Engine
 
 # A reader takes this number of messages at once.
 _BATCH = 256
@@ -87,7 +85,7 @@ class VirtualBus:
     yields = False
     is_brief = False
 
-    def __init__(self, rig: "Engine", key: str, topics: Sequence[str] = (), *, newest_only: bool | None = None) -> None:
+    def __init__(self, rig: World, key: str, topics: Sequence[str] = (), *, newest_only: bool | None = None) -> None:
         """Open the bus of `key`; the link takes every message, the other nodes the newest."""
         self.key = key
         self.inbox: list[Arriving] = []
@@ -127,7 +125,7 @@ class VirtualBus:
         return self.reader.arrived(waiting, clock.now_ns())
 
     def wait(self, deadline_ns: int) -> None:
-        """The rig has let the time pass."""
+        """Return at once: the rig has let the time pass."""
 
     def next_ns(self) -> int:
         """Return when the next message arrives, on the monotonic clock [ns]."""

@@ -541,4 +541,3 @@ def record_session(
     rig.command("start", "haptic_node")
     rig.run_until(duration_s)
     return rig.finish()
-

@@ -1,7 +1,7 @@
 """A session of a planned rig in virtual time: the launcher's own node starts, arms, runs and stops the nodes.
 
-    plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
-    outcome = SimulatedRig(plan, seed=7).run()
+plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
+outcome = SimulatedRig(plan, seed=7).run()
 """
 
 import traceback
@@ -233,7 +233,8 @@ class SimulatedRig(Engine):
         loop.node.context.request_stop()
         try:
             loop.end()
-        except (Exception, SystemExit) as error:
+        # The device of a package may fail here as well, and the other nodes are stopped all the same.
+        except (Exception, SystemExit) as error:  # noqa: BLE001
             self.logs[key].error("".join(traceback.format_exception_only(error)).strip())
         self.leave(key)
 

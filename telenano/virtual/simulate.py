@@ -1,7 +1,7 @@
 """`telenano simulate` and `telenano.simulate(recording=…)`: a recorded session in virtual time, as after `up`.
 
-    session = simulate("fig12", law="wave", round_trip_ms=40.0, recording="out/wave", seed=7)
-    session.table("afm/state"), session.summary["verdict"]
+session = simulate("fig12", law="wave", round_trip_ms=40.0, recording="out/wave", seed=7)
+session.table("afm/state"), session.summary["verdict"]
 """
 
 import json
@@ -282,4 +282,3 @@ def _flags(tree: Mapping[str, Any], stem: str = "") -> Iterator[str]:
             yield from _flags(value, f"{name}.")
         else:
             yield f"{name}={json.dumps(value)}"
-

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from telenano.runtime.bus.bus import Bus, Subscriber
 from telenano.runtime.loop.node import NodeContext
@@ -10,10 +10,8 @@ from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring
 from telenano.runtime.wiring.participant import SITES
 from telenano.virtual.bus import RecordingBus, VirtualBus, VirtualReader
+from telenano.virtual.world import World
 from telenano.wire.nodes import site_of
-
-if TYPE_CHECKING:
-    from telenano.virtual.rig import Engine
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class VirtualWiring(Wiring):
     `given` is the context of a node that is built beside the running one; None builds the one that runs.
     """
 
-    rig: "Engine"
+    rig: World
     given: NodeContext | None = None
 
     def bind(self, key: str, kind: int = 0, *, ends: bool = False) -> Any:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from test_virtual_stalls import Session
-from virtual_rig import VirtualRig
 
+from telenano.virtual import VirtualRig
 from telenano.wire.codec import fields_of
 
 ROOT = Path(__file__).parents[2]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 from impairments import KINDS, cell_of, direction_of, fault_of, outcomes, scenario_over, write_traces
-from virtual_rig import ARMED_S, STARTED_S, Timing, VirtualRig
 
 from telenano.link.config import Impairment
+from telenano.virtual import ARMED_S, STARTED_S, Timing, VirtualRig
 
 SEED = 7
 TIMING = Timing((0, 1), (1_000, 1_001), None, (10_000, 10_001), (1_000, 1_001), (1_000, 1_001), stall_share=0.0)

@@ -13,7 +13,6 @@ import pytest
 from in_memory import InMemory
 from references import REFERENCED as LAWS
 from references import REFERENCES
-from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
 from telenano.recording.channel_filter import Selection
 from telenano.recording.messages import RecordedMessage
@@ -23,6 +22,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.rerun import rerun as rerun_module
 from telenano.rerun.rerun import RerunResult, rerun
 from telenano.runtime.loop.journal import DEFERRED
+from telenano.virtual import LINK_NODE, NODES, VirtualRig, record_session
 from telenano.wire.codec import fields_of
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import Array, LinkFates
