@@ -145,8 +145,11 @@ class Intake:
                 # one that is received again was started again
                 self._ended.discard(src)
             if topic in _DECODED:
-                # What is not valid is recorded as it came, and means nothing.
-                message = decode(topic, payload)
+                try:
+                    message = decode(topic, payload)
+                except WireError:
+                    # What is not valid is recorded as it came, once, and means nothing.
+                    return None
                 self._interpret(listener, stream, fields_of(message), received_ns)
                 if topic == "session/control" and (stream.direct or self.obeys_link):
                     return Received(topic, message, payload, received_ns, arrival)

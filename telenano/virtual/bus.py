@@ -233,7 +233,9 @@ class RecordingBus(VirtualBus):
     def input_health(self) -> tuple[InputHealth, ...]:
         if not self._rig.counts_inputs:
             return ()
-        rows = chain.from_iterable(one.subscriber.input_health() for one in self._listeners.values())
+        rows: Iterable[InputHealth] = chain.from_iterable(
+            one.subscriber.input_health() for one in self._listeners.values()
+        )
         if self.is_brief:
             rows = (row for row in rows if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
         return tuple(islice(rows, MAX_ROWS))

@@ -265,7 +265,7 @@ class Engine:
                         due_ns, key = now_ns, name
                         break
                     due_ns, key = at_ns, name
-            if not key or due_ns > end_ns:
+            if not key or due_ns > end_ns or self._is_last(key, end_ns):
                 return
             clock.advance_ns(due_ns - now_ns)
             # its next turn, and that of each node that something is brought to, has to be found anew
@@ -277,6 +277,16 @@ class Engine:
             random, wakes = late_of[key]
             is_stalled = share > 0.0 and random() < share
             self._late_ns[key] = wakes() + _STALL_NS * is_stalled
+
+    def _is_last(self, key: str, end_ns: int) -> bool:
+        """Return whether only recorders that are not heard would take turns until `end_ns`, of which `key` is one.
+
+        They take them later, so that the time at which a command is sent depends on no recorder.
+        """
+        if self._hears_recorders or key not in RECORDERS:
+            return False
+        others = [at_ns for name, at_ns in self._due_of.items() if name not in RECORDERS]
+        return bool(others) and min(others) > end_ns
 
     def turn(self, key: str, loop: NodeLoop) -> None:
         """Let a node take a turn."""
@@ -499,6 +509,12 @@ class VirtualRig(Engine):
         self.stop(RECORDER)
         self.close()
         return path
+
+    def close(self) -> None:
+        """Complete the file of a recording that was not finished, and let go of what has not been received."""
+        if RECORDER in self._due_of:
+            self.stop(RECORDER)
+        super().close()
 
     def stop(self, key: str) -> None:
         """Stop a node as a signal does."""

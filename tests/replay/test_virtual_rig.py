@@ -17,6 +17,7 @@ from references import REFERENCES
 from telenano.recording.channel_filter import Selection
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import RawMessage, Recording
+from telenano.recording.records import GAP_TOPIC
 from telenano.recording.rewrite import filter_recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.rerun import rerun as rerun_module
@@ -67,6 +68,9 @@ def edited(recording: Recording, folder: Path, edit: Callable[[RawMessage], byte
         if payload is None:
             continue
         facts = dict(message.channel.metadata)
+        if facts["topic"] == GAP_TOPIC:
+            # The writer of the copy has gaps of its own.
+            continue
         place = (facts["topic"], facts["src"], facts["site"])
         if place not in channels:
             channels[place] = writer.channel(*place)
