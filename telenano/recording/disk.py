@@ -38,6 +38,9 @@ class Disk(Protocol):
     def remove(self, path: Path) -> None:
         """Remove a file; one that is gone already is no error."""
 
+    def named(self, path: Path) -> Path:
+        """Return the path by which a recorder names a file to others."""
+
     def free_bytes(self, path: Path) -> int | None:
         """Return the free space where a file or folder is, or would be made [bytes]; None where it is unknown."""
 
@@ -65,6 +68,9 @@ class OwnDisk:
 
     def remove(self, path: Path) -> None:
         path.unlink(missing_ok=True)
+
+    def named(self, path: Path) -> Path:
+        return path.absolute()
 
     def free_bytes(self, path: Path) -> int | None:
         return free_bytes(path)
@@ -128,6 +134,9 @@ class MemoryDisk:
     def remove(self, path: Path) -> None:
         self._files.pop(path.absolute(), None)
 
+    def named(self, path: Path) -> Path:
+        return path.absolute()
+
     def free_bytes(self, path: Path) -> int | None:
         if self._room_bytes is None:
             return None
@@ -137,6 +146,41 @@ class MemoryDisk:
         if (file := self._files.get(path.absolute())) is None:
             raise FileNotFoundError(f"{path}: there is no such file on this disk in memory")
         return file
+
+
+class FolderDisk:
+    """A folder as a disk: files are named by their paths in it, wherever it is, so that no message has its place.
+
+    The free space of this machine's disk is unknown on it, because it differs between two runs.
+    """
+
+    def __init__(self, folder: Path, disk: Disk) -> None:
+        """Write to a folder of another disk."""
+        self._folder, self._disk = folder, disk
+
+    def create(self, path: Path) -> IO[bytes]:
+        return self._disk.create(self._folder / path)
+
+    def is_folder(self, path: Path) -> bool:
+        return self._disk.is_folder(self._folder / path)
+
+    def identity(self, stream: IO[bytes]) -> Identity:
+        return self._disk.identity(stream)
+
+    def identity_at(self, path: Path) -> Identity:
+        return self._disk.identity_at(self._folder / path)
+
+    def sync(self, stream: IO[bytes]) -> None:
+        self._disk.sync(stream)
+
+    def remove(self, path: Path) -> None:
+        self._disk.remove(self._folder / path)
+
+    def named(self, path: Path) -> Path:
+        return path
+
+    def free_bytes(self, path: Path) -> int | None:
+        return None if isinstance(self._disk, OwnDisk) else self._disk.free_bytes(self._folder / path)
 
 
 OWN_DISK = OwnDisk()

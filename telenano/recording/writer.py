@@ -112,7 +112,7 @@ class RecordingWriter:
             path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
             try:
                 stream = disk.create(path)
-                writer = cls(stream, path.absolute(), node, settings, disk)
+                writer = cls(stream, disk.named(path), node, settings, disk)
                 writer._identity = disk.identity(stream)
                 writer.number = number
                 return writer

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from telenano.recording.disk import OWN_DISK, Disk
+from telenano.recording.disk import OWN_DISK, Disk, FolderDisk
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
@@ -437,8 +437,6 @@ class VirtualRig(Engine):
         counts_inputs: bool = False,
     ) -> None:
         document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
-        if folder is not None:
-            document = merge(document, {"recorder": {"directory": str(folder)}})
         loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
         path = Path("scenario.yaml") if folder is None else folder / "scenario.yaml"
         super().__init__(
@@ -446,7 +444,7 @@ class VirtualRig(Engine):
             seed,
             timing,
             scenario_file=path,
-            disk=disk,
+            disk=disk if folder is None else FolderDisk(folder, disk),
             keeps=True,
             counts_inputs=counts_inputs,
             hears_recorders=False,
@@ -505,7 +503,7 @@ class VirtualRig(Engine):
             self.stop(key)
         recorder = self.loops[RECORDER].node
         self.advance(self.clock.monotonic_ns() + round(_LAST_MESSAGES_S * 1e9))
-        path = Path(str(getattr(recorder, "path")))  # noqa: B009
+        path = self.folder / str(getattr(recorder, "path"))  # noqa: B009
         self.stop(RECORDER)
         self.close()
         return path

@@ -17,7 +17,7 @@ from telenano.launcher.rig_node import RigNode
 from telenano.launcher.run import Outcome, outcome_of
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.recording.disk import OWN_DISK, Disk
+from telenano.recording.disk import OWN_DISK, Disk, FolderDisk
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.deadlines import PeriodicDeadline
@@ -176,7 +176,7 @@ class SimulatedRig(Engine):
             timing,
             scenario_file=plan.scenario_file,
             site_file=plan.site_file,
-            disk=disk,
+            disk=FolderDisk(plan.out, disk),
             counts_inputs=True,
         )
         self.plan = plan
@@ -243,9 +243,9 @@ class SimulatedRig(Engine):
         self.advance(self.clock.monotonic_ns() + duration_ns)
 
     def config_of(self, key: str, config: Any) -> Any:
-        """Return the section of a node, for the recorder of the other site with a folder of its own."""
-        if key == FAR_RECORDER and isinstance(config, RecorderConfig):
-            return config.model_copy(update={"directory": config.directory / FAR_FOLDER})
+        """Return the section of a node: a recorder writes to the folder of the session, or to that of its site."""
+        if isinstance(config, RecorderConfig):
+            return config.model_copy(update={"directory": Path(FAR_FOLDER if key == FAR_RECORDER else "")})
         return config
 
     def _elapsed_s(self) -> float | None:
