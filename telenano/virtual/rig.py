@@ -182,13 +182,12 @@ class Engine:
 
     def wiring(self, key: str, given: NodeContext | None = None) -> VirtualWiring:
         """Return what a builder of a node is given."""
-        self.logs.setdefault(key, QuietLog(key))
         site_file, scenario_file = self.files
         return VirtualWiring(
             key=key,
             book=self.book,
             clock=self.clock,
-            log=self.logs[key],
+            log=self.log_of(key),
             network=network_of(key),
             wake_descriptor=-1,
             period_s=self.loaded.scenario.period_s,
@@ -199,6 +198,10 @@ class Engine:
             rig=self,
             given=given,
         )
+
+    def log_of(self, key: str) -> QuietLog:
+        """Return the log of a node."""
+        return self.logs.setdefault(key, QuietLog(key))
 
     def endpoint(self, key: str) -> VirtualBus:
         """Return the endpoint of a publisher, opened when it is first asked for."""

@@ -64,7 +64,8 @@ class ConsoleNode(Node):
         super().__init__(context)
         self._waiting = sorted(commands, key=lambda timed: timed.time_s)
         self._elapsed_s = elapsed_s
-        self._client: CommandClient | None = None
+        # A command to a pattern waits for further answers, while the next ones are given.
+        self._clients: list[CommandClient] = []
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), _CONSOLE_NS)
         # What became of each command that failed, in sentences.
         self.failures: list[str] = []
@@ -73,19 +74,19 @@ class ConsoleNode(Node):
         return self._ticks.deadline_ns
 
     def on_message(self, received: Received) -> None:
-        if self._client is not None and isinstance(received.message, SessionEvent):
-            self._client.on_event(received.message)
+        if isinstance(received.message, SessionEvent):
+            for client in self._clients:
+                client.on_event(received.message)
 
     def on_deadline(self, now_ns: int) -> None:
         self._ticks.advance(now_ns)
         elapsed_s = self._elapsed_s()
-        if self._client is None and self._waiting and elapsed_s is not None and elapsed_s >= self._waiting[0].time_s:
+        while elapsed_s is not None and self._waiting and elapsed_s >= self._waiting[0].time_s:
             command = self._waiting.pop(0).command
-            self._client = CommandClient(self.clock, self.publish, [command], token=self.context.machine.token)
-        if self._client is not None and self._client.advance():
-            if self._client.failure:
-                self.failures.append(self._client.failure)
-            self._client = None
+            self._clients.append(CommandClient(self.clock, self.publish, [command], token=self.context.machine.token))
+        for client in [client for client in self._clients if client.advance()]:
+            self._clients.remove(client)
+            self.failures += [client.failure] if client.failure else []
 
     def make_safe(self) -> None:
         """Do nothing: a console moves no device."""
@@ -106,7 +107,7 @@ class VirtualProcesses:
         try:
             rig.start(node, starting_period_ns=STARTING_PERIOD_NS)
         except TelenanoError as error:
-            rig.logs[node].error(str(error))
+            rig.log_of(node).error(str(error))
             self._ended[node] = EXIT_BAD_START
             return 1
         self._ready_ns = max(self._ready_ns, now_ns) + rig.draw(rig.timing.start, "start", node)
@@ -125,7 +126,7 @@ class VirtualProcesses:
         """Do nothing: no node hangs without the rig."""
 
     def log_tail(self, node: str) -> str:
-        return "\n".join(self._rig.logs[node].lines)
+        return "\n".join(self._rig.log_of(node).lines)
 
     def log_path(self, node: str) -> Path:
         return self._folder / "logs" / f"{node}.log"
@@ -220,7 +221,7 @@ class SimulatedRig(Engine):
         except (Exception, SystemExit) as error:
             if key == LAUNCHER:
                 raise
-            self.logs[key].error("".join(traceback.format_exception_only(error)).strip())
+            self.log_of(key).error("".join(traceback.format_exception_only(error)).strip())
             loop.report_failure(error)
             self.end(key)
             self._processes.died(key)
@@ -235,7 +236,7 @@ class SimulatedRig(Engine):
             loop.end()
         # The device of a package may fail here as well, and the other nodes are stopped all the same.
         except (Exception, SystemExit) as error:  # noqa: BLE001
-            self.logs[key].error("".join(traceback.format_exception_only(error)).strip())
+            self.log_of(key).error("".join(traceback.format_exception_only(error)).strip())
         self.leave(key)
 
     def let_pass(self, duration_ns: int) -> None:
