@@ -59,7 +59,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--one-recorder", action="store_true")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     arguments = parser.parse_args()
+    if arguments.smoke:
+        arguments.session_s, arguments.repeats = 1.5, 1
     rows = {}
     for rate_hz in map(int, arguments.rates.split(",")):
         times = []

@@ -1,6 +1,6 @@
 """Make many recordings of the real nodes in virtual time, each with its own seed, and compare how the loop rested.
 
-Run it: python examples/many_recordings.py [FOLDER [COUNT]]     takes: a minute for 100     needs: pip install 'telenano[viz]'
+Run it: python examples/many_recordings.py [FOLDER [COUNT]]     takes: 1 min     needs: pip install 'telenano[viz]'
 You see: the force at the tip of every session under the mean, over a link with jitter and loss. The recordings stay in
 FOLDER/many, one folder a seed: `telenano report`, `view` and `bag` open each of them.
 """
@@ -26,7 +26,7 @@ SETTINGS = {
 
 
 def recorded(seed: int) -> tuple[int, np.ndarray]:
-    """Record the press of Fig. 12 with a seed, unless the folder has it; return the force at the tip, each 10 ms [N]."""
+    """Record the press of Fig. 12 with a seed, unless it is there; return the seed and the forces at TIMES_S [N]."""
     folder = OUT / "many" / f"{seed:03d}"
     if not (folder / "session.mcap").exists():
         telenano.simulate("fig12", duration_s=2.0, settings=SETTINGS, recording=folder, seed=seed, report=False)
@@ -38,7 +38,7 @@ TIMES_S = np.arange(0.0, 2.0, 0.01)
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        forces_n = np.array([force_n for _, force_n in sorted(pool.map(recorded, range(COUNT)), key=lambda row: row[0])])
+        forces_n = np.array([force_n for _, force_n in pool.map(recorded, range(COUNT))])
     held_n = forces_n[:, TIMES_S > 1.7].mean(axis=1)
     print(f"recordings {COUNT}")
     print(f"held_nn {1e9 * held_n.mean():.4f}")
@@ -48,6 +48,6 @@ if __name__ == "__main__":
     axes.plot(TIMES_S, 1e9 * forces_n.T, color="#8a8f98", linewidth=0.4)
     axes.plot(TIMES_S, 1e9 * forces_n.mean(axis=0), color="#0059b3", label=f"mean of {COUNT} seeds")
     axes.set(xlabel="time [s]", ylabel="force at the tip [nN]")
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(frameon=False, loc="upper left")
     OUT.mkdir(parents=True, exist_ok=True)
     figure.savefig(OUT / "many_recordings.png", dpi=110)
