@@ -41,4 +41,6 @@ def test_the_virtual_rig_and_lockstep_agree(tmp_path: Path, law: str, kind: str)
     rig.run_until(STARTED_S + cell.hold_s()[1] + 0.01)
     found, expected = outcomes(cell, rig.finish())
     assert fault_of(found, expected) == ""
-    assert min(found.lowest_energy_j, expected.lowest_energy_j) > -1e-6
+    if law == "wave":
+        # Through wave variables no line makes energy; other laws bound it by what they let through, or not at all.
+        assert min(found.lowest_energy_j, expected.lowest_energy_j) > -1e-6
