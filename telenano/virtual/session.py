@@ -157,7 +157,7 @@ class SimulatedRig(Engine):
         far: Whether each site records what it sends by a recorder of its own.
 
     Raises:
-        ConfigError: A device of the scenario is a real one, or its operator is a person.
+        ConfigError: A device of the scenario is a real one.
     """
 
     def __init__(
@@ -254,7 +254,7 @@ class SimulatedRig(Engine):
 
 
 def _require_simulated(plan: Plan) -> None:
-    """Raise ConfigError for a scenario with a real device or a person, whose time is not virtual."""
+    """Raise ConfigError for a scenario with a real device, whose time is not virtual."""
     haptic = plan.loaded.section("haptic_node", HapticConfig)
     afm = plan.loaded.section("afm_node", AfmConfig)
     for section, driver, simulated in (
@@ -266,8 +266,14 @@ def _require_simulated(plan: Plan) -> None:
                 f"{plan.loaded.origin}: {section}.driver: {driver} drives a real device or a wire, which has no "
                 "virtual time: give a simulated driver, or run the session with `telenano up`"
             )
-    if haptic.operator.kind == "interactive":
-        raise ConfigError(
-            f"{plan.loaded.origin}: haptic_node.operator.kind: interactive is a person, who has no virtual time: give "
-            "another operator, or run the session with `telenano up`"
-        )
+
+
+def absence_of(plan: Plan) -> str:
+    """Return in words that the operator of a plan is a person, who takes no part in virtual time; else empty."""
+    haptic = plan.loaded.section("haptic_node", HapticConfig)
+    if haptic.operator.kind != "interactive":
+        return ""
+    return (
+        f"{plan.loaded.origin}: haptic_node.operator.kind: interactive is a person, and none takes part in virtual "
+        "time: nothing pushes the hand; give another operator, or run the session with `telenano up`"
+    )

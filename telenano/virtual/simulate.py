@@ -23,7 +23,7 @@ from telenano.runtime.loop.commands import Command, CommandName
 from telenano.settings.config import Settings, nested
 from telenano.settings.included import TWO_SITES_FILE
 from telenano.settings.option import Option
-from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand
+from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand, absence_of
 from telenano.wire.errors import ConfigError, RigError, known_names
 
 if TYPE_CHECKING:
@@ -137,10 +137,12 @@ def run_plan(
         show: Called with each line for the user.
 
     Raises:
-        ConfigError: The scenario has a real device or a person.
+        ConfigError: The scenario has a real device.
         RigError: The session could not be run.
     """
     rig = SimulatedRig(plan, request.seed or 0, commands=request.commands(), far=request.both_sites)
+    if text := absence_of(plan):
+        show(f"warning: {text}")
     outcome = rig.run(observe)
     for text in rig.failed_commands:
         show(f"a command of --at failed: {text}")

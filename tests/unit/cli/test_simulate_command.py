@@ -33,9 +33,8 @@ def test_a_folder_with_a_session_is_kept_unless_it_may_be_replaced(tmp_path: Pat
     assert run(*command, "--overwrite")[0] == 0
 
 
-def test_a_person_a_wrong_key_and_a_wrong_command_are_refused_with_a_sentence(tmp_path: Path) -> None:
+def test_a_wrong_key_and_a_wrong_command_are_refused_with_a_sentence(tmp_path: Path) -> None:
     for words, text in (
-        (("--set", "haptic_node.operator={kind: interactive}"), "is a person, who has no virtual time"),
         (("--set", "controller.lawe=wave"), "lawe"),
         (("--at", "1 jump controller"), "no such command"),
         (("--seed", "-1"), "--seed"),

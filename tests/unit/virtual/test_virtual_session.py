@@ -150,12 +150,21 @@ def test_a_text_that_is_no_command_is_refused(text: str, names: str) -> None:
     [
         ("afm_node={driver: modbus, modbus: {host: 192.0.2.1, calibration: stage.yaml}}", "afm_node.driver"),
         ("haptic_node={driver: serial, serial: {port: /dev/ttyS0, calibration: hand.yaml}}", "haptic_node.driver"),
-        ("haptic_node.operator={kind: interactive}", "haptic_node.operator.kind"),
     ],
 )
-def test_a_real_device_and_a_person_are_refused(tmp_path: Path, setting: str, key: str) -> None:
+def test_a_real_device_is_refused(tmp_path: Path, setting: str, key: str) -> None:
     with pytest.raises(ConfigError, match=key):
         session(tmp_path, settings=(*SETTINGS, setting))
+
+
+def test_where_the_operator_is_a_person_nothing_pushes_the_hand_and_it_is_said(tmp_path: Path) -> None:
+    scan = "0.2 set afm_node@slave program=scan scan.pixels=8"
+    outcome, (said,) = session(tmp_path, scenario="image", duration_s=0.8, at=(scan,))
+    assert "nothing pushes the hand" in said
+    recording = telenano.open(outcome.recordings[0])
+    assert np.abs(recording.table("haptic/state")["operator_force_n.2"]).max() == 0.0
+    # The instrument runs its program all the same.
+    assert set(recording.table("afm/program")["program"]) == {"scan"}
 
 
 def test_a_node_whose_turn_fails_is_started_again(tmp_path: Path) -> None:
