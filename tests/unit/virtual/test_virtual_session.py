@@ -159,7 +159,7 @@ def test_a_real_device_is_refused(tmp_path: Path, setting: str, key: str) -> Non
 
 def test_where_the_operator_is_a_person_nothing_pushes_the_hand_and_it_is_said(tmp_path: Path) -> None:
     scan = "0.2 set afm_node@slave program=scan scan.pixels=8"
-    outcome, (said,) = session(tmp_path, scenario="image", duration_s=0.8, at=(scan,))
+    outcome, (said,) = session(tmp_path, scenario="image", duration_s=0.8, settings=(), at=(scan,))
     assert "nothing pushes the hand" in said
     recording = telenano.open(outcome.recordings[0])
     assert np.abs(recording.table("haptic/state")["operator_force_n.2"]).max() == 0.0
