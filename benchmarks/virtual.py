@@ -14,8 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from telenano.virtual.request import SimulateRequest, plan_of
 from telenano.virtual.session import SimulatedRig
-from telenano.virtual.simulate import SimulateRequest, plan_of
 
 # The aims, by the rate of the loop [Hz]: times real time.
 AIMS = {1000: 2.0, 250: 7.0}

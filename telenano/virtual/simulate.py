@@ -1,157 +1,21 @@
-"""`telenano simulate` and `telenano.simulate(recording=…)`: a recorded session in virtual time, as after `up`.
+"""`telenano.simulate`: a session in lockstep, or one of the real nodes in virtual time, with its recording.
 
-session = simulate("fig12", law="wave", round_trip_ms=40.0, recording="out/wave", seed=7)
-session.table("afm/state"), session.summary["verdict"]
+    soft = simulate("fig12", law="wave", round_trip_ms=40.0)
+    recording = simulate("fig12", law="wave", round_trip_ms=40.0, recording="out/wave", seed=7)
 """
 
 import json
 import os
-import shlex
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
-import yaml
-from pydantic import Field
-
-from telenano.launcher.plan import Plan, UpRequest, make_plan
-from telenano.launcher.rig_node import RigNode
-from telenano.launcher.run import Outcome, report_of
-from telenano.recording.session_folder import SessionFolder
-from telenano.runtime.loop.commands import Command, CommandName
-from telenano.settings.config import Settings, nested
-from telenano.settings.included import TWO_SITES_FILE
-from telenano.settings.option import Option
-from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand, absence_of
-from telenano.wire.errors import ConfigError, RigError, known_names
+from telenano.settings.config import nested
+from telenano.wire.errors import ConfigError, RigError
 
 if TYPE_CHECKING:
     from telenano.api import RecordedSession
     from telenano.lockstep.simulation import SimulatedSession
-
-# `--seed` and `--sweep seed=` also seed what else is random in a session.
-SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
-_NAMES: tuple[str, ...] = CommandName.__args__  # type: ignore[attr-defined]
-
-
-class SimulateRequest(Settings):
-    """A session in virtual time, as `telenano simulate` is asked for it."""
-
-    scenario: str = Field(description="Experiment to run: a known name or a YAML file")
-    instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
-        default=None,
-        description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
-    )
-    round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
-        default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
-    )
-    duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
-    out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(
-        default=None, description="Folder for the results; default: sessions/NAME-DATE-TIME"
-    )
-    overwrite: Annotated[bool, Option(("--overwrite",))] = Field(
-        default=False, description="Replace the results of a session that the folder holds already"
-    )
-    settings: Annotated[tuple[str, ...], Option(("--set",), "SECTION.KEY=VALUE", tuple, many=True)] = Field(
-        default=(), description="Change one key of the scenario (SI units); may be repeated"
-    )
-    seed: int | None = Field(
-        default=None,
-        ge=0,
-        le=2**31 - 1,
-        description="Seed of the delays on each site, and of the link and all disturbances; without it that of the "
-        "delays is 0, and the others are the scenario's",
-    )
-    at: Annotated[tuple[str, ...], Option(("--at",), "'TIME COMMAND TARGET [KEY=VALUE …]'", tuple, many=True)] = Field(
-        default=(),
-        description="Give a command at a console, a time [s] after the force profile began, such as "
-        "'2.5 set controller law=wave'; may be repeated",
-    )
-    both_sites: Annotated[bool, Option(("--both-sites",))] = Field(
-        default=False,
-        description="Record at each site what it sends, as on two machines: session.mcap, far/session.mcap, and both "
-        "in both.mcap",
-    )
-
-    def commands(self) -> tuple[TimedCommand, ...]:
-        """Return what is to be commanded; ConfigError names the text that is no command."""
-        return tuple(map(timed_command, self.at))
-
-
-def timed_command(text: str) -> TimedCommand:
-    """Return a command of a console with its time; ConfigError says what is wrong with the text."""
-    try:
-        time, name, target, *rest = shlex.split(text)
-        time_s = float(time)
-    except ValueError:
-        example = "'2.5 set controller law=wave'"
-        raise ConfigError(f"--at {text!r}: is not of the form 'TIME COMMAND TARGET [KEY=VALUE …]': {example}") from None
-    if name not in _NAMES:
-        raise ConfigError(f"--at {text!r}: no such command, {known_names(name, _NAMES)}")
-    if not 0.0 <= time_s < 86_400.0:
-        raise ConfigError(f"--at {text!r}: the time must be 0 to 86400 s after the force profile began")
-    parameters = {}
-    for word in rest:
-        key, sign, value = word.partition("=")
-        try:
-            parameters[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            sign = ""
-        if not sign or not key or not isinstance(parameters.get(key), bool | int | float | str):
-            raise ConfigError(f"--at {text!r}: {word!r} is not of the form KEY=VALUE, with a number, a word or a flag")
-    expected = (target,) if "@" in target and not set(target) & set("*?[") else ()
-    return TimedCommand(time_s, Command(name, target, expected, parameters))  # type: ignore[arg-type]
-
-
-def plan_of(request: SimulateRequest, default_out: Path) -> Plan:
-    """Read and check everything that a session in virtual time needs; ConfigError names file and key at fault."""
-    seeds = () if request.seed is None else tuple(f"{key}={request.seed}" for key in SEEDS)
-    sites = ("recorder.far=fetch",) if request.both_sites else ()
-    up = UpRequest(
-        scenario=request.scenario,
-        instrument=request.instrument,
-        round_trip_ms=request.round_trip_ms,
-        duration_s=request.duration_s,
-        out=request.out,
-        overwrite=request.overwrite,
-        settings=(*seeds, *request.settings, *sites),
-        site_file=TWO_SITES_FILE if request.both_sites else None,
-    )
-    request.commands()
-    return make_plan(up, default_out)
-
-
-def run_plan(
-    plan: Plan,
-    request: SimulateRequest,
-    observe: Callable[[RigNode], None] = lambda rig: None,
-    show: Callable[[str], None] = lambda text: None,
-) -> Outcome:
-    """Run a planned session in virtual time.
-
-    Args:
-        plan: The planned session.
-        request: What was asked for.
-        observe: Called with the node of the launcher at each of its ticks.
-        show: Called with each line for the user.
-
-    Raises:
-        ConfigError: The scenario has a real device.
-        RigError: The session could not be run.
-    """
-    rig = SimulatedRig(plan, request.seed or 0, commands=request.commands(), far=request.both_sites)
-    if text := absence_of(plan):
-        show(f"warning: {text}")
-    outcome = rig.run(observe)
-    for text in rig.failed_commands:
-        show(f"a command of --at failed: {text}")
-    if request.both_sites and outcome.ran and outcome.recordings:
-        folder = SessionFolder(plan.out)
-        parts = sorted((plan.out / FAR_FOLDER).glob("*.mcap"))
-        folder.note_far([path.name for path in parts])
-        return replace(outcome, recordings=(folder.merge(parts),))
-    return outcome
 
 
 @overload
@@ -249,6 +113,11 @@ def simulate(
             duration_s=duration_s,
             settings=settings,
         )
+    # A session in lockstep needs neither these nor the system that they need.
+    from telenano.api import RecordedSession
+    from telenano.launcher.run import report_of
+    from telenano.virtual.request import SimulateRequest, plan_of, run_plan
+
     flags = [f"controller.law={law}"] if law is not None else []
     flags += [f"afm_node.environment={environment}"] if environment is not None else []
     flags += [f"haptic_node.operator={json.dumps(dict(operator))}"] if operator is not None else []
@@ -268,8 +137,6 @@ def simulate(
         raise RigError(outcome.failure or "; ".join(outcome.missing) or "the session left no recording")
     if report:
         report_of(outcome, plan, lambda text: None)
-    from telenano.api import RecordedSession
-
     return RecordedSession(outcome.recordings)
 
 

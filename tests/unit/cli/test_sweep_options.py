@@ -10,7 +10,7 @@ from telenano.cli import lazy_commands, sweep
 from telenano.cli.options import table_formats
 from telenano.cli.root import app
 from telenano.cli.sweep import points_of, run_sweep, without_sweep
-from telenano.virtual.simulate import SimulateRequest
+from telenano.virtual.request import SimulateRequest
 from telenano.wire.errors import ConfigError, RigError
 
 RUNNER = CliRunner()

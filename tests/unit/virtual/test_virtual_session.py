@@ -18,8 +18,8 @@ from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.runtime.loop.machine import OwnMachine
 from telenano.virtual import machine as virtual_machine
+from telenano.virtual.request import SimulateRequest, plan_of, run_plan, timed_command
 from telenano.virtual.session import SimulatedRig
-from telenano.virtual.simulate import SimulateRequest, plan_of, run_plan, timed_command
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import RERUN_NODES, STOP_ORDER
 
