@@ -1,9 +1,10 @@
 """The disk that recordings are written to: the one of this machine, or one in memory.
 
-disk = MemoryDisk()
-writer = RecordingWriter.create("recorder@master", FileSettings(directory=Path("out")), disk=disk)
-...
-disk.read(Path("out/session.mcap"))
+    disk = MemoryDisk()
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=Path("out")), disk=disk)
+    disk.read(Path("out/session.mcap"))
+
+A disk in memory keeps what was written until it is let go of.
 """
 
 import io

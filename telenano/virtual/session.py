@@ -1,7 +1,9 @@
 """A session of a planned rig in virtual time: the launcher's own node starts, arms, runs and stops the nodes.
 
-plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
-outcome = SimulatedRig(plan, seed=7).run()
+    plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
+    outcome = SimulatedRig(plan, seed=7).run()
+
+What is recorded is in the folder of the plan.
 """
 
 import traceback

@@ -2,6 +2,8 @@
 
     soft = simulate("fig12", law="wave", round_trip_ms=40.0)
     recording = simulate("fig12", law="wave", round_trip_ms=40.0, recording="out/wave", seed=7)
+
+The first keeps the course alone; the second is a recording as `telenano up` leaves one.
 """
 
 import json
