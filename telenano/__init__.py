@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from telenano.api import live as live
     from telenano.api import open as open
     from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
-    from telenano.lockstep.simulation import simulate_scenario as simulate
+    from telenano.virtual.simulate import simulate as simulate
 
 _ELSEWHERE = {
     "SimulatedSession": ("telenano.lockstep.simulation", "SimulatedSession"),
-    "simulate": ("telenano.lockstep.simulation", "simulate_scenario"),
+    "simulate": ("telenano.virtual.simulate", "simulate"),
 }
 
 __all__ = [

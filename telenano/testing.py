@@ -15,6 +15,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.settings.config import merge as merge
 from telenano.settings.config import validate as validate
+from telenano.timing.clock import VirtualClock as VirtualClock
 from telenano.wire import TOPICS, compose, encode, example
 from telenano.wire.errors import RefusedError as RefusedError
 from telenano.wire.messages import Message
@@ -50,26 +51,6 @@ def hand_state(seq: int, **changes: Any) -> Message:
 def received(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:
     """Return a message as received `number` milliseconds after `EPOCH_NS`; for `site` see `messages.recorded`."""
     return recorded(topic, message, EPOCH_NS + number * _MS, site)
-
-
-class VirtualClock:
-    """A clock that only `advance_ns` moves."""
-
-    def __init__(self, start_ns: int = 0, epoch_offset_ns: int = 0) -> None:
-        self._monotonic_ns = start_ns
-        self.epoch_offset_ns = epoch_offset_ns
-
-    def monotonic_ns(self) -> int:
-        return self._monotonic_ns
-
-    def now_ns(self) -> int:
-        return self._monotonic_ns + self.epoch_offset_ns
-
-    def advance_ns(self, duration_ns: int) -> None:
-        """Advance the clock; ValueError for a negative duration."""
-        if duration_ns < 0:
-            raise ValueError(f"duration_ns is {duration_ns}, must be 0 or more")
-        self._monotonic_ns += duration_ns
 
 
 class NodeBench:

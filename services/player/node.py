@@ -19,7 +19,8 @@ from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, PlaybackClock, is_state
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.runtime.bus.publisher import SNDMORE, ZmqPublisher
-from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
+from telenano.runtime.loop.machine import resident_bytes
+from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext
 from telenano.timing.clock import Clock
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar, SessionControl

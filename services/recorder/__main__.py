@@ -27,7 +27,7 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
     intake = begin(wiring, config)
     sources = listeners(wiring, config)
     is_far = wiring.book.spans_machines and site_of(wiring.key) == "slave"
-    bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network)
+    bus = wiring.recording_bus(RecorderBus, publisher, sources, intake)
     bus.is_brief = is_far
     intake.obeys_link = is_far
     own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
@@ -61,7 +61,8 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:
     """Begin the recording; a file that cannot be written is a fault to report, not a reason to stop the rig."""
-    return begin_recording(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
+    facts, disk = wiring.recorded_facts, wiring.machine.disk
+    return begin_recording(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file, disk, facts)
 
 
 RECORDER = NodeKind("recorder", RecorderConfig, build, realtime=False)

@@ -5,11 +5,13 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from services.recorder.rotation import FileRotation, QuotaError
 from telenano.console.listener import Listener, Stream
 from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.disk import OWN_DISK, Disk
 from telenano.recording.info import END_NAME
 from telenano.recording.provenance import write_provenance
 from telenano.recording.recorder_config import RecorderConfig
@@ -143,8 +145,11 @@ class Intake:
                 # one that is received again was started again
                 self._ended.discard(src)
             if topic in _DECODED:
-                # What is not valid is recorded as it came, and means nothing.
-                message = decode(topic, payload)
+                try:
+                    message = decode(topic, payload)
+                except WireError:
+                    # What is not valid is recorded as it came, once, and means nothing.
+                    return None
                 self._interpret(listener, stream, fields_of(message), received_ns)
                 if topic == "session/control" and (stream.direct or self.obeys_link):
                     return Received(topic, message, payload, received_ns, arrival)
@@ -345,19 +350,25 @@ class Intake:
 
 
 def begin_recording(
-    key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None
+    key: str,
+    clock: Clock,
+    config: RecorderConfig,
+    site_file: Path,
+    scenario_file: Path | None,
+    disk: Disk = OWN_DISK,
+    facts: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
 ) -> Intake:
-    """Start a recording by the node `key`.
+    """Start a recording by the node `key`; `facts` are further metadata of each file, by name.
 
     A file that cannot be written is a fault that the intake reports, not an error: the rig continues.
     """
 
     def create_file(number: int) -> RecordingWriter:
-        writer = RecordingWriter.create(key, config, number)
-        write_provenance(writer, config, site_file, scenario_file, clock.now_ns())
+        writer = RecordingWriter.create(key, config, number, disk)
+        write_provenance(writer, config, site_file, scenario_file, clock.now_ns(), facts)
         return writer
 
-    rotation = FileRotation(config, create_file)
+    rotation = FileRotation(config, create_file, disk)
     writer, fault = None, ""
     try:
         writer = rotation.begin(clock.monotonic_ns())

@@ -117,7 +117,7 @@ class RecorderNode(Node):
         self._intake = intake
         self._on_flush = on_flush
         self._sites = sites
-        self._disk = DiskWatch(config.directory)
+        self._disk = DiskWatch(config.directory, context.machine.disk.free_bytes)
         self._reported_state = ""
         self._reported_removed = 0
         self._remind_ns = 0

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from telenano.recording.disk import OWN_DISK, Disk
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire.errors import RecordingError
@@ -21,10 +22,11 @@ class FileRotation:
     Sizes count what has been flushed, so limits hold to within one flush interval.
     """
 
-    def __init__(self, config: RecorderConfig, create_file: CreateFile) -> None:
+    def __init__(self, config: RecorderConfig, create_file: CreateFile, disk: Disk = OWN_DISK) -> None:
         """Use `create_file` for each file: it writes provenance and takes a number, or a later one if that is taken."""
         self._config = config
         self._create_file = create_file
+        self._disk = disk
         self._started_ns = 0
         self._next_number = 0
         self._finished: deque[tuple[Path, int]] = deque()
@@ -74,7 +76,7 @@ class FileRotation:
 
     def _drop(self, path: Path) -> None:
         try:
-            path.unlink(missing_ok=True)
+            self._disk.remove(path)
         except OSError as error:
             raise RecordingError(f"{path}: the oldest file cannot be removed: {error.strerror}") from error
         self.dropped += 1

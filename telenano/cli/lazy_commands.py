@@ -38,6 +38,7 @@ class LazyCommand(NamedTuple):
 # The commands of telenano itself, each in the module of its name; groups are the `app` of theirs.
 _ABOUT = {
     "up": "Run a scenario on a rig, record it, write figure and summary.",
+    "simulate": "Run a scenario in virtual time, record it, write figure and summary.",
     "session": "Send a command to a running rig.",
     "estop": "Stop the devices at once, regardless of what else sends commands.",
     "status": "Show the state of a running rig.",
@@ -70,7 +71,7 @@ LAZY_COMMANDS = {
 
 # The order of the list of commands; those of packages of the project stand in it where they are installed.
 GROUPS = {
-    "Run": ("up", "session", "estop", "replay", "node"),
+    "Run": ("up", "simulate", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "bridge", "inspect"),
     "Record and report": ("record", "bag", "report", "budget", "compare"),
     "Study": ("experiment", "study", "benchmark", "law", "curve", "scan", "sample", "particles", "push", "assemble",
@@ -78,8 +79,8 @@ GROUPS = {
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor", "conformance"),
 }  # fmt: skip
 # `--help` lists these, which are enough to begin with, and `--help-all` lists every command.
-FIRST_COMMANDS = ("up", "session", "estop", "replay", "status", "view", "link", "bag", "experiment", "study", "scan",
-                  "curve", "scenario", "new", "device", "doctor")  # fmt: skip
+FIRST_COMMANDS = ("up", "simulate", "session", "estop", "replay", "status", "view", "link", "bag", "experiment",
+                  "study", "scan", "curve", "scenario", "new", "device", "doctor")  # fmt: skip
 # The help of `up` begins with these options.
 FIRST_OPTIONS = ("scenario", "round_trip_ms", "settings", "duration_s", "sweep", "out", "overwrite", "headless",
                  "no_view", "as_json")  # fmt: skip

@@ -1,15 +1,18 @@
-"""`telenano up --sweep`: one session after the other, each with another value, in a folder of its own."""
+"""`--sweep` of `up` and `simulate`: a session after the other, each with another value, in a folder of its own."""
 
 import itertools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+from pydantic import BaseModel
 
 from telenano.cli.child_session import run_session
 from telenano.cli.model_options import validated
-from telenano.launcher.plan import UpRequest
 from telenano.wire.errors import ConfigError, RigError, probably_meant
+
+R = TypeVar("R", bound=BaseModel)
 
 # The key of a sweep for the delay of the link, which has no single key in a scenario.
 _DELAY = "round_trip_ms"
@@ -18,6 +21,7 @@ _DELAY_OPTION = "--round-trip-ms"
 # A seed of the session is that of everything in it that is random.
 SEED = "seed"
 _SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
+_SEED_OPTION = "--seed"
 _MOST_SESSIONS = 100
 # Options of the sweep, with a value each.
 _OWN = ("--sweep", "--seeds", "--table", "--out")
@@ -29,20 +33,28 @@ class Point(NamedTuple):
     name: str
     options: tuple[str, ...]
 
-    def asked_of(self, request: UpRequest, folder: Path) -> UpRequest:
+    def asked_of(self, request: R, folder: Path) -> R:
         """Return what a request becomes with these options, in a folder of its own."""
         pairs = list(zip(self.options[::2], self.options[1::2], strict=True))
         delays = [_number(option, value) for option, value in pairs if option == _DELAY_OPTION]
-        fields = {_DELAY: delays[-1]} if delays else {}
-        settings = (*request.settings, *(value for option, value in pairs if option == "--set"))
-        return validated(UpRequest, {**dict(request), **fields, "settings": settings, "out": folder / self.name})
+        fields: dict[str, Any] = {_DELAY: delays[-1]} if delays else {}
+        seeds = [_whole(option, value) for option, value in pairs if option == _SEED_OPTION]
+        fields |= {SEED: seeds[-1]} if seeds else {}
+        asked = dict(request)
+        settings = (*asked["settings"], *(value for option, value in pairs if option == "--set"))
+        return validated(type(request), {**asked, **fields, "settings": settings, "out": folder / self.name})
 
 
-def points_of(sweeps: Sequence[str]) -> list[Point]:
-    """Return every combination of the values of `KEY=V1,V2,…`; ConfigError says which text is wrong."""
+def points_of(sweeps: Sequence[str], seed_option: str = "") -> list[Point]:
+    """Return every combination of the values of `KEY=V1,V2,…`; ConfigError says which text is wrong.
+
+    Args:
+        sweeps: The texts, a key with its values each.
+        seed_option: The option of the command that seeds a session; without one the keys of all seeds are set.
+    """
     axes = [[(key, value) for value in values] for key, values in map(_axis, sweeps)]
     points = [Point(", ".join(f"{key.rpartition('.')[2]}={value}" for key, value in chosen).replace("/", "-"),
-                    tuple(word for key, value in chosen for word in _option(key, value)))
+                    tuple(word for key, value in chosen for word in _option(key, value, seed_option)))
               for chosen in itertools.product(*axes)]  # fmt: skip
     if len(points) > _MOST_SESSIONS:
         raise ConfigError(f"--sweep: {len(points)} sessions are more than {_MOST_SESSIONS}")
@@ -51,10 +63,10 @@ def points_of(sweeps: Sequence[str]) -> list[Point]:
     return points
 
 
-def without_sweep(words: Sequence[str]) -> list[str]:
-    """Return the options of a command line of `up` that each session of its sweep has as well."""
+def without_sweep(words: Sequence[str], command: str = "up") -> list[str]:
+    """Return the arguments of a command line that each session of its sweep has as well."""
     kept, skip = [], False
-    for word in words[words.index("up") + 1 :]:
+    for word in words[words.index(command) + 1 :]:
         name, sign, _ = word.partition("=")
         if not skip and word != "--json" and name not in _OWN:
             kept.append(word)
@@ -72,7 +84,9 @@ def _axis(text: str) -> tuple[str, list[str]]:
     return key.strip(), texts
 
 
-def _option(key: str, value: str) -> tuple[str, ...]:
+def _option(key: str, value: str, seed_option: str) -> tuple[str, ...]:
+    if key == SEED and seed_option:
+        return seed_option, value
     if key == SEED:
         return tuple(word for seed in _SEEDS for word in ("--set", f"{seed}={value}"))
     return (_DELAY_OPTION, value) if key == _DELAY else ("--set", f"{key}={value}")
@@ -85,8 +99,21 @@ def _number(option: str, value: str) -> float:
         raise ConfigError(f"{option} = {value}: is not a number of milliseconds") from None
 
 
-def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show: Callable[[str], None]) -> list[Path]:
-    """Run the sessions one after the other, each by a `telenano up` of its own; return their folders.
+def _whole(option: str, value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        raise ConfigError(f"{option} = {value}: is not a whole number") from None
+
+
+def run_sweep(
+    points: Sequence[Point],
+    arguments: Sequence[str],
+    out: Path,
+    show: Callable[[str], None],
+    name: str = "up",
+) -> list[Path]:
+    """Run the sessions one after the other, each by a command of its own (`telenano up`); return their folders.
 
     Raises:
         RigError: A session failed; the message names it and what it reported.
@@ -95,7 +122,7 @@ def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show
     for number, point in enumerate(points, start=1):
         show(f"{number}/{len(points)}: {point.name}")
         folder = out / point.name
-        command = [sys.executable, "-m", "telenano", "up", *arguments, *point.options, "--out", str(folder), "--json"]
+        command = [sys.executable, "-m", "telenano", name, *arguments, *point.options, "--out", str(folder), "--json"]
         # The summary says what is missing in a recording, and the table shows a hold without data.
         try:
             run_session(command)

@@ -225,6 +225,7 @@ class SessionNode(RigNode):
             issued_ns=self._wished_ns,
             # A supervisor may have started this launcher, and another user its nodes.
             releases_stops=False,
+            token=self.context.machine.token,
         )
         self._advance_arming()
 
@@ -295,7 +296,7 @@ class SessionNode(RigNode):
             steps = [*end, *split, *withdraw]
             if self.attached and self._wait.behind_s():
                 steps, self._last_steps = [*end, *withdraw], split
-        self._commands = CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS)
+        self._commands = self._client(steps)
         self._advance_end()
 
     def _advance_end(self) -> None:
@@ -304,7 +305,7 @@ class SessionNode(RigNode):
         if self._last_steps and not self._wait.over():
             return
         if self._last_steps:
-            self._commands = CommandClient(self.clock, self.publish, self._last_steps, retry_ns=_REFUSAL_RETRY_NS)
+            self._commands = self._client(self._last_steps)
             self._last_steps = []
             return
         if self.ran and not self.failure and not self._last_messages.over():
@@ -313,13 +314,17 @@ class SessionNode(RigNode):
             # What was sent until now is in the file of the session there, which is whole then.
             self._is_far_ended = True
             files = list(self.far.files)
-            self._commands = CommandClient(self.clock, self.publish, self.far.end_steps(), retry_ns=_REFUSAL_RETRY_NS)
+            self._commands = self._client(self.far.end_steps())
             self._on_far(files)
             return
         ends = "the nodes keep running" if self.attached else "the nodes are stopped"
         text = f"the session is over, {ends}"
         self.event("node", "info", text, answer_to="", interrupted=self.interrupted)
         self.context.request_stop()
+
+    def _client(self, steps: Sequence[Command]) -> CommandClient:
+        token = self.context.machine.token
+        return CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS, token=token)
 
     def _publishes(self, node: str) -> bool:
         """Return whether a node is at work and sends with stamps of now."""

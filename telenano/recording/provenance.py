@@ -2,9 +2,11 @@
 
 import platform
 import subprocess
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 
 import zmq
 
@@ -40,9 +42,14 @@ def plugin_facts() -> dict[str, str]:
 
 
 def write_provenance(
-    writer: RecordingWriter, config: RecorderConfig, site_file: Path, scenario_file: Path | None, now_ns: int
+    writer: RecordingWriter,
+    config: RecorderConfig,
+    site_file: Path,
+    scenario_file: Path | None,
+    now_ns: int,
+    further: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
 ) -> None:
-    """Write site file, scenario (where one is known), versions and settings at the start of a recording.
+    """Write site file, scenario (where one is known), versions, settings and `further` facts at the start of a file.
 
     Raises RecordingError naming the file that cannot be read or written.
     """
@@ -62,6 +69,8 @@ def write_provenance(
     writer.add_metadata("versions", versions())
     if plugins := plugin_facts():
         writer.add_metadata("plugins", plugins)
+    for name, entries in further.items():
+        writer.add_metadata(name, entries)
     writer.flush()
 
 

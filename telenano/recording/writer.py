@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import IO, Annotated, Literal
 import msgpack
 from pydantic import BaseModel, ConfigDict, Field
 
+from telenano.recording.disk import OWN_DISK, Disk, Identity
 from telenano.recording.info import END_NAME
 from telenano.recording.mcap_messages import Compression, MessageWriter
 from telenano.recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
@@ -60,16 +60,17 @@ class RecordingWriter:
     with the path and the reason when the file cannot be written; what was flushed before stays readable.
     """
 
-    def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings) -> None:
+    def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings, disk: Disk = OWN_DISK) -> None:
         """Start writing to a binary stream; `path` names it in errors, `node` is the recorder (node@site)."""
         self.path = path
         self.node = node
         self.size_bytes = 0
         self._stream = stream
+        self._disk = disk
         # the one in the name of the file
         self.number = 0
-        # device and inode of the file; None for what is not a file that was created here
-        self._identity: tuple[int, int] | None = None
+        # The file that was created here; None for what is not one.
+        self._identity: Identity | None = None
         self._sync = settings.sync_to_disk
         self._schemas: dict[type[Record], int] = {}
         self._own_channels: dict[str, int] = {}
@@ -95,20 +96,19 @@ class RecordingWriter:
         return cls.create(node, validate(FileSettings, {"directory": path.parent, "file_name": path.name}, origin))
 
     @classmethod
-    def create(cls, node: str, settings: FileSettings, number: int = 0) -> "RecordingWriter":
+    def create(cls, node: str, settings: FileSettings, number: int = 0, disk: Disk = OWN_DISK) -> "RecordingWriter":
         """Create the file, under the first free name from a number on; nothing is ever overwritten."""
         stem, suffix = Path(settings.file_name).stem, Path(settings.file_name).suffix
         while True:
             path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
             try:
-                settings.directory.mkdir(parents=True, exist_ok=True)
-                stream = path.open("xb")
-                writer = cls(stream, path.absolute(), node, settings)
-                writer._identity = _identity(os.fstat(stream.fileno()))
+                stream = disk.create(path)
+                writer = cls(stream, disk.named(path), node, settings, disk)
+                writer._identity = disk.identity(stream)
                 writer.number = number
                 return writer
             except FileExistsError as error:
-                if not settings.directory.is_dir():
+                if not disk.is_folder(settings.directory):
                     raise RecordingError(f"{settings.directory}: is not a folder") from error
                 number += 1
             except OSError as error:
@@ -181,7 +181,7 @@ class RecordingWriter:
     def in_place(self) -> bool:
         """Return whether the file is still there under its name: one that was removed takes every write as before."""
         try:
-            return self._identity is None or self._identity == _identity(self.path.stat())
+            return self._identity is None or self._identity == self._disk.identity_at(self.path)
         except (FileNotFoundError, NotADirectoryError):
             return False
         except OSError:
@@ -210,7 +210,7 @@ class RecordingWriter:
 
     def _sync_and_measure(self) -> None:
         if self._sync:
-            os.fdatasync(self._stream.fileno())
+            self._disk.sync(self._stream)
         self.size_bytes = self._stream.tell()
 
     @contextlib.contextmanager
@@ -231,7 +231,3 @@ class RecordingWriter:
 def _schema_of(model: type[Record]) -> bytes:
     """Return the JSON Schema of a message, which each file of a recording has and which takes milliseconds to make."""
     return json.dumps(json_schema(model), sort_keys=True).encode()
-
-
-def _identity(status: os.stat_result) -> tuple[int, int]:
-    return status.st_dev, status.st_ino

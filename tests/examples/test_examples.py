@@ -22,6 +22,7 @@ ARGUMENTS = {"own_analysis": ("telenano/settings/demo.mcap",)}
 FIGURES: dict[str, tuple[tuple[str, float, float], ...]] = {
     "dask_study": (),
     "fig12": (("hand_per_tip_force", 1.05, 1e-3), ("rest_cm", 0.7035, 1e-3)),
+    "many_recordings": (("recordings", 100, 0), ("held_nn", 9.687, 0.01), ("spread_nn", 0.0496, 0.002)),
     "own_analysis": (("slope_n_per_m", 16.469, 0.01), ("least_force_nn", -12.482, 0.01)),
     "own_law": (("rules_broken", 0.0, 0.0),),
     "own_line": (("usual delay, q50 [ms]", 75.8, 0.2), ("lost", 0.014, 0.001)),
@@ -36,6 +37,7 @@ TEXTS: dict[str, tuple[str, ...]] = {
         "K_f 40 delay_ms 40 verdict limit_cycle",
     ),
     "fig12": ("verdict stable",),
+    "many_recordings": (),
     "own_analysis": (),
     "own_law": ("law virtual_impedance verdict limit_cycle", "law my_law verdict stable"),
     "own_line": (

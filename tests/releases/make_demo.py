@@ -25,9 +25,8 @@ SETTINGS = (
 
 def recorded(path: Path, duration_s: float) -> None:
     """Record a session of Fig. 12 over a link of 20 ms, there and back."""
-    from virtual_rig import record_session
-
     from telenano.settings import find_scenario
+    from telenano.virtual import record_session
 
     scenario = yaml.safe_load(find_scenario("fig12").read_text())
     folder = path.with_suffix("")

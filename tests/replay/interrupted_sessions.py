@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from virtual_rig import LINK_NODE, STARTED_S, VirtualRig
-
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyWriter
+from telenano.virtual import LINK_NODE, STARTED_S, VirtualRig
 
 HAND, TIP = "haptic_node@master", "afm_node@slave"
 NODES = (HAND, TIP, "controller@master", "controller@slave", LINK_NODE)
@@ -104,7 +103,7 @@ class InterruptedSession(NamedTuple):
         document["delay_node"] = {way: {"delay_s": self.delay_s} for way in ("forward", "backward")}
         rig = VirtualRig(folder, self.seed, (), scenario=document)
         rig.run_until(0.15)
-        rig.command("arm", "*")
+        rig.command("arm", "*", place="hand")
         rig.run_until(STARTED_S)
         rig.command("start", "haptic_node")
         for stall in self.stalls:

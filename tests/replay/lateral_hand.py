@@ -4,9 +4,9 @@ import math
 from typing import Any, NamedTuple
 
 import yaml
-from virtual_rig import ARMED_S, STARTED_S, Timing, VirtualBus, VirtualRig
 
 from telenano.settings import find_scenario
+from telenano.virtual import ARMED_S, STARTED_S, Timing, VirtualBus, VirtualRig
 
 # The tip begins at 0, 0, a little more than d behind.
 PARTICLE_M = (3.5e-7, 0.0)

@@ -1,6 +1,6 @@
 """The reference sessions: rows that the virtual rig runs, and digests of what their nodes say.
 
-A reference is a law, a link, a seed and a duration. `tests/replay/virtual_rig.py` makes the same messages of it on
+A reference is a law, a link, a seed and a duration. `telenano.virtual` makes the same messages of it on
 every machine whose C library gives the same bits, and `digests.json` has a digest of each of their fields. Neither BLAS
 nor our compiler may change them; only the C library may, where it has other instructions, and then within a billionth.
 
@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 
 import yaml
 from in_memory import InMemory
-from virtual_rig import LINK_NODE, NODES, record_session
 
 from telenano.laws.config import LAWS, OWN_LAWS
 from telenano.numerics.compiler import compiled_form, is_step
@@ -32,6 +31,7 @@ from telenano.recording.reader import Recording
 from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun import rerun
 from telenano.settings import find_scenario
+from telenano.virtual import LINK_NODE, NODES, record_session
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER / "digests.json"

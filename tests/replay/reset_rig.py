@@ -16,13 +16,9 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from virtual_rig import LINK_NODE, QuietLog, VirtualBus, VirtualRig, constant_timing
-
-from telenano.runtime.loop.node import NodeContext
-from telenano.runtime.loop.node_loop import NodeLoop
-from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.virtual import LINK_NODE, VirtualRig, constant_timing
 from telenano.wire.messages import Message
-from telenano.wire.nodes import HAND, TIP
+from telenano.wire.nodes import HAND, LAUNCHER, TIP
 
 MASTER_HALF, SLAVE_HALF = "controller@master", "controller@slave"
 POSITION_SCALE = 1.5e-6
@@ -87,7 +83,7 @@ class ResetRig(VirtualRig):
             "afm_node": {"rest_distance_m": 10.0e-9},
         }
         super().__init__(None, seed, (), _TIMING, document)
-        self.page = VirtualBus(self, "viz_node@master")
+        self.page = self.endpoint("viz_node@master")
         self.said = [Stretch(0.0, False)]
         self._to_hand = False
         # An instrument that is started again begins at its safe place, wherever the one before it was killed.
@@ -95,12 +91,7 @@ class ResetRig(VirtualRig):
         self.now_s = 0.0
         self._count = 0
 
-    def close(self) -> None:
-        """Close the sockets of the rig and of the page."""
-        self.page.close()
-        super().close()
-
-    def carry(self, topic: str, message: Message) -> None:
+    def carry(self, topic: str, message: Message, payload: bytes) -> None:
         """Note what the devices say."""
         said: Any = message
         time_s = (message.t_ns - self.clock.epoch_offset_ns) * 1e-9
@@ -113,7 +104,7 @@ class ResetRig(VirtualRig):
             self.events.append(said)
             if said.id:
                 self.answers[f"{said.src} {said.id}"] = said
-        super().carry(topic, message)
+        super().carry(topic, message, payload)
 
     def wait(self, time_s: float) -> None:
         """Let time pass [s]."""
@@ -187,20 +178,12 @@ class ResetRig(VirtualRig):
         if lost:
             self._say(goes=self.said[-1].goes and device != TIP)
 
-    def restart(self, key: str, away_s: float = 0.4) -> None:
+    def kill(self, key: str, away_s: float = 0.4) -> None:
         """End a node as a kill does, and start it again after a time [s]."""
-        self.stall(key, away_s)
         if key == TIP:
             self._say(goes=False)
-        self.wait(away_s)
-        bus = self.buses[key]
-        bus.inbox.clear()
-        bus._numbers.clear()
-        path = self.loops[key].node.context
-        context = NodeContext(key, self.clock, bus, QuietLog(key), period_s=path.period_s)
-        self.loops[key] = NodeLoop(self._node(context), bus, RealtimeStatus(fifo=True, memory_locked=False))
-        self._stalled_until_ns[key] = 0
-        self._known_due_ns.pop(key, None)
+        self.restart(key, round(away_s * 1e9))
+        self.now_s += away_s
         if key == TIP:
             self.begun_s.append(self.clock.monotonic_ns() * 1e-9)
         if key in (HAND, TIP):
@@ -218,7 +201,7 @@ class ResetRig(VirtualRig):
         name = f"c{self._count}"
         fields = {"id": name, "command": command, "target": target, "parameters": parameters, **(proof or {})}
         for _ in range(2):
-            self._launcher.publish("session/control", **fields)
+            self.endpoint(LAUNCHER).publish("session/control", **fields)
         self.wait(0.006)
         found = [answer for key, answer in self.answers.items() if key.endswith(f" {name}")]
         return found[-1] if found else None

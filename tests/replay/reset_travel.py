@@ -8,8 +8,7 @@ presses, lets go in contact, stops, arms with the parameters, waits, and prints 
 import sys
 from typing import Any
 
-from virtual_rig import ARMED_S, STARTED_S, VirtualRig
-
+from telenano.virtual import ARMED_S, STARTED_S, VirtualRig
 from telenano.wire.nodes import HAND, TIP
 
 # A hand presses for half a second and then rests in contact [s, N].

@@ -9,7 +9,6 @@ import msgpack
 import pytest
 from changed_fields import Case, cases_of, is_valid, with_examples, write_changed
 from command_line import run
-from virtual_rig import NODES, record_session
 
 from services.viz_node.feed import Feed, Seen
 from telenano.analysis.recording_document import judged_recording
@@ -17,6 +16,7 @@ from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.verify import verify
+from telenano.virtual import NODES, record_session
 from telenano.wire.errors import RecordingError
 
 # so many messages of a recording are changed at once

@@ -13,11 +13,11 @@ import pytest
 from telenano_afm_files.force_map import write_map
 from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
-from virtual_rig import record_session
 
 from telenano.cli.root import app
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
+from telenano.virtual import record_session
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "instrument.md"
 # measured files are not part of the project; those of afmformats' own tests are public

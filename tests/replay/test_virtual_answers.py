@@ -5,12 +5,10 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from virtual_rig import LINK_ENDPOINT, LINK_NODE, QuietLog, Timing, VirtualRig
 
 from telenano.laws.config import KNOWN_LAWS
-from telenano.runtime.loop.node import NodeContext
-from telenano.runtime.loop.node_loop import NodeLoop
-from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.virtual import LINK_ENDPOINT, LINK_NODE, Timing, VirtualRig
+from telenano.wire import Message
 
 HAND, TIP, MASTER_HALF = "haptic_node@master", "afm_node@slave", "controller@master"
 NS_PER_S = 1_000_000_000
@@ -41,7 +39,7 @@ class Session(VirtualRig):
         super().__init__(None, 1, (), TIMING, scenario)
         self.link_s, self.time_s = link_s, 0.0
         self.run(0.15 + 2.0 * link_s)
-        self.command("arm", "*")
+        self.command("arm", "*", place="hand")
         self.run(0.15 + 2.0 * link_s)
         self.command("start", HAND)
         self.run(0.6 + 4.0 * link_s)
@@ -51,13 +49,11 @@ class Session(VirtualRig):
         if endpoint not in self.blocked:
             super().forward(endpoint, topic, payload)
 
-    def _deliver(self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int) -> None:
-        super()._deliver(sender, key, topic, payload, sent_ns + round(1e9 * self.late_s.get(sender, 0.0)))
-
-    def restart(self, key: str) -> None:
-        """Begin a process again, which knows nothing of the one before."""
-        node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key), period_s=1e-3))
-        self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
+    def _deliver(
+        self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int, message: Message | None
+    ) -> None:
+        late_ns = round(1e9 * self.late_s.get(sender, 0.0))
+        super()._deliver(sender, key, topic, payload, sent_ns + late_ns, message)
 
     def run(self, duration_s: float) -> None:
         self.time_s += duration_s

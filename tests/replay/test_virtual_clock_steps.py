@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from test_virtual_stalls import Session
-from virtual_rig import VirtualRig
 
+from telenano.virtual import VirtualRig
 from telenano.wire.codec import fields_of
 
 ROOT = Path(__file__).parents[2]
@@ -17,6 +17,7 @@ WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
     "telenano/cli/commands/up.py": "the date in the name of the folder of a session",
+    "telenano/cli/commands/simulate.py": "the date in the name of the folder of a session",
     "telenano/timing/clock.py": "once, at the start of the first process, for the stamps of all",
     "telenano/launcher/rigs.py": "when a rig began, for a person who lists the rigs",
     "telenano/runtime/security/keyring.py": "the day on which a key expires",

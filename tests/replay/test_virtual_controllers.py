@@ -11,13 +11,13 @@ import yaml
 from telenano_afm_controllers import nanonis_model
 from telenano_afm_controllers.calibration import NanonisCalibration
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
-from virtual_rig import Timing, VirtualRig
 
 import services.afm_node.__main__ as afm
 from telenano.afm.config import AfmConfig
 from telenano.devices.afm.instrument import driver_of
 from telenano.settings import find_scenario
 from telenano.settings.config import validate
+from telenano.virtual import Timing, VirtualRig
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 BEGIN_S, END_S = 0.4, 4.4

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from virtual_rig import ARMED_S, STARTED_S, VirtualRig
 
 from telenano.console.coupling import TOPICS, couple
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.runtime.loop.commands import Command
+from telenano.virtual import ARMED_S, STARTED_S, VirtualRig
 from telenano.wire.errors import RigError
 from telenano.wire.nodes import DEVICES, HAND, TIP
 

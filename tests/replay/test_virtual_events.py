@@ -6,7 +6,6 @@ on the virtual bus, with 1 ns on a site, and lockstep runs over the same arrival
 nanoseconds between a command and the step of the instrument that carries it out.
 """
 
-import heapq
 import random
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,11 +26,11 @@ from test_virtual_lockstep import (
     differences,
     with_hand,
 )
-from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule, last_together, schedule_from
 from telenano.lockstep.trajectory import Trajectory
+from telenano.virtual import EPOCH_OFFSET_NS, LINK_ENDPOINT, LINK_NODE, constant_timing
 from telenano.wire import Message
 from telenano.wire.messages import DELAY_STEP_NS, TeleopForward
 
@@ -123,29 +122,15 @@ class WeatherRig(ConstantRig):
             self._tell(is_forward, message, first_ns + times[0] - left_ns // 1000 * 1000)
         for time_ns in times:
             arrives_ns = max(first_ns + time_ns, left_ns + 1)
-            self.messages[payload] = message
-            self._record(endpoint, topic, payload, arrives_ns + EPOCH_OFFSET_NS)
+            self._record(endpoint, topic, payload, arrives_ns)
             for key in self._readers(topic, message, "slave" if is_forward else "master"):
-                self._order += 1
-                heapq.heappush(self.buses[key].inbox, (arrives_ns + 1, self._order, topic, payload))
-                self._known_due_ns.pop(key, None)
+                self._put(key, topic, payload, message, arrives_ns + 1)
 
     def _tell(self, is_forward: bool, message: Any, delay_ns: int) -> None:
         told = {"hand_t_ns": message.hand_t_ns, "delay_ns": delay_ns - delay_ns % DELAY_STEP_NS}
         fields = {"direction": "forward" if is_forward else "backward", **told, "transit_ns": 0, "clock_ahead_ns": 0}
-        for bus in (self._link_at_slave, self._link_at_master) if is_forward else (self._link_at_master,):
-            bus.publish("link/delay", **fields)
-
-    _at_master: VirtualBus | None = None
-
-    @property
-    def _link_at_master(self) -> VirtualBus:
-        self._at_master = self._at_master or VirtualBus(self, LINK_NODE)
-        return self._at_master
-
-    def close(self) -> None:
-        self._link_at_master.close()
-        super().close()
+        for endpoint in (LINK_ENDPOINT, LINK_NODE) if is_forward else (LINK_NODE,):
+            self.endpoint(endpoint).publish("link/delay", **fields)
 
 
 def on_bus(cell: Cell, arrivals: Arrivals, folder: Path) -> Trajectory:

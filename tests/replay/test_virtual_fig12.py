@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 import yaml
-from virtual_rig import record_session
 
 from telenano.analysis.report import Session
 from telenano.link.profiles import PROFILES
 from telenano.recording.multi_file import open_recordings
 from telenano.settings import find_scenario
+from telenano.virtual import record_session
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto.md"
 # until the hand has started

@@ -12,9 +12,10 @@ import pytest
 from telenano_studies.loops.cells import Cell, energies_of, scales_of
 from telenano_studies.loops.validate import read_course, scenario_of
 from test_virtual_lockstep import PERIOD_NS, PERIOD_S, SETTLE_TICKS, ConstantRig
-from virtual_rig import Range, constant_timing
 
 from telenano.lockstep.trajectory import Trajectory
+from telenano.virtual import Range, constant_timing
+from telenano.wire import Message
 
 SEED = 7
 Points = tuple[tuple[float, float], ...]
@@ -35,9 +36,11 @@ class LateRig(ConstantRig):
         held_ns = self.pause * PERIOD_NS - now_ns % (self.pause * PERIOD_NS)
         return usual_ns + held_ns + now_ns // PERIOD_NS % self.pause * self.apart_ns
 
-    def _deliver(self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int) -> None:
+    def _deliver(
+        self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int, message: Message | None
+    ) -> None:
         late_ns = self.late_ns if (topic, key) == ("afm/state", "controller@slave") else 0
-        super()._deliver(sender, key, topic, payload, sent_ns + late_ns)
+        super()._deliver(sender, key, topic, payload, sent_ns + late_ns, message)
 
 
 def course_of(folder: Path, cell: Cell, points: Points, end_s: float, **rig_is: int) -> Trajectory:

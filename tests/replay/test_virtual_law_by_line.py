@@ -7,10 +7,10 @@ import pytest
 from telenano_laws import by_line
 from telenano_laws.by_line import HAND, MASTER, SLAVE, TIP, Candidate, Policy
 from telenano_laws.by_line_command import carry_out
-from virtual_rig import VirtualBus, VirtualRig
 
 from telenano.laws import ControllerConfig
 from telenano.runtime import Command
+from telenano.virtual import VirtualRig
 
 WATCHED = (("law/status", MASTER), ("node/health", MASTER), ("node/health", SLAVE), ("haptic/state", HAND))
 TURN_S, DWELL_S = 0.1, 2.0
@@ -23,7 +23,6 @@ def course(
     lines: list[tuple[str, float]], law: str, stiffness_n_per_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[VirtualRig, list[tuple[float, str]]]:
     """Run over one line after the other; return the rig, and when which law was set [s]."""
-    monkeypatch.setattr(VirtualBus, "input_health", lambda bus: bus.reader.input_health())
     scenario = {
         "name": "course",
         "description": "the line changes under an arm that leans on the tip",
@@ -33,7 +32,7 @@ def course(
         "delay_node": {"profile": lines[0][0], "seed": 1},
         "afm_node": {"environment": "spring", "spring": {"stiffness_n_per_m": stiffness_n_per_m}},
     }
-    rig = VirtualRig(None, 1, (), scenario=scenario)
+    rig = VirtualRig(None, 1, (), scenario=scenario, counts_inputs=True)
     wanted = [Candidate("bounded_model"), Candidate("passivity")]
     policy = Policy(ControllerConfig(), stiffness_n_per_m, wanted, window_s=1.5)
     done: list[tuple[float, str]] = []

@@ -35,7 +35,6 @@ from law_loop import TRIED_LAWS
 from telenano_studies.loops.cells import Cell, rig_of
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.validate import read_course, scenario_of
-from virtual_rig import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 
 from services.afm_node import node as afm_node
 from services.controller.slave_half import SlaveController
@@ -45,6 +44,7 @@ from telenano.extend.laws import LONGEST_BRIDGED_PERIODS
 from telenano.laws.config import LAWS, ControllerConfig
 from telenano.lockstep.link import Schedule
 from telenano.lockstep.trajectory import Trajectory
+from telenano.virtual import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 from telenano.wire import Message, encode
 from telenano.wire.messages import AfmCommand, SessionControl, TeleopForward
 
@@ -95,17 +95,16 @@ class ConstantRig(VirtualRig):
         assert isinstance(hand, HapticNode)
         hand._memory.guard = hand._memory.guard._replace(armed=True)
 
-    def carry(self, topic: str, message: Message) -> None:
+    def carry(self, topic: str, message: Message, payload: bytes) -> None:
         """Bring a message to its readers, and arm the AFM 1 ns before the command that follows the first position."""
         if isinstance(message, TeleopForward) and message.hand_seq in self.lost:
             return
-        super().carry(topic, message)
+        super().carry(topic, message, payload)
         if isinstance(message, AfmCommand) and message.mode == "position" and not self._armed:
             self._armed = True
             arm = _arm(message.t_ns)
             sent_ns = message.t_ns - EPOCH_OFFSET_NS + PERIOD_NS - 1
-            self.messages[encode(arm)] = arm
-            self._deliver("launcher@slave", "afm_node@slave", "session/control", encode(arm), sent_ns)
+            self._deliver("launcher@slave", "afm_node@slave", "session/control", encode(arm), sent_ns, arm)
 
 
 def _arm(t_ns: int) -> SessionControl:

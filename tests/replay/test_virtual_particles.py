@@ -7,10 +7,10 @@ import pytest
 from telenano_assembly import bench
 from telenano_assembly.messages import AfmParticles
 from telenano_assembly.particles import layer
-from virtual_rig import ARMED_S, VirtualRig
 
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
+from telenano.virtual import ARMED_S, VirtualRig
 
 SCENARIO = {
     "name": "pushed",

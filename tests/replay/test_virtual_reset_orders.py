@@ -9,9 +9,9 @@ from contextlib import closing
 
 import pytest
 from reset_rig import HAND, MASTER_HALF, SLAVE_HALF, TIP, ResetRig
-from virtual_rig import LINK_NODE
 
 from telenano.laws.config import LAWS
+from telenano.virtual import LINK_NODE
 
 # The orders of one rig, which begins with the state that the one before has left.
 ORDERS_OF_RIG = 20
@@ -50,7 +50,7 @@ def _event(rig: ResetRig, draw: random.Random) -> str:
             return f"halt {key} {time_s}"
         case "restart":
             key = draw.choice((HAND, TIP, MASTER_HALF, SLAVE_HALF))
-            rig.restart(key)
+            rig.kill(key)
             return f"restart {key}"
         case "stop":
             rig.command("stop", "afm_node")

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from virtual_rig import STARTED_S, record_session
 
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
+from telenano.virtual import STARTED_S, record_session
 
 SLOPE = 0.2
 FORCE_SCALE, ARM_N_PER_M = 1e8, 300.0

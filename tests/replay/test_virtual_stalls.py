@@ -11,8 +11,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import pytest
-from virtual_rig import LINK_NODE, Timing, VirtualRig
 
+from telenano.virtual import LINK_NODE, Timing, VirtualRig
 from telenano.wire.topics import LOOP_DEADLINE_S
 
 MS = 1_000_000

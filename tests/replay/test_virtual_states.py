@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 import pytest
-import virtual_rig
 from in_memory import InMemory
 from numpy.typing import NDArray
 from test_virtual_rig import edited
-from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
 from services.afm_node import __main__ as afm
+from services.controller import __main__ as controller
 from services.controller import half
+from services.delay_node import __main__ as delay
 from services.haptic_node import __main__ as haptic
 from telenano.afm.config import AfmConfig
 from telenano.afm.sample_models import register_sample
@@ -29,6 +29,7 @@ from telenano.recording.reader import RawMessage, Recording
 from telenano.recording.rewrite import filter_recording
 from telenano.rerun.rerun import rerun
 from telenano.runtime.loop import journal
+from telenano.virtual import LINK_NODE, NODES, VirtualRig, record_session
 from telenano.wire.errors import RecordingError
 from telenano.wire.node_state import pack, restore
 
@@ -188,10 +189,10 @@ def test_a_node_with_other_private_names_classes_and_modules_takes_the_state(
     module = renamed(sys.modules[type(node).__module__])
     monkeypatch.setattr(afm, "AfmNode", getattr(module, "OtherAfmNode", None))
     monkeypatch.setattr(haptic, "HapticNode", getattr(module, "OtherHapticNode", None))
-    monkeypatch.setattr(virtual_rig, "DelayNode", getattr(module, "OtherDelayNode", None))
+    monkeypatch.setattr(delay, "DelayNode", getattr(module, "OtherDelayNode", None))
     half = getattr(module, f"Other{type(node).__name__}")
-    monkeypatch.setattr(virtual_rig, "half_of_site", half)
-    other = rig._node(node.context)
+    monkeypatch.setattr(controller, "half_of_site", half)
+    other: Any = rig.build(key, node.context)
     assert type(other).__name__ == f"Other{type(node).__name__}"
     assert set(vars(other)) != set(vars(node))
     fresh = pack(other)

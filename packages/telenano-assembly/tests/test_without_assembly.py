@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 from telenano_assembly import bench
-from virtual_rig import ARMED_S, VirtualRig
 
 from telenano.settings import find_scenario
+from telenano.virtual import ARMED_S, VirtualRig
 from telenano.wire.extras import how_to_add_package
 
 PACKAGE = "telenano-assembly"

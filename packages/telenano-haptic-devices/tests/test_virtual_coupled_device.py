@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 from telenano_haptic_devices.impedance import coupling_of
-from virtual_rig import ARMED_S, STARTED_S, VirtualRig, constant_timing
 
 from telenano.hand.config import HapticConfig
+from telenano.virtual import ARMED_S, STARTED_S, VirtualRig, constant_timing
 from telenano.wire.messages import HapticState, SessionEvent
 
 HAND = "haptic_node@master"

@@ -24,7 +24,7 @@ from telenano.link.config import LinkSettings
 from telenano.link.fate import Direction
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.byte_link import ByteLink
-from telenano.runtime.loop.node import resident_bytes
+from telenano.runtime.loop.machine import resident_bytes
 from telenano.signals import children
 from telenano.testing import NodeBench
 from telenano.wire import encode

@@ -75,111 +75,31 @@ class ConnectionEvent(NamedTuple):
     data: dict[str, bool | float | str]
 
 
-class Subscriber:
-    """SUB connections of a node: decodes, counts what is refused or lost, and drops what was overtaken."""
+class MessageReader:
+    """Turns frames of the bus into messages of a node, wherever they came from.
 
-    # A subscriber is never due by itself: it gives only what has arrived.
-    due_ns = NEVER_NS
+    It decodes, counts what is refused or lost, and drops what was overtaken.
+    """
 
     def __init__(
         self,
-        context: "zmq.Context[zmq.Socket[bytes]]",
         clock: Clock,
-        connections: Mapping[str, Sequence[str]],
+        topics: Iterable[str],
         *,
-        connect: bool = True,
         permit: Callable[[str, str], None] | None = None,
         newest_only: bool = False,
-        queue_s: float = QUEUE_S,
     ) -> None:
-        """Connect to endpoints (keys) for topics (values).
-
-        Args:
-            context: The context of ZeroMQ.
-            clock: The clock that stamps the reception.
-            connections: The topics by endpoint.
-            connect: False if the socket is connected later.
-            permit: Called with topic and source of each message; raises WireError for what the peers of this socket may
-                not publish.
-            newest_only: Whether only the newest waiting message of each source is returned on a `latest` topic.
-            queue_s: How much may wait after a stall [s].
-        """
+        """Read topics; for the rest see `Subscriber`."""
         self._clock = clock
         self.permit = permit
         self.trackers: dict[tuple[str, str], SequenceTracker] = {}
         self.rejected: dict[str, int] = {}
         self.last_error = ""
-        # It is true once everything was read; before that, ZeroMQ's descriptor may be silent although messages wait.
-        self.drained = True
-        # What comes next is the rest of a message of more frames than are read in a turn.
-        self._is_in_rest = False
-        # Other code calls the socket as well, which may consume the signal of its descriptor.
-        self.shared = not connect
-        self.socket = context.socket(zmq.SUB)
-        self.socket.set(zmq.AFFINITY, FIRST_THREAD)
-        self.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
-        if newest_only:
-            # The peer cuts a connection on which nothing came for the time that a ping of this side names, with what
-            # waits in it, so that a process that was stopped continues with the newest.
-            self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
-            self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
-            self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
-        self.socket.set(zmq.LINGER, 0)
-        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)
-        self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
-        self.topics = sorted({topic for topics in connections.values() for topic in topics})
+        self.topics = sorted(set(topics))
         self._names = {topic.encode(): topic for topic in self.topics if topic in TOPICS}
         latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
         self._conflated = latest if newest_only else {}
         self._aside: dict[str, Callable[[Message], None]] = {}
-        # Looks at each message first, and returns its frames, or None where it is not wanted; only a reader that the
-        # link's datagrams feed as well has one.
-        self.sift: Callable[[list[bytes]], list[bytes] | None] | None = None
-        for topic in self.topics:
-            self.socket.subscribe(topic.encode())
-        for endpoint in connections if connect else ():
-            self.socket.connect(endpoint)
-        self.descriptor: int = self.socket.fileno()
-
-    def receive_raw(self, *, signalled: bool = False) -> list[tuple[list[bytes], int]]:
-        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken.
-
-        Args:
-            signalled: Whether the descriptor has become readable, so that a message has probably arrived.
-        """
-        receive, pending, now_ns = self.socket.recv, self.pending, self._clock.now_ns
-        waiting: list[tuple[list[bytes], int]] = []
-        self.drained = False
-        for taken in range(_BATCH):
-            # The socket is asked first, because an exception costs as much as reading a message; where many come it is
-            # not asked.
-            if taken < _FEW and not (signalled and taken == 0) and not pending():
-                self.drained = True
-                break
-            try:
-                # A frame object knows whether more follow; asking the socket costs more than receiving a frame.
-                frame = receive(_DONTWAIT, False)
-            except zmq.Again:
-                self.drained = True
-                break
-            frames = [frame.bytes]
-            while frame.more and len(frames) < _MOST_FRAMES:
-                frame = receive(0, False)
-                frames.append(frame.bytes)
-            if not self._is_in_rest:
-                waiting.append((frames, now_ns()))
-            self._is_in_rest = frame.more
-            if frame.more:
-                break
-        return waiting
-
-    def receive(self, *, signalled: bool = False) -> list[Received]:
-        """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
-        waiting = self.receive_raw(signalled=signalled)
-        if self.sift is not None:
-            sifted = ((self.sift(frames), received_ns) for frames, received_ns in waiting)
-            return self.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
-        return self.take(waiting)
 
     def take(self, waiting: Sequence[Taken]) -> list[Received]:
         """Decode, validate and track what waited together, each message with the time of reception [ns]."""
@@ -247,17 +167,6 @@ class Subscriber:
         tracker = self.trackers.get((topic, src))
         return tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns
 
-    def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
-        """Subscribe to a topic whose messages are for `handle` and not for the reader."""
-        self._aside[topic] = handle
-        self.socket.subscribe(topic.encode())
-
-    def pending(self) -> bool:
-        """Return whether a message has arrived."""
-        # `Socket.poll` is avoided because it first makes a poller.
-        events: Any = self.socket.get(_EVENTS)
-        return bool(events & _READABLE)
-
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of the sources that sent most; a topic without messages has empty ones."""
         now = self._clock.now_ns()
@@ -265,10 +174,6 @@ class Subscriber:
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
         chosen = nlargest(MOST_REPORTED, self.trackers.items(), key=lambda source: source[1].received)
         return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(chosen)), *silent)
-
-    def close(self) -> None:
-        """Close the socket."""
-        self.socket.close()
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
         """Return the sequence statistics of a topic from a source; WireError (`source`) for one too many."""
@@ -280,6 +185,120 @@ class Subscriber:
                 )
             tracker = self.trackers[topic, src] = SequenceTracker()
         return tracker
+
+
+class Subscriber(MessageReader):
+    """SUB connections of a node: a `MessageReader` with a socket of its own."""
+
+    # A subscriber is never due by itself: it gives only what has arrived.
+    due_ns = NEVER_NS
+
+    def __init__(
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        connections: Mapping[str, Sequence[str]],
+        *,
+        connect: bool = True,
+        permit: Callable[[str, str], None] | None = None,
+        newest_only: bool = False,
+        queue_s: float = QUEUE_S,
+    ) -> None:
+        """Connect to endpoints (keys) for topics (values).
+
+        Args:
+            context: The context of ZeroMQ.
+            clock: The clock that stamps the reception.
+            connections: The topics by endpoint.
+            connect: False if the socket is connected later.
+            permit: Called with topic and source of each message; raises WireError for what the peers of this socket may
+                not publish.
+            newest_only: Whether only the newest waiting message of each source is returned on a `latest` topic.
+            queue_s: How much may wait after a stall [s].
+        """
+        topics = {topic for topics in connections.values() for topic in topics}
+        super().__init__(clock, topics, permit=permit, newest_only=newest_only)
+        # It is true once everything was read; before that, ZeroMQ's descriptor may be silent although messages wait.
+        self.drained = True
+        # What comes next is the rest of a message of more frames than are read in a turn.
+        self._is_in_rest = False
+        # Other code calls the socket as well, which may consume the signal of its descriptor.
+        self.shared = not connect
+        self.socket = context.socket(zmq.SUB)
+        self.socket.set(zmq.AFFINITY, FIRST_THREAD)
+        self.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
+        if newest_only:
+            # The peer cuts a connection on which nothing came for the time that a ping of this side names, with what
+            # waits in it, so that a process that was stopped continues with the newest.
+            self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
+            self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
+            self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
+        self.socket.set(zmq.LINGER, 0)
+        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)
+        self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+        # Looks at each message first, and returns its frames, or None where it is not wanted; only a reader that the
+        # link's datagrams feed as well has one.
+        self.sift: Callable[[list[bytes]], list[bytes] | None] | None = None
+        for topic in self.topics:
+            self.socket.subscribe(topic.encode())
+        for endpoint in connections if connect else ():
+            self.socket.connect(endpoint)
+        self.descriptor: int = self.socket.fileno()
+
+    def receive_raw(self, *, signalled: bool = False) -> list[tuple[list[bytes], int]]:
+        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken.
+
+        Args:
+            signalled: Whether the descriptor has become readable, so that a message has probably arrived.
+        """
+        receive, pending, now_ns = self.socket.recv, self.pending, self._clock.now_ns
+        waiting: list[tuple[list[bytes], int]] = []
+        self.drained = False
+        for taken in range(_BATCH):
+            # The socket is asked first, because an exception costs as much as reading a message; where many come it is
+            # not asked.
+            if taken < _FEW and not (signalled and taken == 0) and not pending():
+                self.drained = True
+                break
+            try:
+                # A frame object knows whether more follow; asking the socket costs more than receiving a frame.
+                frame = receive(_DONTWAIT, False)
+            except zmq.Again:
+                self.drained = True
+                break
+            frames = [frame.bytes]
+            while frame.more and len(frames) < _MOST_FRAMES:
+                frame = receive(0, False)
+                frames.append(frame.bytes)
+            if not self._is_in_rest:
+                waiting.append((frames, now_ns()))
+            self._is_in_rest = frame.more
+            if frame.more:
+                break
+        return waiting
+
+    def receive(self, *, signalled: bool = False) -> list[Received]:
+        """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
+        waiting = self.receive_raw(signalled=signalled)
+        if self.sift is not None:
+            sifted = ((self.sift(frames), received_ns) for frames, received_ns in waiting)
+            return self.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
+        return self.take(waiting)
+
+    def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
+        """Subscribe to a topic whose messages are for `handle` and not for the reader."""
+        self._aside[topic] = handle
+        self.socket.subscribe(topic.encode())
+
+    def pending(self) -> bool:
+        """Return whether a message has arrived."""
+        # `Socket.poll` is avoided because it first makes a poller.
+        events: Any = self.socket.get(_EVENTS)
+        return bool(events & _READABLE)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
 
 
 class Reader(Protocol):

@@ -14,7 +14,6 @@ where that stop came before the wish, and else gives up.
 """
 
 import math
-import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from telenano.runtime.loop.estop_latch import EstopLatch, begins_motion
+from telenano.runtime.loop.machine import OWN_MACHINE
 from telenano.timing.clock import Clock
 from telenano.wire import encode
 from telenano.wire.ends import read_end
@@ -98,6 +98,7 @@ class CommandClient:
         retry_ns: int = 0,
         issued_ns: int | None = None,
         releases_stops: bool = True,
+        token: Callable[[int], str] = OWN_MACHINE.token,
     ) -> None:
         """Prepare to send `commands`.
 
@@ -110,6 +111,7 @@ class CommandClient:
                 makes them void.
             releases_stops: False if no person who knows of earlier stops stands behind the commands; a node in
                 emergency stop is then waited for.
+            token: Returns a number of so many bytes that no other sender draws.
         """
         self.failure = ""
         self.void = False
@@ -124,7 +126,7 @@ class CommandClient:
         self._motions = [command for command in self._commands if command.begins_motion]
         self._retry_ns = retry_ns
         # random, and no time in it: ids of two senders differ whatever their clocks say
-        self._sender = os.urandom(8).hex()
+        self._sender = token(8)
         self._issued = 0
         self._command: Command | None = None
         self._id = ""
@@ -410,6 +412,7 @@ class CommandHandler:
         is_latched: Callable[[], bool] = lambda: False,
         kept: Path | None = None,
         obstacle: Callable[[], str] = lambda: "",
+        token: Callable[[int], str] = OWN_MACHINE.token,
     ) -> None:
         """Take commands for `node` (node@site).
 
@@ -422,8 +425,10 @@ class CommandHandler:
             kept: The file in which the newest emergency stop is kept until the node is armed.
             obstacle: Returns why an emergency stop might not reach the node now, empty where it does. Nothing may then
                 begin a motion.
+            token: Returns a number of so many bytes that no other run of a node draws.
         """
-        self.latch = EstopLatch(kept)
+        self.latch = EstopLatch(kept, token)
+        self._token = token
         self._node = node
         self._known = frozenset(known)
         self._execute = execute
@@ -444,7 +449,7 @@ class CommandHandler:
 
     def note_own_stop(self, now_ns: int) -> None:
         """Record that the device has stopped by a switch of its own, at `now_ns` on the clock of `handle` [ns]."""
-        self._note_stop(stop_of(self._node, now_ns), now_ns)
+        self._note_stop(stop_of(self._node, now_ns, self._token), now_ns)
 
     def handle(self, control: SessionControl, now_ns: int) -> bool:
         """Execute a command if it concerns this node, and answer with a session/event of the same id.
@@ -534,7 +539,7 @@ def _giver(control: SessionControl) -> dict[str, Scalar]:
     return {} if control.by is None else {"by": control.by}
 
 
-def stop_of(node: str, now_ns: int) -> SessionControl:
+def stop_of(node: str, now_ns: int, token: Callable[[int], str] = OWN_MACHINE.token) -> SessionControl:
     """Return an emergency stop for a node (node@site) that no sender has sent, of `now_ns` [ns]."""
-    src, number = f"estop@{site_of(node)}", os.urandom(12).hex()
+    src, number = f"estop@{site_of(node)}", token(12)
     return SessionControl(seq=0, t_ns=now_ns, src=src, v=1, id=number, command="estop", target=node, parameters={})

@@ -1,10 +1,10 @@
 """What one run of a node knows of its emergency stops, and what a command has to quote to begin a motion after one."""
 
-import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from telenano.runtime.loop import kept_stop
+from telenano.runtime.loop.machine import OWN_MACHINE
 from telenano.wire.messages import Scalar
 
 
@@ -22,13 +22,18 @@ class EstopLatch:
     count alone would not do, because it begins again with each run.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
-        """Begin a run without a stop; `path` is where the newest is kept, None where it is not."""
+    def __init__(self, path: Path | None = None, token: Callable[[int], str] = OWN_MACHINE.token) -> None:
+        """Begin a run without a stop.
+
+        Args:
+            path: Where the newest stop is kept; None where it is not.
+            token: Returns a number of so many bytes that no other run draws.
+        """
         self.path = path
         self.count = 0
         # The id of the newest stop that was recorded; the copies of one stop share it.
         self.newest_id = ""
-        self._run = os.urandom(6).hex()
+        self._run = token(6)
         self._newest_ns = 0
 
     @property

@@ -1,6 +1,5 @@
 """What every node is: its context, its bus, and what its loop (`node_loop`) asks of it."""
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from telenano.runtime.bus.places import PlaceNotice, Places
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
 from telenano.runtime.loop.log import StructuredLog
+from telenano.runtime.loop.machine import OWN_MACHINE, Machine
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.timing.freshness import Freshness
 from telenano.wire.errors import RefusedError
@@ -23,7 +23,6 @@ NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 # This is the period of a rig that gives no `realtime.rate_hz`.
 LOOP_PERIOD_S = 1e-3
 HEALTH_PERIOD_NS = 500_000_000
-_STATM = Path("/proc/self/statm")
 
 
 @dataclass
@@ -41,6 +40,8 @@ class NodeContext:
     places: Places | None = None
     # The period of the loop, by `realtime.rate_hz` [s].
     period_s: float = LOOP_PERIOD_S
+    # What the node takes from its machine besides: process, processor time, memory, disk, and random numbers.
+    machine: Machine = OWN_MACHINE
     # The loop runs these tasks in its idle gaps.
     deferred: DeferredTasks = field(init=False)
 
@@ -205,11 +206,3 @@ class NodeBus(Bus, Protocol):
 
     def has_arrived(self) -> bool:
         """Return whether something may have arrived since the last wait, for `receive`."""
-
-
-def resident_bytes() -> int:
-    """Return the resident memory of this process [bytes], 0 where it has no descriptor left to look."""
-    try:
-        return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return 0

@@ -1,9 +1,7 @@
 """The one loop that all nodes run in."""
 
-import os
 import signal
 import socket
-import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, cast
@@ -14,7 +12,7 @@ from telenano.runtime.loop.deadlines import LatenessWindow
 from telenano.runtime.loop.deferred import Deferred, Task
 from telenano.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
 from telenano.runtime.loop.log import RateLimitedLog
-from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus, resident_bytes
+from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings.plugins import fault_of_package
 from telenano.timing.clock import NEVER_NS
@@ -63,6 +61,7 @@ class NodeLoop:
             is_latched=lambda: node.is_latched,
             kept=node.context.kept_stop,
             obstacle=lambda: "" if self._places is None else self._places.obstacle,
+            token=node.context.machine.token,
         )
         self._places = node.context.places
         self._stop_signalled = self._stopped_for_place = False
@@ -75,7 +74,8 @@ class NodeLoop:
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
         self._deferred = node.context.deferred
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
-        self._last_cpu_s, self._receives_all = time.process_time(), False
+        self._machine = node.context.machine
+        self._last_cpu_s, self._receives_all = self._machine.processor_time_s(), False
         self._health: dict[str, Any] = {}
         self._last_steps = self._rejected_seen = self._own_stops = 0
 
@@ -87,19 +87,27 @@ class NodeLoop:
                 self.turn()
         # code of a package may end the program
         except (Exception, SystemExit) as error:
-            text = fault_of_package(error) or f"this node failed: {described(error)}"
-            self.node.event("fault", "error", " ".join(text.split()))
+            self.report_failure(error)
             raise
         finally:
-            # Making the device safe may take its time, and is no turn of the loop.
-            self.node.clock = self._clock
-            try:
-                self.node.make_safe()
-            finally:
-                # The device of a package may fail here as well.
-                self.node.state = "stopping"
-                self.publish_health()
-                self.node.publish_end(self._bus)
+            self.end()
+
+    def report_failure(self, error: BaseException) -> None:
+        """Publish that a turn has failed, and with what."""
+        text = fault_of_package(error) or f"this node failed: {described(error)}"
+        self.node.event("fault", "error", " ".join(text.split()))
+
+    def end(self) -> None:
+        """Leave the node safe, and publish its last report and its last message."""
+        # Making the device safe may take its time, and is no turn of the loop.
+        self.node.clock = self._clock
+        try:
+            self.node.make_safe()
+        finally:
+            # The device of a package may fail here as well.
+            self.node.state = "stopping"
+            self.publish_health()
+            self.node.publish_end(self._bus)
 
     @property
     def health_due_ns(self) -> int:
@@ -181,7 +189,7 @@ class NodeLoop:
             control = None
         if not isinstance(control, SessionControl) or control.command != "estop":
             # A file that cannot be read is still there because a person stopped the node.
-            control = stop_of(self.node.kept_stop_for, now_ns)
+            control = stop_of(self.node.kept_stop_for, now_ns, self._machine.token)
             payload = encode(control)
         if control.id != latch.newest_id and not self.node.has_taken_over(control.id):
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
@@ -191,7 +199,7 @@ class NodeLoop:
     def _stop_now(self, text: str) -> None:
         """Obey an emergency stop that nobody has sent as a message; `text` says where it came from."""
         now_ns = self._clock.now_ns()
-        control = stop_of(self.node.context.key, now_ns)
+        control = stop_of(self.node.context.key, now_ns, self._machine.token)
         self._dispatch(Received("session/control", control, encode(control), now_ns, Arrival.NEXT))
         self.node.event("mode", "warning", text)
 
@@ -288,13 +296,12 @@ class NodeLoop:
         self._report_connections(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
-        cpu_s = time.process_time()
+        cpu_s = self._machine.processor_time_s()
         p50, p99, greatest = self._lateness.take()
         rejected, _ = self._bus.rejections()
         if self.node.stale:
             rejected["stale"] = self.node.stale
         self._health = {
-            "pid": os.getpid(),
             "state": self.node.state,
             "uptime_s": (now_ns - self._started_ns) * 1e-9,
             "rate_hz": (self.node.steps - self._last_steps) / elapsed_s,
@@ -304,13 +311,12 @@ class NodeLoop:
             "lateness_max_s": greatest,
             "overruns": self.node.overruns,
             "rejected": rejected,
-            "cpu_percent": 100.0 * max(0.0, cpu_s - self._last_cpu_s) / elapsed_s,
-            "memory_bytes": resident_bytes(),
             "realtime": self._realtime.fifo,
             "memory_locked": self._realtime.memory_locked,
             "replay": self.node.replay,
             "inputs": self._bus.input_health(),
             **self.node.device_health(),
+            **self._machine.health(cpu_s - self._last_cpu_s, elapsed_s),
         }
         self._receives_all = all(row.age_valid or not TOPICS[row.topic].rate_hz for row in self._health["inputs"])
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns

@@ -20,6 +20,7 @@ from telenano.runtime.bus.transports import STREAM
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.hang_guard import HangGuard
 from telenano.runtime.loop.log import RateLimitedLog, StructuredLog
+from telenano.runtime.loop.machine import OWN_MACHINE, Machine
 from telenano.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
 from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
@@ -51,6 +52,9 @@ class Participant:
     network: Transport
     wake_descriptor: int
     period_s: float = LOOP_PERIOD_S
+    machine: Machine = OWN_MACHINE
+    # Further metadata of a recording that is begun here, by name.
+    recorded_facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def bind(self, key: str, kind: int = zmq.PUB, *, ends: bool = False) -> ZmqPublisher:
@@ -148,6 +152,17 @@ class Participant:
         bus.is_brief = self.book.spans_machines and site_of(self.key) == "slave"
         return bus
 
+    def recording_bus(self, make: Callable[..., Any], publisher: Publisher, listeners: Any, intake: Any) -> Any:
+        """Return the bus of a recorder, which hands what its listeners receive to `intake` as it came.
+
+        Args:
+            make: The class of the bus, `RecorderBus` of the recorder.
+            publisher: Sends what the recorder publishes.
+            listeners: The connections of the recorder, each with what is known of its streams.
+            intake: Records the messages.
+        """
+        return make(publisher, listeners, intake, self.clock, self.wake_descriptor, self.network)
+
     def context(self, bus: Bus) -> NodeContext:
         return NodeContext(
             self.key,
@@ -157,6 +172,7 @@ class Participant:
             kept_stop=self.kept_stop(),
             places=self.network.places,
             period_s=self.period_s,
+            machine=self.machine,
         )
 
     def kept_stop(self) -> Path | None:

@@ -61,6 +61,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "soak.py": {"least_rate_share": (0.2, 1.05), "rate_to_machine": (0.2, 2.0)},
     "tables.py": {},
     "turns.py": {"parts.*.us": (0.5, 1e4), "parts.*.ratio": (0.2, 5.0)},
+    "virtual.py": {"*.times": (0.05, 100.0), "*.best_us_per_ms": (10.0, 2e4)},
     "viz.py": {},
     "wide_area.py": {"delay_ms": (10.0, 10.0), "link.0": (5.0, 500.0), "bare.0": (5.0, 500.0)},
 }  # fmt: skip

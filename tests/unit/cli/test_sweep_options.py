@@ -10,6 +10,7 @@ from telenano.cli import lazy_commands, sweep
 from telenano.cli.options import table_formats
 from telenano.cli.root import app
 from telenano.cli.sweep import points_of, run_sweep, without_sweep
+from telenano.virtual.request import SimulateRequest
 from telenano.wire.errors import ConfigError, RigError
 
 RUNNER = CliRunner()
@@ -22,6 +23,23 @@ def test_a_sweep_is_every_combination_of_its_values() -> None:
         "round_trip_ms=40, law=wave", "round_trip_ms=40, law=smith",
     ]  # fmt: skip
     assert points[3].options == ("--round-trip-ms", "40", "--set", "controller.law=smith")
+
+
+def test_a_command_with_a_seed_of_its_own_is_given_it() -> None:
+    points = points_of(["seed=3,4"], seed_option="--seed")
+    assert [point.options for point in points] == [("--seed", "3"), ("--seed", "4")]
+    request = SimulateRequest(scenario="fig12", settings=("controller.law=wave",))
+    asked = points[1].asked_of(request, Path("out"))
+    assert (asked.seed, asked.settings, asked.out) == (4, ("controller.law=wave",), Path("out/seed=4"))
+    words = ["telenano", "simulate", "fig12", "--seeds", "2", "--json", "--no-report", "--out", "x"]
+    assert without_sweep(words, "simulate") == ["fig12", "--no-report"]
+
+
+@pytest.mark.parametrize("seed", ["x", "1.5"])
+def test_a_seed_that_is_no_whole_number_is_refused(tmp_path: Path, seed: str) -> None:
+    done = RUNNER.invoke(app, ["simulate", "fig12", "--out", str(tmp_path / "out"), "--sweep", f"seed=1,{seed}"])
+    assert done.exit_code == 2
+    assert f"--seed = {seed}: is not a whole number" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -233,6 +233,17 @@ def test_an_emergency_stop_at_the_inlet_is_recorded_at_the_site_of_its_sender(
     ]
 
 
+@pytest.mark.parametrize("topic", ["node/health", "session/event", "session/control"])
+def test_what_was_damaged_behind_its_header_is_recorded_once_and_means_nothing(
+    intake: Intake, listen: MakeListener, topic: str
+) -> None:
+    payload = msgpack.packb({"seq": 0, "t_ns": EPOCH_NS, "src": "launcher@master", "v": 1, "id": 7, "state": b"\xff"})
+    assert intake.record(listen("launcher@master"), [topic.encode(), payload], EPOCH_NS) is None
+    found = list(recorded(intake).raw())
+    assert [(message.channel.topic, message.payload) for message in found] == [(topic, payload)]
+    assert intake.rejected == 0
+
+
 def header(**changes: Any) -> bytes:
     fields = {"seq": 1, "t_ns": 2, "src": "haptic_node@master", "v": 1} | changes
     return msgpack.packb({key: value for key, value in fields.items() if value is not None})

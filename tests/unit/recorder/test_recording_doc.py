@@ -11,6 +11,7 @@ from services.player.node import SETTERS
 from services.recorder.command import record
 from services.recorder.node import ACTIONS
 from telenano.cli.commands.bag import app
+from telenano.cli.commands.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[3]
 GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
@@ -23,6 +24,7 @@ def options() -> set[str]:
     commands = typer.Typer()
     commands.command()(replay)
     commands.command()(record)
+    commands.command()(simulate)
     commands.add_typer(app, name="bag")
     root = get_command(commands)
     found = set(ELSEWHERE)

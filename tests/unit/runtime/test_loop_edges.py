@@ -200,7 +200,7 @@ def test_a_report_states_the_share_of_a_processor_since_the_last_one(monkeypatch
     begun_s = 7.0
     # The clock of processor time may step back, and no share is negative.
     used_s = iter((begun_s, begun_s + 0.1, begun_s + 0.25, begun_s + 0.2))
-    monkeypatch.setattr("telenano.runtime.loop.node_loop.time.process_time", lambda: next(used_s))
+    monkeypatch.setattr("telenano.runtime.loop.machine.time.process_time", lambda: next(used_s))
     rig = Rig(period_ns=MS)
     rig.run_until(1010 * MS)
     assert [report.cpu_percent for report in rig.health[1:]] == pytest.approx([30.0, 0.0])

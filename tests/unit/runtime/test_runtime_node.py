@@ -20,7 +20,8 @@ from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.loop import journal
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
+from telenano.runtime.loop.machine import resident_bytes
+from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock

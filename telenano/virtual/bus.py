@@ -1,0 +1,253 @@
+"""The bus in memory: what a node publishes goes to the rig, and a reader takes what has arrived as from a socket."""
+
+import heapq
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, islice
+from operator import itemgetter
+from typing import Any, NamedTuple, Protocol
+
+from telenano.runtime.bus.bus import ConnectionEvent, MessageReader, Taken
+from telenano.runtime.bus.publisher import version_of
+from telenano.timing.clock import NEVER_NS, Clock
+from telenano.virtual.world import World
+from telenano.wire import TOPICS, Message, compose
+from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth
+from telenano.wire.nodes import LINK, RECORDER, name_of
+from telenano.wire.received import Received
+from telenano.wire.sequence import Arrival
+
+# A reader takes this number of messages at once.
+_BATCH = 256
+# A recorder takes what comes within this time together [ns]; each message keeps its own time of reception.
+_RECORDER_PERIOD_NS = 5_000_000
+_NEXT = Arrival.NEXT
+_DUPLICATE = Arrival.DUPLICATE
+_LATE = Arrival.LATE
+
+# when it arrives [ns], its number, topic and bytes, and what they say; None of bytes that are no message
+Arriving = tuple[int, int, str, bytes, Message | None]
+
+
+class VirtualReader(MessageReader):
+    """A reader that is handed messages, whose bytes need no second decoding."""
+
+    def __init__(self, clock: Clock, topics: Iterable[str], *, newest_only: bool = False) -> None:
+        super().__init__(clock, topics, newest_only=newest_only)
+        self.prefixes: tuple[str, ...] = ()
+        self._known: dict[bytes, Message | None] = {}
+
+    @property
+    def socket(self) -> "VirtualReader":
+        """What topics are subscribed to at."""
+        return self
+
+    def subscribe(self, prefix: bytes) -> None:
+        """Also read the topics that begin so."""
+        self.prefixes = (*self.prefixes, prefix.decode())
+
+    def wants(self, topic: str) -> bool:
+        """Return whether a topic is subscribed to."""
+        return topic in self.topics or any(map(topic.startswith, self.prefixes))
+
+    def arrived(self, waiting: Sequence[Arriving], received_ns: int) -> list[Received]:
+        """Return the messages that have arrived together, judged as those of a socket are."""
+        if len(waiting) == 1:
+            # most often there is one
+            _, _, topic, payload, message = waiting[0]
+            received = self._track(topic, payload, message, received_ns)
+            return [] if received is None else [received]
+        self._known = {payload: message for _, _, _, payload, message in waiting}
+        frames: list[Taken] = [((topic.encode(), payload), received_ns) for _, _, topic, payload, _ in waiting]
+        return self.take(frames)
+
+    def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        return self._track(frames[0].decode(), frames[1], self._known.get(frames[1]), received_ns)
+
+    def _track(self, topic: str, payload: bytes, message: Message | None, received_ns: int) -> Received | None:
+        if message is None:
+            # It is refused and counted by the same words as on a socket.
+            return super().decode_and_track((topic.encode(), payload), received_ns)
+        tracker = self.trackers.get((topic, message.src)) or self.tracker(topic, message.src)
+        arrival = tracker.accept(message.seq, message.t_ns)
+        if arrival is not _NEXT and (
+            (arrival is _LATE and TOPICS[topic].delivery == "latest")
+            or (arrival is _DUPLICATE and topic != "session/control")
+        ):
+            return None
+        return Received(topic, message, payload, received_ns, arrival)
+
+
+class VirtualBus:
+    """The bus of one node, or the endpoint of who only publishes."""
+
+    # What a publisher of the link says of its thread, which there is none of here.
+    yields = False
+    is_brief = False
+
+    def __init__(self, rig: World, key: str, topics: Sequence[str] = (), *, newest_only: bool | None = None) -> None:
+        """Open the bus of `key`; the link takes every message, the other nodes the newest."""
+        self.key = key
+        self.inbox: list[Arriving] = []
+        is_newest_only = name_of(key) != LINK if newest_only is None else newest_only
+        self.reader = VirtualReader(rig.clock, topics or TOPICS, newest_only=is_newest_only)
+        self._rig = rig
+        self._numbers: dict[str, int] = {}
+        # By topic, the version of its messages and what draws how long one takes to be sent [ns].
+        self._sending: dict[str, tuple[int, Callable[[], int]]] = {}
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        rig, seq = self._rig, self._numbers.get(topic, 0)
+        version, draw = self._sending.get(topic) or self._open(topic)
+        # sent some time after the turn began, which no re-run knows
+        t_ns = rig.clock.now_ns() + draw()
+        message, payload = compose(topic, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version, **fields})
+        self._numbers[topic] = seq + 1
+        rig.carry(topic, message, payload)
+        return message
+
+    def _open(self, topic: str) -> tuple[int, Callable[[], int]]:
+        names = ("sending", self.key, topic)
+        self._sending[topic] = version_of(topic), self._rig.streams.draws(self._rig.timing.sending, names)
+        return self._sending[topic]
+
+    def send(self, topic: str, payload: bytes) -> None:
+        self._rig.forward(self.key, topic, payload)
+
+    def receive(self) -> Iterable[Received]:
+        inbox, clock = self.inbox, self._rig.clock
+        now_ns = clock.monotonic_ns()
+        if not inbox or inbox[0][0] > now_ns:
+            return ()
+        waiting = [heapq.heappop(inbox)]
+        while inbox and inbox[0][0] <= now_ns and len(waiting) < _BATCH:
+            waiting.append(heapq.heappop(inbox))
+        return self.reader.arrived(waiting, clock.now_ns())
+
+    def wait(self, deadline_ns: int) -> None:
+        """Return at once: the rig has let the time pass."""
+
+    def next_ns(self) -> int:
+        """Return when the next message arrives, on the monotonic clock [ns]."""
+        return self.inbox[0][0] if self.inbox else NEVER_NS
+
+    def sequence_numbers(self) -> dict[str, int]:
+        return dict(self._numbers)
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        return tuple(islice(self.reader.input_health(), MAX_ROWS)) if self._rig.counts_inputs else ()
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        total = dict(self.reader.rejected)
+        superseded = sum(tracker.superseded for tracker in self.reader.trackers.values())
+        if superseded and self._rig.counts_inputs:
+            total[SUPERSEDED] = superseded
+        return total, self.reader.last_error
+
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+        return ()
+
+    def has_arrived(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        self.inbox.clear()
+
+
+class _Listener(Protocol):
+    """A connection of a recorder to one publisher, `console.listener.Listener`."""
+
+    @property
+    def publisher(self) -> str: ...
+
+    @property
+    def subscriber(self) -> Any: ...
+
+
+class _Intake(Protocol):
+    """What a recorder records with."""
+
+    def record(self, listener: Any, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        """Record one message, and return it if the node has to act on it."""
+
+
+class RecorderWay(NamedTuple):
+    """A topic on its way from an endpoint to a recorder: how late it comes [ns], its listener, and its first frame."""
+
+    draw: Callable[[], int]
+    listener: _Listener
+    frame: bytes
+
+
+class RecordingBus(VirtualBus):
+    """The bus of a recorder: it hands over what every endpoint sends, each message with its time of reception."""
+
+    def __init__(self, publisher: VirtualBus, listeners: Sequence[_Listener], intake: _Intake) -> None:
+        super().__init__(publisher._rig, publisher.key)
+        self._listeners: Mapping[str, _Listener] = {listener.publisher: listener for listener in listeners}
+        self._record: Callable[..., Received | None] = intake.record
+        self._taken_ns = 0
+        self._ways: dict[tuple[str, str], RecorderWay | None] = {}
+        # When the newest message of an endpoint is received [ns]: a recorder receives from one in the order of sending.
+        self.newest_ns: dict[str, int] = {}
+        # The messages on their way: when each is received [ns], its number, its way and its bytes.
+        self.coming: list[tuple[int, int, RecorderWay, bytes]] = []
+
+    def way(self, endpoint: str, topic: str) -> RecorderWay | None:
+        """Return the way of a topic from an endpoint to this recorder; None where it does not want it."""
+        place = (endpoint, topic)
+        try:
+            return self._ways[place]
+        except KeyError:
+            listener = self._listeners.get(endpoint)
+            if listener is None or not listener.subscriber.wants(topic):
+                self._ways[place] = None
+            else:
+                # The streams of the first recorder have no name of their own.
+                further = () if self.key == RECORDER else (self.key,)
+                draw = self._rig.streams.draws(self._rig.timing.recorder, ("recorder", endpoint, topic, *further))
+                self._ways[place] = RecorderWay(draw, listener, topic.encode())
+            return self._ways[place]
+
+    def next_ns(self) -> int:
+        return max(self.coming[0][0], self._taken_ns + _RECORDER_PERIOD_NS) if self.coming else NEVER_NS
+
+    def receive(self) -> Iterator[Received]:
+        """Record what has arrived; yield only commands, for the node to answer."""
+        now_ns, epoch_ns, record = self._rig.clock.monotonic_ns(), self._rig.clock.epoch_offset_ns, self._record
+        coming = self.coming
+        if not coming:
+            return
+        coming.sort()
+        if coming[-1][0] <= now_ns:
+            taken, self.coming = coming, []
+        else:
+            later = bisect_right(coming, now_ns, key=itemgetter(0))
+            taken, self.coming = coming[:later], coming[later:]
+        self._taken_ns = now_ns
+        for at_ns, _, way, payload in taken:
+            received = record(way.listener, (way.frame, payload), at_ns + epoch_ns)
+            if received is not None:
+                yield received
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        if not self._rig.counts_inputs:
+            return ()
+        rows: Iterable[InputHealth] = chain.from_iterable(
+            one.subscriber.input_health() for one in self._listeners.values()
+        )
+        if self.is_brief:
+            rows = (row for row in rows if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
+        return tuple(islice(rows, MAX_ROWS))
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        total: dict[str, int] = {}
+        text = ""
+        for listener in self._listeners.values():
+            for reason, count in listener.subscriber.rejected.items():
+                total[reason] = total.get(reason, 0) + count
+            text = listener.subscriber.last_error or text
+        return total, text
+
+    def close(self) -> None:
+        self.coming.clear()

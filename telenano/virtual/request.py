@@ -1,0 +1,144 @@
+"""A session in virtual time as it is asked for, planned, and run: what `telenano simulate` and the function share."""
+
+import shlex
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import yaml
+from pydantic import Field
+
+from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.launcher.rig_node import RigNode
+from telenano.launcher.run import Outcome
+from telenano.recording.session_folder import SessionFolder
+from telenano.runtime.loop.commands import Command, CommandName
+from telenano.settings.config import Settings
+from telenano.settings.included import TWO_SITES_FILE
+from telenano.settings.option import Option
+from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand, absence_of
+from telenano.wire.errors import ConfigError, known_names
+
+# `--seed` and `--sweep seed=` also seed what else is random in a session.
+SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
+_NAMES: tuple[str, ...] = CommandName.__args__  # type: ignore[attr-defined]
+
+
+class SimulateRequest(Settings):
+    """A session in virtual time, as `telenano simulate` is asked for it."""
+
+    scenario: str = Field(description="Experiment to run: a known name or a YAML file")
+    instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
+        default=None,
+        description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
+    )
+    round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
+        default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
+    )
+    duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
+    out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(
+        default=None, description="Folder for the results; default: sessions/NAME-DATE-TIME"
+    )
+    overwrite: Annotated[bool, Option(("--overwrite",))] = Field(
+        default=False, description="Replace the results of a session that the folder holds already"
+    )
+    settings: Annotated[tuple[str, ...], Option(("--set",), "SECTION.KEY=VALUE", tuple, many=True)] = Field(
+        default=(), description="Change one key of the scenario (SI units); may be repeated"
+    )
+    seed: int | None = Field(
+        default=None,
+        ge=0,
+        le=2**31 - 1,
+        description="Seed of the delays on each site, and of the link and all disturbances; without it that of the "
+        "delays is 0, and the others are the scenario's",
+    )
+    at: Annotated[tuple[str, ...], Option(("--at",), "'TIME COMMAND TARGET [KEY=VALUE …]'", tuple, many=True)] = Field(
+        default=(),
+        description="Give a command at a console, a time [s] after the force profile began, such as "
+        "'2.5 set controller law=wave'; may be repeated",
+    )
+    both_sites: Annotated[bool, Option(("--both-sites",))] = Field(
+        default=False,
+        description="Record at each site what it sends, as on two machines: session.mcap, far/session.mcap, and both "
+        "in both.mcap",
+    )
+
+    def commands(self) -> tuple[TimedCommand, ...]:
+        """Return what is to be commanded; ConfigError names the text that is no command."""
+        return tuple(map(timed_command, self.at))
+
+
+def timed_command(text: str) -> TimedCommand:
+    """Return a command of a console with its time; ConfigError says what is wrong with the text."""
+    try:
+        time, name, target, *rest = shlex.split(text)
+        time_s = float(time)
+    except ValueError:
+        example = "'2.5 set controller law=wave'"
+        raise ConfigError(f"--at {text!r}: is not of the form 'TIME COMMAND TARGET [KEY=VALUE …]': {example}") from None
+    if name not in _NAMES:
+        raise ConfigError(f"--at {text!r}: no such command, {known_names(name, _NAMES)}")
+    if not 0.0 <= time_s < 86_400.0:
+        raise ConfigError(f"--at {text!r}: the time must be 0 to 86400 s after the force profile began")
+    parameters = {}
+    for word in rest:
+        key, sign, value = word.partition("=")
+        try:
+            parameters[key] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            sign = ""
+        if not sign or not key or not isinstance(parameters.get(key), bool | int | float | str):
+            raise ConfigError(f"--at {text!r}: {word!r} is not of the form KEY=VALUE, with a number, a word or a flag")
+    expected = (target,) if "@" in target and not set(target) & set("*?[") else ()
+    return TimedCommand(time_s, Command(name, target, expected, parameters))  # type: ignore[arg-type]
+
+
+def plan_of(request: SimulateRequest, default_out: Path) -> Plan:
+    """Read and check everything that a session in virtual time needs; ConfigError names file and key at fault."""
+    seeds = () if request.seed is None else tuple(f"{key}={request.seed}" for key in SEEDS)
+    sites = ("recorder.far=fetch",) if request.both_sites else ()
+    up = UpRequest(
+        scenario=request.scenario,
+        instrument=request.instrument,
+        round_trip_ms=request.round_trip_ms,
+        duration_s=request.duration_s,
+        out=request.out,
+        overwrite=request.overwrite,
+        settings=(*seeds, *request.settings, *sites),
+        site_file=TWO_SITES_FILE if request.both_sites else None,
+    )
+    request.commands()
+    return make_plan(up, default_out)
+
+
+def run_plan(
+    plan: Plan,
+    request: SimulateRequest,
+    observe: Callable[[RigNode], None] = lambda rig: None,
+    show: Callable[[str], None] = lambda text: None,
+) -> Outcome:
+    """Run a planned session in virtual time.
+
+    Args:
+        plan: The planned session.
+        request: What was asked for.
+        observe: Called with the node of the launcher at each of its ticks.
+        show: Called with each line for the user.
+
+    Raises:
+        ConfigError: The scenario has a real device.
+        RigError: The session could not be run.
+    """
+    rig = SimulatedRig(plan, request.seed or 0, commands=request.commands(), far=request.both_sites)
+    if text := absence_of(plan):
+        show(f"warning: {text}")
+    outcome = rig.run(observe)
+    for text in rig.failed_commands:
+        show(f"a command of --at failed: {text}")
+    if request.both_sites and outcome.ran and outcome.recordings:
+        folder = SessionFolder(plan.out)
+        parts = sorted((plan.out / FAR_FOLDER).glob("*.mcap"))
+        folder.note_far([path.name for path in parts])
+        return replace(outcome, recordings=(folder.merge(parts),))
+    return outcome

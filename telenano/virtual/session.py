@@ -1,0 +1,281 @@
+"""A session of a planned rig in virtual time: the launcher's own node starts, arms, runs and stops the nodes.
+
+    plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
+    outcome = SimulatedRig(plan, seed=7).run()
+
+What is recorded is in the folder of the plan.
+"""
+
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+from telenano.afm.config import AfmConfig
+from telenano.hand.config import HapticConfig
+from telenano.launcher.plan import Plan
+from telenano.launcher.processes import StopObserver
+from telenano.launcher.rig_node import RigNode
+from telenano.launcher.run import Outcome, outcome_of
+from telenano.launcher.session import SessionNode
+from telenano.launcher.supervisor import Supervisor
+from telenano.recording.disk import OWN_DISK, Disk, FolderDisk
+from telenano.recording.recorder_config import RecorderConfig
+from telenano.runtime.loop.commands import Command, CommandClient
+from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.node import Node, NodeContext
+from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
+from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
+from telenano.timing.clock import NEVER_NS
+from telenano.virtual.bus import VirtualBus
+from telenano.virtual.rig import Engine
+from telenano.virtual.timing import RANDOM_TIMING, Timing
+from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.messages import SessionEvent
+from telenano.wire.nodes import FAR_RECORDER, LAUNCHER, RECORDER, STOP_ORDER, name_of
+from telenano.wire.received import Received
+
+CONSOLE = "console@master"
+# The recorder of the other site writes to this folder in that of the session.
+FAR_FOLDER = "far"
+# After a node has ended, its last messages arrive within this time [ns].
+_DELIVERY_NS = 5_000_000
+# A recorder is stopped when it has what was sent last [ns].
+_LAST_MESSAGES_NS = 20_000_000
+# A console looks at its commands at this interval [ns].
+_CONSOLE_NS = 20_000_000
+
+
+class TimedCommand(NamedTuple):
+    """A command that a person gives at a console, that time after the force profile began [s]."""
+
+    time_s: float
+    command: Command
+
+
+class ConsoleNode(Node):
+    """A console, at which a person gives commands at times that were fixed before."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("session/event", "node/health")
+    period_s = _CONSOLE_NS * 1e-9
+
+    def __init__(
+        self, context: NodeContext, commands: Sequence[TimedCommand], elapsed_s: Callable[[], float | None]
+    ) -> None:
+        """Prepare to give commands; `elapsed_s` returns the time since the force profile began, None before it."""
+        super().__init__(context)
+        self._waiting = sorted(commands, key=lambda timed: timed.time_s)
+        self._elapsed_s = elapsed_s
+        # A command to a pattern waits for further answers, while the next ones are given.
+        self._clients: list[CommandClient] = []
+        self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), _CONSOLE_NS)
+        # What became of each command that failed, in sentences.
+        self.failures: list[str] = []
+
+    def deadline_ns(self) -> int:
+        return self._ticks.deadline_ns
+
+    def on_message(self, received: Received) -> None:
+        if isinstance(received.message, SessionEvent):
+            for client in self._clients:
+                client.on_event(received.message)
+
+    def on_deadline(self, now_ns: int) -> None:
+        self._ticks.advance(now_ns)
+        elapsed_s = self._elapsed_s()
+        while elapsed_s is not None and self._waiting and elapsed_s >= self._waiting[0].time_s:
+            command = self._waiting.pop(0).command
+            self._clients.append(CommandClient(self.clock, self.publish, [command], token=self.context.machine.token))
+        for client in [client for client in self._clients if client.advance()]:
+            self._clients.remove(client)
+            self.failures += [client.failure] if client.failure else []
+
+    def make_safe(self) -> None:
+        """Do nothing: a console moves no device."""
+
+
+class VirtualProcesses:
+    """The nodes of a rig in virtual time, as a supervisor starts and ends processes."""
+
+    def __init__(self, rig: "SimulatedRig", folder: Path) -> None:
+        self._rig, self._folder = rig, folder
+        self._ended: dict[str, int] = {}
+        self._ready_ns = 0
+
+    def start(self, node: str) -> int:
+        """Start a node, after those that are starting; it takes its first turn when it has started."""
+        rig = self._rig
+        now_ns = rig.clock.monotonic_ns()
+        try:
+            rig.start(node, starting_period_ns=STARTING_PERIOD_NS)
+        except TelenanoError as error:
+            rig.log_of(node).error(str(error))
+            self._ended[node] = EXIT_BAD_START
+            return 1
+        self._ready_ns = max(self._ready_ns, now_ns) + rig.draw(rig.timing.start, "start", node)
+        rig.stall(node, (self._ready_ns - now_ns) * 1e-9)
+        return 1
+
+    def died(self, node: str) -> None:
+        """Record that a turn of a node has failed."""
+        self._ended[node] = EXIT_DIED
+
+    def reap(self) -> dict[str, int]:
+        ended, self._ended = self._ended, {}
+        return ended
+
+    def kill(self, node: str) -> None:
+        """Do nothing: no node hangs without the rig."""
+
+    def log_tail(self, node: str) -> str:
+        return "\n".join(self._rig.log_of(node).lines)
+
+    def log_path(self, node: str) -> Path:
+        return self._folder / "logs" / f"{node}.log"
+
+    def stop(self, observer: StopObserver) -> None:
+        """Stop every node in order, each when the last messages of the one before have arrived; recorders last."""
+        rig = self._rig
+        running = [node for node in STOP_ORDER if node in rig.loops]
+        for node in (node for node in running if name_of(node) != name_of(RECORDER)):
+            rig.end(node)
+            rig.let_pass(_DELIVERY_NS)
+            observer.wait([node], 0.0, 0.0)
+        rig.let_pass(_LAST_MESSAGES_NS)
+        for node in (node for node in running if name_of(node) == name_of(RECORDER)):
+            rig.end(node)
+            rig.let_pass(_DELIVERY_NS)
+
+
+class SimulatedRig(Engine):
+    """A session of a plan in virtual time.
+
+    Args:
+        plan: The checked rig; every node runs here.
+        seed: The seed of all delays on the sites and of how late a loop wakes up.
+        timing: Those delays.
+        disk: The disk of the recorders.
+        commands: What a person commands at a console while the session runs.
+        far: Whether each site records what it sends by a recorder of its own.
+
+    Raises:
+        ConfigError: A device of the scenario is a real one.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        seed: int,
+        timing: Timing = RANDOM_TIMING,
+        *,
+        disk: Disk = OWN_DISK,
+        commands: Sequence[TimedCommand] = (),
+        far: bool = False,
+    ) -> None:
+        _require_simulated(plan)
+        super().__init__(
+            plan.loaded,
+            seed,
+            timing,
+            scenario_file=plan.scenario_file,
+            site_file=plan.site_file,
+            disk=FolderDisk(plan.out, disk),
+            counts_inputs=True,
+        )
+        self.plan = plan
+        nodes = (*([FAR_RECORDER] if far else ()), *plan.nodes)
+        self._processes = VirtualProcesses(self, plan.out)
+        supervisor = Supervisor(self.clock, nodes, self._processes)
+        bus = VirtualBus(self, LAUNCHER, SessionNode.inputs)
+        self.launcher = SessionNode(self.wiring(LAUNCHER).context(bus), supervisor, plan.scenario.duration_s)
+        self.console: ConsoleNode | None = None
+        self.run_node(LAUNCHER, self.launcher, bus)
+        if commands:
+            console = VirtualBus(self, CONSOLE, ConsoleNode.inputs)
+            self.console = ConsoleNode(self.wiring(CONSOLE).context(console), commands, self._elapsed_s)
+            self.run_node(CONSOLE, self.console, console)
+
+    def run(self, observe: Callable[[RigNode], None] = lambda node: None) -> Outcome:
+        """Run the session to its end; `observe` is called with the launcher at each of its ticks."""
+        self.plan.prepare_folder()
+        self.launcher.observe = observe
+        loop = self.loops[LAUNCHER]
+        try:
+            self.launcher.launch()
+            self.advance(NEVER_NS)
+        finally:
+            # The launcher takes no more turns, and stops the nodes, which do.
+            self._due_of.pop(LAUNCHER, None)
+            self.is_over = False
+            loop.end()
+            self.close()
+        return outcome_of(self.launcher, self.plan)
+
+    @property
+    def failed_commands(self) -> tuple[str, ...]:
+        """Why commands that were to be given at the console failed, in sentences."""
+        return () if self.console is None else tuple(self.console.failures)
+
+    def turn(self, key: str, loop: NodeLoop) -> None:
+        """Let a node take a turn; one whose turn fails is started again by the launcher, as a process is."""
+        try:
+            loop.turn()
+        except (Exception, SystemExit) as error:
+            if key == LAUNCHER:
+                raise
+            self.log_of(key).error("".join(traceback.format_exception_only(error)).strip())
+            loop.report_failure(error)
+            self.end(key)
+            self._processes.died(key)
+        if key == LAUNCHER and loop.node.context.stop_requested:
+            self.is_over = True
+
+    def end(self, key: str) -> None:
+        """Let a node make its device safe and publish its last message, and take no more turns."""
+        loop = self.loops[key]
+        loop.node.context.request_stop()
+        try:
+            loop.end()
+        # The device of a package may fail here as well, and the other nodes are stopped all the same.
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            self.log_of(key).error("".join(traceback.format_exception_only(error)).strip())
+        self.leave(key)
+
+    def let_pass(self, duration_ns: int) -> None:
+        """Let time pass for the nodes that still run."""
+        self.advance(self.clock.monotonic_ns() + duration_ns)
+
+    def config_of(self, key: str, config: Any) -> Any:
+        """Return the section of a node: a recorder writes to the folder of the session, or to that of its site."""
+        if isinstance(config, RecorderConfig):
+            return config.model_copy(update={"directory": Path(FAR_FOLDER if key == FAR_RECORDER else "")})
+        return config
+
+    def _elapsed_s(self) -> float | None:
+        return self.launcher.elapsed_s if self.launcher.ran else None
+
+
+def _require_simulated(plan: Plan) -> None:
+    """Raise ConfigError for a scenario with a real device, whose time is not virtual."""
+    haptic = plan.loaded.section("haptic_node", HapticConfig)
+    afm = plan.loaded.section("afm_node", AfmConfig)
+    for section, driver, simulated in (
+        ("haptic_node", haptic.driver, haptic.simulated),
+        ("afm_node", afm.driver, afm.simulated),
+    ):
+        if not simulated:
+            raise ConfigError(
+                f"{plan.loaded.origin}: {section}.driver: {driver} drives a real device or a wire, which has no "
+                "virtual time: give a simulated driver, or run the session with `telenano up`"
+            )
+
+
+def absence_of(plan: Plan) -> str:
+    """Return in words that the operator of a plan is a person, who takes no part in virtual time; else empty."""
+    haptic = plan.loaded.section("haptic_node", HapticConfig)
+    if haptic.operator.kind != "interactive":
+        return ""
+    return (
+        f"{plan.loaded.origin}: haptic_node.operator.kind: interactive is a person, and none takes part in virtual "
+        "time: nothing pushes the hand; give another operator, or run the session with `telenano up`"
+    )

@@ -1,0 +1,83 @@
+"""Delays of a rig in virtual time: each from a stream of random numbers of its own, which one seed begins."""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+# low <= delay < high [ns]
+Range = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Delays of the rig [ns], each drawn evenly from low <= delay < high, and shares of what happens now and then.
+
+    sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites, None where
+    the link is a node of its own; start: from one node to the next; wake: lateness of a loop; recorder: until the
+    recorder receives a message. stall_share of the turns are 3 ms late on top.
+    """
+
+    sending: Range = (0, 20_000)
+    site: Range = (10_000, 200_000)
+    link: Range | None = None
+    start: Range = (100_000, 5_000_000)
+    wake: Range = (0, 60_000)
+    recorder: Range = (20_000, 400_000)
+    stall_share: float = 2e-3
+
+
+RANDOM_TIMING = Timing()
+
+
+def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
+    """Return a timing without jitter, lateness, stalls and repetitions: one delay of the link and one on a site [ns].
+
+    The rig then runs on the grid that the lockstep loop assumes. The delay on a site is more than zero, because it
+    orders what happens within a tick. The recorder gets every message as late as every other, and so in the order of
+    sending.
+    """
+    site, link = (site_ns, site_ns + 1), (link_ns, link_ns + 1)
+    return Timing((0, 1), site, link, (10_000, 10_001), (0, 1), site, stall_share=0.0)
+
+
+class RandomStreams:
+    """Streams of random numbers by name, all of one seed.
+
+    Each topic and each loop draws from its own, so that one message more, such as a part of a journal, moves no other.
+    The numbers are those of the bits of Python's generator, which are the same on every processor and version.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+        self._streams: dict[tuple[str, ...], random.Random] = {}
+        self._draws: dict[tuple[Range, tuple[str, ...]], Callable[[], int]] = {}
+
+    def of(self, names: tuple[str, ...]) -> random.Random:
+        """Return the stream of these names."""
+        stream = self._streams.get(names)
+        if stream is None:
+            stream = self._streams[names] = random.Random(f"{self.seed} {' '.join(names)}")
+        return stream
+
+    def draw(self, low_high: Range, names: tuple[str, ...]) -> int:
+        """Draw a delay [ns] from the stream of these names."""
+        return self.draws(low_high, names)()
+
+    def draws(self, low_high: Range, names: tuple[str, ...]) -> Callable[[], int]:
+        """Return what draws a delay [ns] from the stream of these names."""
+        low, high = low_high
+        width = high - low
+        if width == 1:
+            return lambda: low
+        place = (low_high, names)
+        if (found := self._draws.get(place)) is not None:
+            return found
+        bits_of, bits = self.of(names).getrandbits, width.bit_length()
+
+        def draw() -> int:
+            while (drawn := bits_of(bits)) >= width:
+                pass
+            return low + drawn
+
+        self._draws[place] = draw
+        return draw

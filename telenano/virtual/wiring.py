@@ -1,0 +1,96 @@
+"""How a process is put together, in memory: what the builder of a node is given instead of sockets and keys."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from telenano.runtime.bus.bus import Bus, Subscriber
+from telenano.runtime.loop.node import NodeContext
+from telenano.runtime.wiring.link_transports import LinkEnds
+from telenano.runtime.wiring.main import Wiring
+from telenano.runtime.wiring.participant import SITES
+from telenano.virtual.bus import RecordingBus, VirtualBus, VirtualReader
+from telenano.virtual.world import World
+from telenano.wire.nodes import site_of
+
+
+@dataclass(frozen=True)
+class NoNetwork:
+    """The network of a process in memory: the machine that it is on, and nothing that could connect."""
+
+    machine: str
+    descriptors: Sequence[int] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualWiring(Wiring):
+    """The part of a node in a rig in memory, with the methods that a builder calls.
+
+    `given` is the context of a node that is built beside the running one; None builds the one that runs.
+    """
+
+    rig: World
+    given: NodeContext | None = None
+
+    def bind(self, key: str, kind: int = 0, *, ends: bool = False) -> Any:
+        return self.rig.endpoint(key)
+
+    def subscribers(
+        self,
+        connections: Mapping[str, Sequence[str]],
+        *,
+        apart: bool = False,
+        newest_only: bool = False,
+        shared: bool = False,
+    ) -> list[Subscriber]:
+        """Return a reader for all that is connected to; what it reads comes by the bus."""
+        topics = {topic for topics in connections.values() for topic in topics}
+        return [cast(Subscriber, VirtualReader(self.clock, topics, newest_only=newest_only))]
+
+    def observe(
+        self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES, *, shared: bool = False
+    ) -> dict[str, Subscriber]:
+        """Return a reader for each node at `sites`, for the topics that are `wanted` of it."""
+        topics_of = self.book.observed(self.network.machine, sites)
+        plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
+        return {node: cast(Subscriber, _Observer(self, topics, wanted, node)) for node, topics in plan.items()}
+
+    def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> Any:
+        return VirtualBus(self.rig, self.key, topics, newest_only=newest_only)
+
+    def bus_of(self, publisher: Any, subscribers: Sequence[Any]) -> Any:
+        publisher.reader = VirtualReader(self.clock, {topic for one in subscribers for topic in one.topics})
+        return publisher
+
+    def recording_bus(self, make: Callable[..., Any], publisher: Any, listeners: Any, intake: Any) -> Any:
+        return RecordingBus(publisher, listeners, intake)
+
+    def link_ends(self, outgoing: Any, reports: Any, readers: Sequence[Subscriber]) -> LinkEnds:
+        return LinkEnds()
+
+    def estop_inlet(self) -> list[Subscriber]:
+        return []
+
+    def kept_stop(self) -> None:
+        return None
+
+    def context(self, bus: Bus) -> NodeContext:
+        return self.given or super().context(bus)
+
+
+class _Observer(VirtualReader):
+    """What a recorder receives from one publisher: also topics of packages that this process learns of later."""
+
+    def __init__(
+        self, wiring: VirtualWiring, topics: Sequence[str], wanted: Callable[[str, str], bool], node: str
+    ) -> None:
+        super().__init__(wiring.clock, topics)
+        self._wanted, self._node = wanted, node
+
+    def wants(self, topic: str) -> bool:
+        return super().wants(topic) or self._wanted(topic, self._node)
+
+
+def network_of(key: str) -> Any:
+    """Return the network of a node in memory, which is on the machine of its site."""
+    return NoNetwork(site_of(key))
