@@ -92,6 +92,11 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
         lateral_n=state.lateral_n,
         of_hand=inputs.of_hand,
         goes=inputs.of_hand,
+        # The compiler fills in no defaults.
+        place_m=math.inf,
+        speed_m_per_s=math.inf,
+        interrupted=False,
+        hand_force_n=0.0,
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     moved = inputs_at(allowed.base_m, inputs.x_m, inputs.y_m)

@@ -27,6 +27,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node
 from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring, node_kind
+from telenano.runtime.wiring.participant import NoNetwork
 from telenano.settings.config import flag_overrides, merge, parse_yaml
 from telenano.settings.named_instruments import on_instrument
 from telenano.settings.scenario import LoadedScenario
@@ -255,7 +256,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         clock=clock,
         log=_NoLog(key),
         # Nothing is connected: a node with a journal uses only `bus` of its wiring.
-        network=cast(Any, None),
+        network=cast(Any, NoNetwork("")),
         wake_descriptor=-1,
         rerun_bus=bus,
     )

@@ -8,18 +8,10 @@ from telenano.runtime.bus.bus import Bus, Subscriber
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring
-from telenano.runtime.wiring.participant import SITES
+from telenano.runtime.wiring.participant import SITES, NoNetwork
 from telenano.virtual.bus import RecordingBus, VirtualBus, VirtualReader
 from telenano.virtual.world import World
 from telenano.wire.nodes import site_of
-
-
-@dataclass(frozen=True)
-class NoNetwork:
-    """The network of a process in memory: the machine that it is on, and nothing that could connect."""
-
-    machine: str
-    descriptors: Sequence[int] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

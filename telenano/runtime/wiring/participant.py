@@ -38,6 +38,16 @@ OBSERVER = "record@master"
 NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
 
 
+@dataclass(frozen=True)
+class NoNetwork:
+    """The network of a process in memory: the machine that it is on, and nothing that could connect."""
+
+    machine: str
+    descriptors: Sequence[int] = ()
+    # Without sockets there are no paths that others could remove.
+    places: None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Participant:
     """A process on the bus: its name there, its clock, and the sockets that it opens.
