@@ -51,7 +51,8 @@ class VirtualConsole:
         self.sent.append(command.name)
         while True:
             before = len(self.rig.received("session/event", TIP))
-            self.rig.command(command.name, command.target, self.rig.received("afm/state", TIP)[-1])
+            newest_state = self.rig.received("afm/state", TIP)[-1]
+            self.rig.command(command.name, command.target, newest_state, **dict(command.parameters))
             self.run(0.05)
             events = self.rig.received("session/event", TIP)[before:]
             answer = next(event for event in events if event.kind in ("ack", "refused"))
