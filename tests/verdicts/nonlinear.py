@@ -79,6 +79,13 @@ def _cycle(at: Setting, motion: Motion) -> Motion:
     return motion._replace(truth="goes_on", rule=rule, quarter_n=motion.last_n)
 
 
+def _irregular(at: Setting, motion: Motion, least: float) -> Motion:
+    """Return a motion whose turns differ, and that goes on at its end, with the rule by which that cannot be known."""
+    like = "like_excitation" if motion.last_n < least * at.hand_n else None
+    few = "few_periods" if motion.frequency_hz * motion.seen_s < n.IRREGULAR_TURNS else None
+    return _cycle(at, motion._replace(rule=motion.rule or like or few))
+
+
 def _death(at: Setting, motion: Motion) -> Motion:
     """Return a motion that dies out for its last seconds at its rate, with the rule by which that cannot be known."""
     change = -motion.rate_per_s * motion.seen_s
@@ -132,16 +139,14 @@ def _beats(draw: _Draw, _: np.random.Generator, at: Setting) -> Motion:
     beats, dies = draw.of(n.BEATS), draw.happens(n.DIES_SHARE)
     change = draw.of(n.RATE_TIMES_REST) if dies else 0.0
     other_hz = frequency_hz + beats / at.length_s
-    fade = last_n * np.exp(np.minimum(-change * (at.since_s / at.length_s - 1.0 if dies else 0.0), 3.0))
+    fade = last_n * np.exp(-change * at.since_s / at.length_s)
     wave = _wave(draw, fade, _turned(draw, frequency_hz, at.since_s))
     wave = wave + _wave(draw, depth * fade, _turned(draw, other_hz, at.since_s))
     few = beats < n.LEAST_BEATS and change < d.ENOUGH_RATE_TIMES_LENGTH
     motion = Motion(wave, "goes_on", at.length_s, last_n, frequency_hz, "few_beats" if few else None)
     if not dies:
-        return _cycle(at, motion)
-    # the swing that dies has at most e³ of its last amplitude, and stays there before
-    seen_s = at.length_s * min(1.0, 3.0 / change)
-    return _death(at, motion._replace(rate_per_s=-change / at.length_s, seen_s=seen_s))
+        return _irregular(at, motion, 0.0)
+    return _death(at, motion._replace(last_n=last_n * math.exp(-change), rate_per_s=-change / at.length_s))
 
 
 def _wanders(draw: _Draw, generator: np.random.Generator, at: Setting) -> Motion:
@@ -157,7 +162,7 @@ def _wanders(draw: _Draw, generator: np.random.Generator, at: Setting) -> Motion
     motion = Motion(_wave(draw, size * fade, phase), "goes_on", at.length_s, last_n, frequency_hz)
     motion = motion._replace(rule="slow_wander" if slow else None)
     if not dies:
-        return _cycle(at, motion)
+        return _irregular(at, motion, n.LEAST_IRREGULAR)
     ended = motion._replace(last_n=n.MOST_WANDERED * last_n * math.exp(-change), rate_per_s=-change / at.length_s)
     return _death(at, ended)
 
@@ -195,15 +200,22 @@ def _stick_slip(draw: _Draw, generator: np.random.Generator, at: Setting) -> Mot
     part = (time_s - starts[index]) / periods[index]
     load = np.where(part < 1.0 - slip, part / (1.0 - slip), (1.0 - part) / slip)
     ring = ringing * np.exp(-9.0 * part) * np.sin(2.0 * math.pi * turns * part) * (index > 0) * (at.since_s < stop_s)
-    motion = Motion(last_n * (2.0 * load - 1.0 + ring), "goes_on", at.length_s, last_n, frequency_hz)
+    gone = np.exp(np.minimum(stop_s - at.since_s, 0.0) * frequency_hz / n.STOPPED_WITHIN)
+    motion = Motion(last_n * (2.0 * load - 1.0 + ring) * gone, "goes_on", at.length_s, last_n, frequency_hz)
     if not stops:
-        return _cycle(at, motion)
-    return motion._replace(truth="settles", seen_s=at.length_s - stop_s, quarter_n=0.0 if stop_s < 0.75 * at.length_s else math.inf)
+        return _irregular(at, motion, n.LEAST_IRREGULAR)
+    return motion._replace(
+        truth="settles", seen_s=at.length_s - stop_s, quarter_n=0.0 if stop_s < 0.75 * at.length_s else math.inf
+    )
 
 
 def _drifts(draw: _Draw, _: np.random.Generator, at: Setting) -> Motion:
     frequency_hz, last_n = draw.of(n.FREQUENCY), at.hand_n * draw.of(n.LAST_AMPLITUDE)
-    factor, shape, part = draw.of(n.AMPLITUDE_DRIFT), draw.choice(n.DRIFT_SHAPES), np.minimum(at.since_s / at.length_s, 1.0)
+    factor, shape, part = (
+        draw.of(n.AMPLITUDE_DRIFT),
+        draw.choice(n.DRIFT_SHAPES),
+        np.minimum(at.since_s / at.length_s, 1.0),
+    )
     sizes = {
         "line": 1.0 + (factor - 1.0) * part,
         "root": np.sqrt(1.0 + (factor * factor - 1.0) * part),
@@ -301,7 +313,9 @@ def nonlinear_course(seed: int) -> Course:
     closed = rest_n + motion.force_n + landing + creeping
     touches = closed > 0.0 if draw.happens(n.SURFACE_SHARE) else np.ones(closed.size, dtype=np.bool_)
     force_n[first:], contact[first:] = np.where(touches, closed, 0.0), touches
-    hand = np.interp(time_s, [0.0, start_s - ramp_s, start_s, end_s, end_s + max(ramp_s, 1e-9)], [0.0, 0.0, 1.0, 1.0, 0.0])
+    hand = np.interp(
+        time_s, [0.0, start_s - ramp_s, start_s, end_s, end_s + max(ramp_s, 1e-9)], [0.0, 0.0, 1.0, 1.0, 0.0]
+    )
     hand_force_n = hand_n * hand
     force_n[last:] *= hand[last:]
     contact[last:] &= hand[last:] > 0.0

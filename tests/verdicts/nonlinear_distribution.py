@@ -46,6 +46,7 @@ SLIP_JITTER = Range(0.0, 0.3, "of a period")  # By how much two periods differ.
 SLIP_RINGING = Range(0.0, 0.4, "of the slip")  # What rings after a slip ...
 SLIP_RINGING_TURNS = Range(3.0, 12.0, "turns in a period")  # ... and how fast; it decays within a third of the period.
 STOPS_AT = Range(0.1, 0.7, "of the hold")  # When a stick-slip ends that does.
+STOPPED_WITHIN = 0.1  # Of a period: the time in which what it stopped at is gone, to a part of 1/e.
 AMPLITUDE_DRIFT = Range(0.2, 5.0, "of the amplitude, from the start to the end", logarithmic=True)
 DRIFT_SHAPES = (Share("line", 0.4), Share("root", 0.3), Share("exponential", 0.3))
 OTHER_AMPLITUDE = Range(0.2, 20.0, "of the swing that stays", logarithmic=True)  # Of the swing that dies.
@@ -62,10 +63,14 @@ SURFACE_SHARE = 0.6  # Probability that the surface does not pull: below no forc
 
 # --- what can be known, besides the rules of `distribution.py` -------------------------------------------------------
 
+LEAST_IRREGULAR = 0.1  # Of the hand force: a random link excites less than this amplitude ("no_truth:like_excitation").
+IRREGULAR_TURNS = 4.0  # A motion whose turns differ is seen in no fewer ("no_truth:few_periods").
 LEAST_BEATS = 2.0  # Fewer than this many beats are a growth or a decay ("no_truth:few_beats").
 MOST_MEMORY = 1.0 / 12.0  # A memory of more than this of what is seen looks like a growth ("no_truth:slow_wander").
 MOST_STEADY_CHANGE = 0.15  # An amplitude that drifts by less than this, as a logarithm, is that of a cycle ...
-LEAST_SWING_OVER_OTHERS = 1.0  # ... and a swing that stays is no smaller than this part of what dies beside it at the end.
+LEAST_SWING_OVER_OTHERS = (
+    1.0  # ... and a swing that stays is no smaller than this part of what dies beside it at the end.
+)
 GROWN_PART = 0.35  # A bounded motion is a cycle in at least this part of the hold; else "no_truth:turning".
 AT_REST = 0.05  # From peak to peak, of the hand force: less than this in the last quarter is a motion at rest.
 

@@ -420,7 +420,9 @@ def _with_truth(plan: Plan) -> Plan:
     cell = cell_of(rate_per_s, main.frequency_hz, length_s)
     plan = plan._replace(truth=truth, length_s=length_s, rate_per_s=rate_per_s, cell=cell)
     many = truth != "settles" and main.frequency_hz * length_s >= MANY_TURNS
-    return plan._replace(tags=plan.tags | ({"many_turns"} if many else set()) | ({"at_rest"} if _rests(plan) else set()))
+    return plan._replace(
+        tags=plan.tags | ({"many_turns"} if many else set()) | ({"at_rest"} if _rests(plan) else set())
+    )
 
 
 def _rests(plan: Plan) -> bool:
