@@ -146,6 +146,11 @@ class Window(NamedTuple):
     def left_n(self) -> float:
         return rms(self.fit.left[-max(2, len(self.fit.left) // 4) :])
 
+    @property
+    def noise_n(self) -> float:
+        """The noise of the read-out [N], of which the step that it rounds to is a part."""
+        return max(self.fit.noise_n, self.rounded_n / 1.5 / math.sqrt(12.0))
+
     def cycles(self, mode: Mode) -> float:
         """Return how often a mode turns within the window while it stands out of what the fit leaves."""
         change, seen = mode.growth_per_s * self.length_s, self.seen(mode)
@@ -243,9 +248,9 @@ def _by_parts(motion: _Motion) -> Finding | None:
             found = _on_its_way(found, gone_n, 4.0 * window.length_s)
         if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
             found = _approaching(found, window.values, motion.rest_n)
-        # a part in which a swing of the whole turns less than twice shows no rest of it
-        hidden = any(hz * window.length_s < LEAST_TURNS for hz in swings_hz)
-        if found.kind == "stable" and share < 1.0 and (hidden or _recurs(_sizes(motion), motion.small_n)):
+        if found.kind == "stable" and share == 1.0 and (swing := _swing_at_the_end(motion, window)) is not None:
+            return swing
+        if found.kind == "stable" and share < 1.0 and _hides(motion, window, swings_hz, doubt):
             break
         if found.kind != "cannot_say" and (doubt is None or _shows_rest(found, doubt, window.fit)):
             return found
@@ -255,6 +260,29 @@ def _by_parts(motion: _Motion) -> Finding | None:
         if doubt.cause is Cause.ON_ITS_WAY:
             break
     return doubt
+
+
+def _hides(motion: _Motion, window: Window, swings_hz: list[float], doubt: Finding | None) -> bool:
+    """Return whether a last part that is at rest, or comes to it, may hide a swing: it turns less than twice in it."""
+    slowest_hz = min(
+        [*swings_hz, *([doubt.frequency_hz] if doubt is not None and doubt.frequency_hz else [])], default=None
+    )
+    if _moved(window.values, motion.noise_n) > motion.small_n:
+        half = motion.values[len(motion.values) // 2 :]
+        half_hz = _turns(half) / (motion.period_s * len(half))
+        slowest_hz = min(slowest_hz or half_hz, half_hz)
+    hidden = slowest_hz is not None and slowest_hz * window.length_s < LEAST_TURNS
+    return hidden or _recurs(_sizes(motion), motion.small_n)
+
+
+def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
+    """Return what the last half does whose fit leaves noise alone, of a motion whose fit leaves more than that."""
+    left_n = 2.0 * math.sqrt(2.0) * window.left_n
+    half = motion.last(0.5) if left_n > motion.small_n and window.left_n > 1.5 * window.noise_n else None
+    if half is None or half.left_n > 1.5 * half.noise_n or not _explains(half, motion.hand_n):
+        return None
+    found = _decided(half)
+    return found if found.kind in ("limit_cycle", "diverged") else None
 
 
 def _shows_rest(found: Finding, doubt: Finding, fit: Fit) -> bool:
@@ -298,7 +326,9 @@ def _bends(mode: Mode, window: Window) -> bool:
 def _fits_to_the_end(window: Window) -> bool:
     """Return whether the modes leave of the last quarter noise, or next to nothing of the motion there."""
     moved_n = rms(centred(window.fit.motion[-max(2, len(window.fit.motion) // 4) :]))
-    return window.left_n <= max(1.5 * window.fit.noise_n, _LEFT_SHARE**2 * moved_n)
+    # noise that is not white has no line
+    coloured_n = window.unrounded_n if window.fit.whole else 0.0
+    return window.left_n <= max(1.5 * window.noise_n, coloured_n, _LEFT_SHARE**2 * moved_n)
 
 
 def classify(mode: Mode, window: Window) -> Fate:
@@ -479,7 +509,11 @@ def _by_envelope(motion: _Motion) -> Finding:
         last = max((k for k, own in enumerate(sizes) if own > small_n), default=-1)
         rest_s = motion.end_s - (_WINDOWS - 1 - last) * window_s
         return Finding("stable", Cause.AT_REST, sizes[-1], rate, sizes[-1], rest_from_s=rest_s)
-    fate = _fate(sizes, small_n)
+    turns, is_motion = (
+        _turns(values),
+        _coloured(values) < ERROR_SHARE or rms(centred(values)) > ERROR_SHARE * motion.hand_n,
+    )
+    fate = _fate(_envelope(motion, turns), small_n) if turns >= 2.0 * LEAST_TURNS and is_motion else Fate.UNSURE
     if fate is Fate.GROWING:
         return Finding("diverged", Cause.GROWS, sizes[-1], rate, sizes[-1])
     if fate is Fate.FALLING:
@@ -525,6 +559,21 @@ def _sizes(motion: _Motion) -> list[float]:
     """Return how far the force goes in each of eight windows [N]: from end to end, or as a swing of its power does."""
     edges = np.linspace(0, len(motion.values), _WINDOWS + 1).astype(int)
     return [_size(motion.values[first:last], motion.noise_n) for first, last in pairwise(edges)]
+
+
+def _turns(values: Series) -> float:
+    """Return how often the strongest line of a motion turns."""
+    count = len(values)
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
+    return float(1 + np.argmax(np.abs(np.fft.rfft(centred(values) * window))[1:]))
+
+
+def _envelope(motion: _Motion, turns: float) -> list[float]:
+    """Return how far the force goes about eight instants [N], in an eighth or in a turn if that is longer."""
+    count = len(motion.values)
+    wide = math.ceil(count * max(1.0 / _WINDOWS, 1.25 / turns))
+    firsts = [round(min(max((k + 0.5) / _WINDOWS * count - 0.5 * wide, 0.0), count - wide)) for k in range(_WINDOWS)]
+    return [_size(motion.values[first : first + wide], motion.noise_n) for first in firsts]
 
 
 def _size(values: Series, noise_n: float) -> float:
