@@ -192,7 +192,11 @@ def judge(
         least_n = ERROR_SHARE * hand_force_n
         return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise)
     motion = _Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n)
-    return _in_words(_by_parts(motion) or _by_envelope(motion), noise)
+    found = _by_parts(motion)
+    if found is None or found.cause is Cause.CHANGE_UNKNOWN:
+        envelope = _by_envelope(motion)
+        found = envelope if found is None or envelope.kind in ("limit_cycle", "diverged") else found
+    return _in_words(found, noise)
 
 
 class _Motion(NamedTuple):
@@ -224,6 +228,7 @@ class _Motion(NamedTuple):
 def _by_parts(motion: _Motion) -> Finding | None:
     """Judge by the modes of the motion, or of the first of its last parts that they explain; None where they do not."""
     doubt: Finding | None = None
+    may_end = False
     swings_hz: list[float] = []
     for share in _TAILS:
         window = motion.last(share)
@@ -254,8 +259,9 @@ def _by_parts(motion: _Motion) -> Finding | None:
             break
         if found.kind != "cannot_say" and (doubt is None or _shows_rest(found, doubt, window.fit)):
             return found
-        if found.kind in ("limit_cycle", "diverged") and doubt.growth_per_s > 0.0 and _fits_to_the_end(window):
+        if found.kind in ("limit_cycle", "diverged") and may_end and _leaves_noise(window):
             return found
+        may_end = may_end or doubt is None and (found.growth_per_s or 0.0) > 0.0 or not _leaves_noise(window)
         doubt = doubt or found
         if doubt.cause is Cause.ON_ITS_WAY:
             break
@@ -267,7 +273,7 @@ def _hides(motion: _Motion, window: Window, swings_hz: list[float], doubt: Findi
     slowest_hz = min(
         [*swings_hz, *([doubt.frequency_hz] if doubt is not None and doubt.frequency_hz else [])], default=None
     )
-    if _moved(window.values, motion.noise_n) > motion.small_n:
+    if window.fit.modes and _moved(window.values, motion.noise_n) > motion.small_n:
         half = motion.values[len(motion.values) // 2 :]
         half_hz = _turns(half) / (motion.period_s * len(half))
         slowest_hz = min(slowest_hz or half_hz, half_hz)
@@ -278,8 +284,8 @@ def _hides(motion: _Motion, window: Window, swings_hz: list[float], doubt: Findi
 def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
     """Return what the last half does whose fit leaves noise alone, of a motion whose fit leaves more than that."""
     left_n = 2.0 * math.sqrt(2.0) * window.left_n
-    half = motion.last(0.5) if left_n > motion.small_n and window.left_n > 1.5 * window.noise_n else None
-    if half is None or half.left_n > 1.5 * half.noise_n or not _explains(half, motion.hand_n):
+    half = motion.last(0.5) if left_n > motion.small_n and not _leaves_noise(window) else None
+    if half is None or not _leaves_noise(half) or not _explains(half, motion.hand_n):
         return None
     found = _decided(half)
     return found if found.kind in ("limit_cycle", "diverged") else None
@@ -321,6 +327,11 @@ def _bends(mode: Mode, window: Window) -> bool:
     factor = math.exp(min(max(mode.growth_per_s * window.length_s / 3.0, -50.0), 50.0))
     first_n, middle_n, last_n = mode.thirds_n
     return abs(middle_n - first_n * factor) > least_n or abs(last_n - middle_n * factor) > least_n * max(factor, 1.0)
+
+
+def _leaves_noise(window: Window) -> bool:
+    """Return whether the modes leave no more than the white noise of the read-out."""
+    return window.left_n <= 1.5 * window.noise_n
 
 
 def _fits_to_the_end(window: Window) -> bool:
@@ -528,7 +539,7 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
     half = _WINDOWS // 2
     (late, late_error), (whole, whole_error) = _trend(sizes[half:], small_n), _trend(sizes, small_n)
     earlier, later = max(sizes[half:-2]), max(sizes[-2:])
-    if abs(late) + late_error < 2.0 * LEAST_CHANGE:
+    if abs(late) + late_error < 2.0 * LEAST_CHANGE and -late < max(late_error, _LEFT_SHARE * LEAST_CHANGE):
         return Fate.LASTING
     if whole - whole_error > LEAST_CHANGE and late > 0.0:
         return Fate.GROWING if late - late_error > LEAST_CHANGE or later > earlier else Fate.UNSURE
