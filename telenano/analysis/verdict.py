@@ -192,8 +192,8 @@ def judge(
         least_n = ERROR_SHARE * hand_force_n
         return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise)
     motion = _Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n)
-    found = _by_parts(motion)
-    if found is None or found.cause is Cause.CHANGE_UNKNOWN:
+    found, may_end = _by_parts(motion)
+    if found is None or (found.cause is Cause.CHANGE_UNKNOWN and may_end):
         envelope = _by_envelope(motion)
         found = envelope if found is None or envelope.kind in ("limit_cycle", "diverged") else found
     return _in_words(found, noise)
@@ -225,7 +225,7 @@ class _Motion(NamedTuple):
         return Window(self.period_s * len(tail), self.end_s, *least, tail, fit)
 
 
-def _by_parts(motion: _Motion) -> Finding | None:
+def _by_parts(motion: _Motion) -> tuple[Finding | None, bool]:
     """Judge by the modes of the motion, or of the first of its last parts that they explain; None where they do not."""
     doubt: Finding | None = None
     may_end = False
@@ -241,8 +241,7 @@ def _by_parts(motion: _Motion) -> Finding | None:
         if not _explains(window, motion.hand_n):
             continue
         found = _decided(window)
-        is_open = found.size_n > motion.small_n if found.kind == "stable" else found.cause is Cause.CHANGE_UNKNOWN
-        if is_open and not _fits_to_the_end(window):
+        if _is_open(found, window) and not _fits_to_the_end(window):
             continue
         if (
             found.kind == "stable"
@@ -254,18 +253,30 @@ def _by_parts(motion: _Motion) -> Finding | None:
         if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
             found = _approaching(found, window.values, motion.rest_n)
         if found.kind == "stable" and share == 1.0 and (swing := _swing_at_the_end(motion, window)) is not None:
-            return swing
+            return swing, False
         if found.kind == "stable" and share < 1.0 and _hides(motion, window, swings_hz, doubt):
             break
         if found.kind != "cannot_say" and (doubt is None or _shows_rest(found, doubt, window.fit)):
-            return found
-        if found.kind in ("limit_cycle", "diverged") and may_end and _leaves_noise(window):
-            return found
-        may_end = may_end or doubt is None and (found.growth_per_s or 0.0) > 0.0 or not _leaves_noise(window)
+            return found, False
+        is_sure = found.kind in ("stable", "limit_cycle") or (found.kind == "diverged" and share == 0.5)
+        if is_sure and may_end and _leaves_noise(window):
+            return found, False
+        rate, error = found.growth_per_s or 0.0, SURE_ERRORS * found.error_per_s
+        small = abs(rate) + error < 2.0 * LEAST_CHANGE / window.length_s
+        may_end = may_end or (doubt is None and (rate > 0.0 or small)) or not _leaves_noise(window)
         doubt = doubt or found
         if doubt.cause is Cause.ON_ITS_WAY:
             break
-    return doubt
+    return doubt, may_end
+
+
+def _is_open(found: Finding, window: Window) -> bool:
+    """Return whether a finding is one only if the fit is right: more is left than is small, or falls beside what lasts."""
+    if found.kind == "stable":
+        return found.size_n > window.small_n
+    others = [mode.begin_n for mode in window.fit.modes if mode.growth_per_s * window.length_s < -LEAST_CHANGE]
+    falls = found.cause is Cause.GOES_ON and max(others, default=0.0) > found.decisive_n
+    return falls or found.cause is Cause.CHANGE_UNKNOWN
 
 
 def _hides(motion: _Motion, window: Window, swings_hz: list[float], doubt: Finding | None) -> bool:
@@ -308,6 +319,8 @@ def _explains(window: Window, hand_force_n: float) -> bool:
         # large modes that cancel are no motion
         if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
             return False
+    if _leaves_noise(window):
+        return not _cancels(window)
     return not any(_bends(mode, window) for mode in fit.modes)
 
 
@@ -316,6 +329,16 @@ def _coloured(left: Series) -> float:
     power = np.abs(np.fft.rfft(centred(left))) ** 2
     octaves = [float(np.cumsum(power[2**k : 2 ** (k + 1)])[-1]) for k in range(int(math.log2(len(power))))]
     return SMALL_SHARE if max(octaves[:-1], default=0.0) > 0.5 * math.fsum(octaves) else ERROR_SHARE
+
+
+def _cancels(window: Window) -> bool:
+    """Return whether two large modes are apart by less than a turn, so that only their sum is known."""
+    large = sorted(
+        mode.frequency_hz
+        for mode in window.fit.modes
+        if max(mode.begin_n, mode.end_n) > window.small_n and mode.frequency_hz * window.length_s > LEAST_TURNS
+    )
+    return any(above - below < 1.0 / window.length_s for below, above in pairwise(large))
 
 
 def _bends(mode: Mode, window: Window) -> bool:
@@ -330,16 +353,14 @@ def _bends(mode: Mode, window: Window) -> bool:
 
 
 def _leaves_noise(window: Window) -> bool:
-    """Return whether the modes leave no more than the white noise of the read-out."""
-    return window.left_n <= 1.5 * window.noise_n
+    """Return whether the modes leave the white noise of the read-out alone, or next to nothing of the motion."""
+    moved_n = rms(centred(window.fit.motion[-max(2, len(window.fit.motion) // 4) :]))
+    return window.left_n <= max(1.5 * window.noise_n, _LEFT_SHARE**2 * moved_n)
 
 
 def _fits_to_the_end(window: Window) -> bool:
-    """Return whether the modes leave of the last quarter noise, or next to nothing of the motion there."""
-    moved_n = rms(centred(window.fit.motion[-max(2, len(window.fit.motion) // 4) :]))
-    # noise that is not white has no line
-    coloured_n = window.unrounded_n if window.fit.whole else 0.0
-    return window.left_n <= max(1.5 * window.noise_n, coloured_n, _LEFT_SHARE**2 * moved_n)
+    """Return whether the modes leave of the last quarter noise, which has no line where it is not white."""
+    return _leaves_noise(window) or (window.fit.whole and window.left_n <= window.unrounded_n)
 
 
 def classify(mode: Mode, window: Window) -> Fate:
@@ -420,7 +441,7 @@ def _decided(window: Window) -> Finding:
     growing, lasting, unsure = first[Fate.GROWING], first[Fate.LASTING], first[Fate.UNSURE]
     if growing is not None and (lasting is None or growing.end_n >= lasting.end_n):
         return _finding("diverged", Cause.GROWS, growing, window)
-    if lasting is not None:
+    if lasting is not None and (unsure is None or unsure.end_n < 2.0 * lasting.end_n):
         lowest_hz = min(mode.frequency_hz for fate, mode in fates if fate is Fate.LASTING)
         return _finding("limit_cycle", Cause.GOES_ON, lasting, window)._replace(
             size_n=_cycle_size_n(lasting, lowest_hz, window)
@@ -529,7 +550,7 @@ def _by_envelope(motion: _Motion) -> Finding:
         return Finding("diverged", Cause.GROWS, sizes[-1], rate, sizes[-1])
     if fate is Fate.FALLING:
         return Finding("stable", Cause.DIES_OUT, sizes[-1], rate, sizes[-1])
-    if fate is Fate.LASTING or _recurs(sizes, small_n):
+    if fate is Fate.LASTING or (_recurs(sizes, small_n) and max(sizes[-3:]) > 0.5 * max(sizes)):
         return late._replace(kind="limit_cycle", cause=Cause.IRREGULAR)
     return late
 
@@ -543,9 +564,12 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
         return Fate.LASTING
     if whole - whole_error > LEAST_CHANGE and late > 0.0:
         return Fate.GROWING if late - late_error > LEAST_CHANGE or later > earlier else Fate.UNSURE
+    early = _trend(sizes[:half], small_n)[0]
     if whole + whole_error < -LEAST_CHANGE and late < 0.0:
-        return Fate.FALLING if late + late_error < -LEAST_CHANGE or later < 0.5 * earlier else Fate.UNSURE
-    return Fate.LASTING if max(sizes[half:]) > 0.5 * max(sizes[:half]) and later > 0.5 * earlier else Fate.UNSURE
+        # what falls to a swing that stays falls more slowly at the end
+        return Fate.FALLING if late + late_error < -LEAST_CHANGE and late < 0.6 * early else Fate.UNSURE
+    stays = max(sizes[half:]) > 0.5 * max(sizes[:half]) and later > 0.5 * earlier
+    return Fate.LASTING if stays and abs(late) < 3.0 * late_error else Fate.UNSURE
 
 
 def _trend(sizes: list[float], small_n: float) -> tuple[float, float]:
