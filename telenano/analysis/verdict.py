@@ -192,11 +192,12 @@ def judge(
         least_n = ERROR_SHARE * hand_force_n
         return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise)
     motion = _Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n)
-    found, may_end = _by_parts(motion)
-    if found is None or (found.cause is Cause.CHANGE_UNKNOWN and may_end):
-        envelope = _by_envelope(motion)
-        found = envelope if found is None or envelope.kind in ("limit_cycle", "diverged") else found
-    return _in_words(found, noise)
+    found, doubt = _by_parts(motion)
+    if found is None and (doubt is None or (doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong)):
+        found = _by_envelope(motion)
+        # that a motion dies out or rests says its envelope only where nothing else is known of it
+        found = None if doubt is not None and found.kind not in ("limit_cycle", "diverged") else found
+    return _in_words(found or doubt.found, noise)
 
 
 class _Motion(NamedTuple):
@@ -225,53 +226,87 @@ class _Motion(NamedTuple):
         return Window(self.period_s * len(tail), self.end_s, *least, tail, fit)
 
 
-def _by_parts(motion: _Motion) -> tuple[Finding | None, bool]:
-    """Judge by the modes of the motion, or of the first of its last parts that they explain; None where they do not."""
-    doubt: Finding | None = None
-    may_end = False
+class _Doubt(NamedTuple):
+    """What the first fit that explains a motion cannot say, and whether that fit may be wrong.
+
+    It may be where it leaves more than noise, or has a motion grow, or change by less than 0.3: what grows comes to a
+    limit. A fit that leaves noise alone, of a motion that dies out slowly, says itself how little is known.
+    """
+
+    found: Finding
+    may_be_wrong: bool
+
+
+def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None]:
+    """Judge by the modes of the motion, or of the first of its last parts that they explain, or say what is in doubt."""
+    doubt: _Doubt | None = None
     swings_hz: list[float] = []
     for share in _TAILS:
         window = motion.last(share)
         if window is None:
             break
         if share == 1.0:
-            lasts = -LEAST_CHANGE / window.length_s
-            large = [mode for mode in window.fit.modes if mode.end_n > motion.small_n and mode.growth_per_s > lasts]
-            swings_hz = [mode.frequency_hz for mode in large if mode.frequency_hz]
-        if not _explains(window, motion.hand_n):
+            swings_hz = _lasting_hz(window)
+        found = _of_part(motion, window)
+        if found is None:
             continue
-        found = _decided(window)
-        if _is_open(found, window) and not _fits_to_the_end(window):
-            continue
-        if (
-            found.kind == "stable"
-            and not window.fit.modes
-            and (gone_n := _gone(window.values)) > (ERROR_SHARE * motion.hand_n)
-        ):
-            # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
-            found = _on_its_way(found, gone_n, 4.0 * window.length_s)
-        if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
-            found = _approaching(found, window.values, motion.rest_n)
-        if found.kind == "stable" and share == 1.0 and (swing := _swing_at_the_end(motion, window)) is not None:
-            return swing, False
-        if found.kind == "stable" and share < 1.0 and _hides(motion, window, swings_hz, doubt):
+        if found.kind == "stable" and share < 1.0 and _hides(motion, window, swings_hz):
             break
-        if found.kind != "cannot_say" and (doubt is None or _shows_rest(found, doubt, window.fit)):
-            return found, False
-        is_sure = found.kind in ("stable", "limit_cycle") or (found.kind == "diverged" and share == 0.5)
-        if is_sure and may_end and _leaves_noise(window):
-            return found, False
-        rate, error = found.growth_per_s or 0.0, SURE_ERRORS * found.error_per_s
-        small = abs(rate) + error < 2.0 * LEAST_CHANGE / window.length_s
-        may_end = may_end or (doubt is None and (rate > 0.0 or small)) or not _leaves_noise(window)
-        doubt = doubt or found
-        if doubt.cause is Cause.ON_ITS_WAY:
+        if found.kind != "cannot_say" and (doubt is None or _overrules(found, doubt, window, share)):
+            return found, None
+        may_be_wrong = _may_be_wrong(found, window) if doubt is None else doubt.may_be_wrong
+        doubt = _Doubt(found if doubt is None else doubt.found, may_be_wrong or not _leaves_noise(window))
+        if doubt.found.cause is Cause.ON_ITS_WAY:
             break
-    return doubt, may_end
+        if found.frequency_hz and doubt.found is found:
+            swings_hz = [*swings_hz, found.frequency_hz]
+    return None, doubt
+
+
+def _lasting_hz(window: Window) -> list[float]:
+    """Return the frequencies of the large swings of a motion that do not die out."""
+    lasts = -LEAST_CHANGE / window.length_s
+    large = [mode for mode in window.fit.modes if mode.end_n > window.small_n and mode.growth_per_s > lasts]
+    return [mode.frequency_hz for mode in large if mode.frequency_hz]
+
+
+def _of_part(motion: _Motion, window: Window) -> Finding | None:
+    """Return what the modes of a part say; None where they do not explain it."""
+    if not _explains(window, motion.hand_n):
+        return None
+    found = _decided(window)
+    if _is_open(found, window) and not _fits_to_the_end(window):
+        return None
+    gone_n = _gone(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
+    if gone_n > ERROR_SHARE * motion.hand_n:
+        # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
+        found = _on_its_way(found, gone_n, 4.0 * window.length_s)
+    if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
+        found = _approaching(found, window.values, motion.rest_n)
+    if found.kind == "stable" and len(window.values) == len(motion.values):
+        return _swing_at_the_end(motion, window) or found
+    return found
+
+
+def _may_be_wrong(found: Finding, window: Window) -> bool:
+    rate, error = found.growth_per_s or 0.0, SURE_ERRORS * found.error_per_s
+    return rate > 0.0 or abs(rate) + error < 2.0 * LEAST_CHANGE / window.length_s
+
+
+def _overrules(found: Finding, doubt: _Doubt, window: Window, share: float) -> bool:
+    """Return whether a last part decides what the whole leaves in doubt: by rest, or by a better fit than a wrong one."""
+    if _shows_rest(found, doubt.found, window.fit):
+        return True
+    is_long = found.kind == "limit_cycle" or share == _TAILS[1]
+    return is_long and doubt.may_be_wrong and _leaves_noise(window)
 
 
 def _is_open(found: Finding, window: Window) -> bool:
-    """Return whether a finding is one only if the fit is right: more is left than is small, or falls beside what lasts."""
+    """Return whether a finding is one only if its fit is right.
+
+    It is where more is left than is small, where the change of a motion is not known, and where something larger dies
+    out beside what lasts.
+    """
     if found.kind == "stable":
         return found.size_n > window.small_n
     others = [mode.begin_n for mode in window.fit.modes if mode.growth_per_s * window.length_s < -LEAST_CHANGE]
@@ -279,17 +314,13 @@ def _is_open(found: Finding, window: Window) -> bool:
     return falls or found.cause is Cause.CHANGE_UNKNOWN
 
 
-def _hides(motion: _Motion, window: Window, swings_hz: list[float], doubt: Finding | None) -> bool:
+def _hides(motion: _Motion, window: Window, swings_hz: list[float]) -> bool:
     """Return whether a last part that is at rest, or comes to it, may hide a swing: it turns less than twice in it."""
-    slowest_hz = min(
-        [*swings_hz, *([doubt.frequency_hz] if doubt is not None and doubt.frequency_hz else [])], default=None
-    )
-    if window.fit.modes and _moved(window.values, motion.noise_n) > motion.small_n:
+    slowest_hz = min(swings_hz, default=math.inf)
+    if any(max(mode.begin_n, mode.end_n) > motion.small_n for mode in window.fit.modes):
         half = motion.values[len(motion.values) // 2 :]
-        half_hz = _turns(half) / (motion.period_s * len(half))
-        slowest_hz = min(slowest_hz or half_hz, half_hz)
-    hidden = slowest_hz is not None and slowest_hz * window.length_s < LEAST_TURNS
-    return hidden or _recurs(_sizes(motion), motion.small_n)
+        slowest_hz = min(slowest_hz, _turns(half) / (motion.period_s * len(half)))
+    return slowest_hz * window.length_s < LEAST_TURNS or _recurs(_sizes(motion), motion.small_n)
 
 
 def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
@@ -313,9 +344,12 @@ def _explains(window: Window, hand_force_n: float) -> bool:
     fit = window.fit
     for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
         moved = rms(centred(fit.motion[part]))
-        noise = max(1.5 * fit.noise_n, _coloured(fit.left) * hand_force_n if fit.whole else 0.0)
-        seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + noise)
-        left_n = max(noise, _LEFT_SHARE * moved, _LEFT_SHARE**2 * SMALL_SHARE * hand_force_n)
+        noise = 1.5 * window.noise_n
+        coloured_n = hand_force_n if fit.whole else 0.0
+        seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + max(noise, ERROR_SHARE * coloured_n))
+        left_n = max(
+            noise, _coloured(fit.left) * coloured_n, _LEFT_SHARE * moved, _LEFT_SHARE**2 * SMALL_SHARE * hand_force_n
+        )
         # large modes that cancel are no motion
         if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
             return False
@@ -332,13 +366,17 @@ def _coloured(left: Series) -> float:
 
 
 def _cancels(window: Window) -> bool:
-    """Return whether two large modes are apart by less than a turn, so that only their sum is known."""
+    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone."""
     large = sorted(
-        mode.frequency_hz
+        (mode.frequency_hz, SURE_ERRORS * mode.error_per_s * window.length_s)
         for mode in window.fit.modes
         if max(mode.begin_n, mode.end_n) > window.small_n and mode.frequency_hz * window.length_s > LEAST_TURNS
     )
-    return any(above - below < 1.0 / window.length_s for below, above in pairwise(large))
+    return any(
+        above - below < 1.0 / window.length_s and max(*errors) > LEAST_CHANGE
+        for (below, *first), (above, *then) in pairwise(large)
+        for errors in [(*first, *then)]
+    )
 
 
 def _bends(mode: Mode, window: Window) -> bool:
@@ -541,10 +579,7 @@ def _by_envelope(motion: _Motion) -> Finding:
         last = max((k for k, own in enumerate(sizes) if own > small_n), default=-1)
         rest_s = motion.end_s - (_WINDOWS - 1 - last) * window_s
         return Finding("stable", Cause.AT_REST, sizes[-1], rate, sizes[-1], rest_from_s=rest_s)
-    turns, is_motion = (
-        _turns(values),
-        _coloured(values) < ERROR_SHARE or rms(centred(values)) > ERROR_SHARE * motion.hand_n,
-    )
+    turns, is_motion = _turns(values), _coloured(values) < ERROR_SHARE
     fate = _fate(_envelope(motion, turns), small_n) if turns >= 2.0 * LEAST_TURNS and is_motion else Fate.UNSURE
     if fate is Fate.GROWING:
         return Finding("diverged", Cause.GROWS, sizes[-1], rate, sizes[-1])
@@ -569,7 +604,7 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
         # what falls to a swing that stays falls more slowly at the end
         return Fate.FALLING if late + late_error < -LEAST_CHANGE and late < 0.6 * early else Fate.UNSURE
     stays = max(sizes[half:]) > 0.5 * max(sizes[:half]) and later > 0.5 * earlier
-    return Fate.LASTING if stays and abs(late) < 3.0 * late_error else Fate.UNSURE
+    return Fate.LASTING if stays and abs(late) < LEAST_TURNS * late_error else Fate.UNSURE
 
 
 def _trend(sizes: list[float], small_n: float) -> tuple[float, float]:
@@ -593,7 +628,7 @@ def rounding_of(values: Series) -> float:
 def _sizes(motion: _Motion) -> list[float]:
     """Return how far the force goes in each of eight windows [N]: from end to end, or as a swing of its power does."""
     edges = np.linspace(0, len(motion.values), _WINDOWS + 1).astype(int)
-    return [_size(motion.values[first:last], motion.noise_n) for first, last in pairwise(edges)]
+    return [_size(motion.values[first:last], motion) for first, last in pairwise(edges)]
 
 
 def _turns(values: Series) -> float:
@@ -608,13 +643,14 @@ def _envelope(motion: _Motion, turns: float) -> list[float]:
     count = len(motion.values)
     wide = math.ceil(count * max(1.0 / _WINDOWS, 1.25 / turns))
     firsts = [round(min(max((k + 0.5) / _WINDOWS * count - 0.5 * wide, 0.0), count - wide)) for k in range(_WINDOWS)]
-    return [_size(motion.values[first : first + wide], motion.noise_n) for first in firsts]
+    return [_size(motion.values[first : first + wide], motion) for first in firsts]
 
 
-def _size(values: Series, noise_n: float) -> float:
-    """Return how far a force goes [N], without what white noise reaches, or adds to its power."""
-    power = rms(centred(values)) ** 2 - noise_n**2 * (1.0 + SURE_ERRORS * math.sqrt(2.0 / len(values)))
-    return max(_moved(values, noise_n), 2.0 * math.sqrt(2.0 * max(power, 0.0)))
+def _size(values: Series, motion: _Motion) -> float:
+    """Return how far a force goes [N], without what noise reaches, or adds to its power, or a step that flickers."""
+    noise_n = max(motion.noise_n * math.sqrt(1.0 + SURE_ERRORS * math.sqrt(2.0 / len(values))), 0.5 * motion.step_n)
+    power = rms(centred(values)) ** 2 - noise_n**2
+    return max(_moved(values, motion.noise_n), 2.0 * math.sqrt(2.0 * max(power, 0.0)))
 
 
 def _gone(values: Series) -> float:
