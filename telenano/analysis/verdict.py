@@ -92,8 +92,8 @@ class Finding(NamedTuple):
     """What was found of a motion, before it is put into words.
 
     size_n: of the motion at its end [N]; decisive_n: of the mode that decides [N], with its growth [1/s], the standard
-    error of that and its frequency [Hz], 0 of one without a swing; needs_s, needs_noise_n: the length of a hold, and
-    the noise, that would decide.
+    error of that and its frequency [Hz], 0 of one without a swing, None of an envelope; needs_s, needs_noise_n: the
+    length of a hold, and the noise, that would decide.
     """
 
     kind: Kind
@@ -102,7 +102,7 @@ class Finding(NamedTuple):
     growth_per_s: float | None = None
     decisive_n: float = 0.0
     error_per_s: float = 0.0
-    frequency_hz: float = 0.0
+    frequency_hz: float | None = None
     needs_s: float = 0.0
     needs_noise_n: float = 0.0
     rest_from_s: float | None = None
@@ -192,12 +192,21 @@ def judge(
         least_n = ERROR_SHARE * hand_force_n
         return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise)
     motion = _Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n)
+    return _in_words(_found(motion), noise)
+
+
+def _found(motion: "_Motion") -> Finding:
+    """Judge by the modes, and by the envelope where they explain nothing or may be wrong."""
     found, doubt = _by_parts(motion)
-    if found is None and (doubt is None or (doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong)):
+    if found is not None:
+        return found
+    if doubt is None:
+        return _by_envelope(motion)
+    if doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong:
+        # that a motion rests or dies out says its envelope only where nothing else is known of it
         found = _by_envelope(motion)
-        # that a motion dies out or rests says its envelope only where nothing else is known of it
-        found = None if doubt is not None and found.kind not in ("limit_cycle", "diverged") else found
-    return _in_words(found or doubt.found, noise)
+        return found if found.kind in ("limit_cycle", "diverged") else doubt.found
+    return doubt.found
 
 
 class _Motion(NamedTuple):
@@ -238,7 +247,7 @@ class _Doubt(NamedTuple):
 
 
 def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None]:
-    """Judge by the modes of the motion, or of the first of its last parts that they explain, or say what is in doubt."""
+    """Return what the modes of the motion say, or of the first of its last parts that they explain, or the doubt."""
     doubt: _Doubt | None = None
     swings_hz: list[float] = []
     for share in _TAILS:
@@ -294,7 +303,7 @@ def _may_be_wrong(found: Finding, window: Window) -> bool:
 
 
 def _overrules(found: Finding, doubt: _Doubt, window: Window, share: float) -> bool:
-    """Return whether a last part decides what the whole leaves in doubt: by rest, or by a better fit than a wrong one."""
+    """Return whether a last part decides what the whole leaves in doubt: by rest, or by a fit where that was wrong."""
     if _shows_rest(found, doubt.found, window.fit):
         return True
     is_long = found.kind == "limit_cycle" or share == _TAILS[1]
@@ -472,7 +481,10 @@ def _growing(mode: Mode, window: Window, change: float, cycles: float, least: fl
 
 
 def _decided(window: Window) -> Finding:
-    """Decide by the largest mode of the first fate that occurs: a growth that is as large as what lasts, that, a doubt."""
+    """Decide by the largest mode of the first fate that occurs: growth, what lasts, doubt; else the force is at rest.
+
+    A growth is as large as what lasts, and a doubt is about more than twice as much.
+    """
     modes = sorted(window.fit.modes, key=lambda one: one.end_n, reverse=True)
     fates = [(classify(mode, window), mode) for mode in modes]
     first = {fate: next((mode for own, mode in fates if own is fate), None) for fate in Fate}
@@ -554,15 +566,17 @@ def _approaching(found: Finding, values: Series, rest_n: float) -> Finding:
 def _by_envelope(motion: _Motion) -> Finding:
     """Judge a motion that no modes explain by its envelope, the size of the motion in eight windows.
 
-    | the envelope                                                          | is         |
+    | the envelope                                                                           | is         |
     |---|---|
-    | has no line and the spectrum of 1/f noise                             | UNSURE     |
-    | is small in the last two windows, and did not rise twice before       | NEGLIGIBLE |
-    | surely changes by less than 0.3 in its later half                     | LASTING    |
-    | surely grows, or dies out, in its later half                          | GROWING, FALLING |
-    | surely does so in all windows, and has not turned back in the last    | GROWING, FALLING |
-    | does neither, and is as large in the later half as in the earlier     | LASTING    |
-    | is anything else                                                      | UNSURE     |
+    | is that of a motion without a line whose spectrum is that of 1/f noise                 | UNSURE     |
+    | is small in the last two windows, and did not rise twice before                        | NEGLIGIBLE |
+    | rose twice from rest, and is not smaller than before                                   | LASTING    |
+    | is that of a motion of fewer than four turns, or one whose spectrum has no main octave | UNSURE     |
+    | surely changes by less than 0.3 in its later half                                      | LASTING    |
+    | surely grows, also in its later half                                                   | GROWING    |
+    | surely dies out, also in its later half and there nearly as quickly                    | FALLING    |
+    | is irregular, and as large in the later half as in the earlier                         | LASTING    |
+    | is anything else                                                                       | UNSURE     |
     """
     values, small_n = motion.values, motion.small_n
     if len(values) < _WINDOWS**2:
@@ -735,9 +749,8 @@ def _in_words(found: Finding, noise_n: float) -> Verdict:
 
 def _sentence(found: Finding, noise_n: float) -> str:
     moved, rate = f"{found.decisive_n:.3g} N", found.growth_per_s or 0.0
-    swing = (
-        f"{moved} from peak to peak at {found.frequency_hz:.3g} Hz" if found.frequency_hz else f"{moved} to one side"
-    )
+    turns = f" at {found.frequency_hz:.3g} Hz" if found.frequency_hz else ""
+    swing = f"{moved} to one side" if found.frequency_hz == 0.0 else f"{moved} from peak to peak{turns}"
     left = f", {found.decisive_n:.2g} N are left" if found.decisive_n >= 1e-6 else ""
     less = f" or noise of less than {found.needs_noise_n:.2g} N" if found.needs_noise_n else ""
     cycle = f"a motion of {found.size_n:.3g} N from peak to peak"
@@ -755,7 +768,7 @@ def _sentence(found: Finding, noise_n: float) -> str:
         f"{found.needs_s:.2g} s or more{less} would decide",
         Cause.IRREGULAR_UNKNOWN: f"{cycle} continues irregularly: a longer hold would decide",
         Cause.GROWS: f"a motion of {swing} grows by {rate:.3g}/s",
-        Cause.GOES_ON: f"{cycle} at {found.frequency_hz:.3g} Hz neither grows nor dies out",
+        Cause.GOES_ON: f"{cycle}{turns} neither grows nor dies out",
         Cause.IRREGULAR: f"{cycle} continues irregularly",
         Cause.AT_REST: f"at rest but for {found.decisive_n:.2g} N from peak to peak" if found.decisive_n else "at rest",
         Cause.DIES_OUT: f"the motion dies out by {-rate:.3g}/s{left}",
