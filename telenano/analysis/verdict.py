@@ -476,7 +476,8 @@ def _growing(mode: Mode, window: Window, change: float, cycles: float, least: fl
     if rises and reaches and end_n > max(2.0 * SURE_ERRORS * window.left_n, window.rounded_n):
         return Fate.GROWING
     # what may only just be seen is not said to be at rest
-    is_near = end_n > window.small_n or (rises and reaches and cycles >= 0.5 and end_n > window.rounded_n)
+    within_n = window.unrounded_n if cycles >= LEAST_TURNS else window.small_n
+    is_near = end_n > within_n or (rises and reaches and cycles >= 0.5 and end_n > window.rounded_n)
     return Fate.UNSURE if is_near else Fate.NEGLIGIBLE
 
 
