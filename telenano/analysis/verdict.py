@@ -284,7 +284,7 @@ def _of_part(motion: _Motion, window: Window) -> Finding | None:
     if not _explains(window, motion.hand_n):
         return None
     found = _decided(window)
-    if _is_open(found, window) and not _fits_to_the_end(window):
+    if _is_open(found, window) and not (_fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
         return None
     gone_n = _gone(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
     if gone_n > ERROR_SHARE * motion.hand_n:
@@ -295,6 +295,18 @@ def _of_part(motion: _Motion, window: Window) -> Finding | None:
     if found.kind == "stable" and len(window.values) == len(motion.values):
         return _swing_at_the_end(motion, window) or found
     return found
+
+
+def _falls_to_the_end(found: Finding, window: Window, motion: _Motion) -> bool:
+    """Return whether a motion that dies out, and is still large, is smaller at its end than before.
+
+    Modes that all die out may cancel one another before, so that their sum grows.
+    """
+    turns = _turns(window.values)
+    if found.kind != "stable" or turns < 2.0 * LEAST_TURNS:
+        return True
+    sizes = _envelope(window.values, motion, turns)
+    return sizes[-1] < min(sizes[0], sizes[_WINDOWS // 2])
 
 
 def _may_be_wrong(found: Finding, window: Window) -> bool:
@@ -595,7 +607,7 @@ def _by_envelope(motion: _Motion) -> Finding:
         rest_s = motion.end_s - (_WINDOWS - 1 - last) * window_s
         return Finding("stable", Cause.AT_REST, sizes[-1], rate, sizes[-1], rest_from_s=rest_s)
     turns, is_motion = _turns(values), _coloured(values) < ERROR_SHARE
-    fate = _fate(_envelope(motion, turns), small_n) if turns >= 2.0 * LEAST_TURNS and is_motion else Fate.UNSURE
+    fate = _fate(_envelope(values, motion, turns), small_n) if turns >= 2.0 * LEAST_TURNS and is_motion else Fate.UNSURE
     if fate is Fate.GROWING:
         return Finding("diverged", Cause.GROWS, sizes[-1], rate, sizes[-1])
     if fate is Fate.FALLING:
@@ -653,12 +665,12 @@ def _turns(values: Series) -> float:
     return float(1 + np.argmax(np.abs(np.fft.rfft(centred(values) * window))[1:]))
 
 
-def _envelope(motion: _Motion, turns: float) -> list[float]:
+def _envelope(values: Series, motion: _Motion, turns: float) -> list[float]:
     """Return how far the force goes about eight instants [N], in an eighth or in a turn if that is longer."""
-    count = len(motion.values)
+    count = len(values)
     wide = math.ceil(count * max(1.0 / _WINDOWS, 1.25 / turns))
     firsts = [round(min(max((k + 0.5) / _WINDOWS * count - 0.5 * wide, 0.0), count - wide)) for k in range(_WINDOWS)]
-    return [_size(motion.values[first : first + wide], motion) for first in firsts]
+    return [_size(values[first : first + wide], motion) for first in firsts]
 
 
 def _size(values: Series, motion: _Motion) -> float:
