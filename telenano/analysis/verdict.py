@@ -521,8 +521,8 @@ def _finding(kind: Kind, cause: Cause, mode: Mode, window: Window) -> Finding:
 
 def _cycle_size_n(mode: Mode, lowest_hz: float, window: Window) -> float:
     """Return how far a cycle goes [N], whose harmonics make it another motion than its largest mode."""
-    values = window.values
-    size_n = _moved(values[-math.ceil(len(values) / (window.length_s * lowest_hz)) :], window.fit.noise_n)
+    values, noise_n = window.values, noise_of(window.values, window.rounded_n / 1.5)
+    size_n = _moved(values[-math.ceil(len(values) / (window.length_s * lowest_hz)) :], noise_n)
     return size_n if size_n > 0.5 * mode.end_n else mode.end_n
 
 

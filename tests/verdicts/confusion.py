@@ -2,8 +2,9 @@
 
     python tests/verdicts/confusion.py --courses all --seeds 0:3000
 
-The courses are those of `courses.py` (linear), of `nonlinear.py`, or both. Prints the table truth by kind, the shares that have a limit, the same by tag and by cell, and the seeds of the wrong
-answers. Ends with 1 where a share is above its limit. The judge is `judge_course` of `judge.py` in this folder.
+The courses are those of `courses.py` (linear), of `nonlinear.py`, or both. Prints the table truth by kind, the shares
+that have a limit with Wilson's intervals, the same by tag and by cell, and the seeds of the wrong answers. Ends with 1
+where a share is above its limit. The judge is `judge_course` of `judge.py` in this folder.
 """
 
 import argparse

@@ -3,10 +3,10 @@
     recorded = nonlinear_course(7)
     recorded.time_s, recorded.tip_force_n, recorded.truth
 
-`courses.py` has motions that are sums of exponentials; these are not: an amplitude that comes to a limit softly (van der
-Pol) or at a clamp, two swings that beat, an amplitude that wanders or drifts, a delay that steps within a hold, a tip
-that sticks and slips, two swings of which one dies, and rest beside them. `nonlinear_distribution.py` has the ranges.
-The truth is what the motion does at the end of the hold. It follows from what was drawn, never from the samples.
+`courses.py` has motions that are sums of exponentials; these are not: an amplitude that comes to a limit softly (van
+der Pol) or at a clamp, two swings that beat, an amplitude that wanders or drifts, a delay that steps within a hold, a
+tip that sticks and slips, two swings of which one dies, and rest. `nonlinear_distribution.py` has the ranges. The truth
+is what the motion does at the end of the hold. It follows from what was drawn, never from the samples.
 """
 
 import math
