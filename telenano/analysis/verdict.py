@@ -365,7 +365,7 @@ def _explains(window: Window, hand_force_n: float) -> bool:
     fit = window.fit
     for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
         moved = rms(centred(fit.motion[part]))
-        noise = 1.5 * window.noise_n
+        noise = 1.5 * fit.noise_n
         coloured_n = hand_force_n if fit.whole else 0.0
         seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + max(noise, ERROR_SHARE * coloured_n))
         left_n = max(
