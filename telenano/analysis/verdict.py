@@ -582,7 +582,7 @@ def _by_envelope(motion: _Motion) -> Finding:
     | the envelope                                                                           | is         |
     |---|---|
     | is that of a motion without a line whose spectrum is that of 1/f noise                 | UNSURE     |
-    | is small in the last two windows, and did not rise twice before                        | NEGLIGIBLE |
+    | is small in the last two windows, did not rise twice before, and the force has stopped | NEGLIGIBLE |
     | rose twice from rest, and is not smaller than before                                   | LASTING    |
     | is that of a motion of fewer than four turns, or one whose spectrum has no main octave | UNSURE     |
     | surely changes by less than 0.3 in its later half                                      | LASTING    |
@@ -605,6 +605,9 @@ def _by_envelope(motion: _Motion) -> Finding:
     if end_n <= small_n and not _recurs(sizes, small_n):
         last = max((k for k, own in enumerate(sizes) if own > small_n), default=-1)
         rest_s = motion.end_s - (_WINDOWS - 1 - last) * window_s
+        if (gone_n := _gone(values)) > ERROR_SHARE * motion.hand_n:
+            # it is small in each window, and goes on from one to the next
+            return _on_its_way(late, gone_n, 4.0 * _WINDOWS * window_s)
         return Finding("stable", Cause.AT_REST, sizes[-1], rate, sizes[-1], rest_from_s=rest_s)
     turns, is_motion = _turns(values), _coloured(values) < ERROR_SHARE
     fate = _fate(_envelope(values, motion, turns), small_n) if turns >= 2.0 * LEAST_TURNS and is_motion else Fate.UNSURE
