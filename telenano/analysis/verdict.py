@@ -284,6 +284,8 @@ def _of_part(motion: _Motion, window: Window) -> Finding | None:
     if not _explains(window, motion.hand_n):
         return None
     found = _decided(window)
+    if found.kind != "stable" and _leaves_noise(window) and _cancels(window):
+        return None
     if _is_open(found, window) and not (_fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
         return None
     gone_n = _gone(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
@@ -374,9 +376,7 @@ def _explains(window: Window, hand_force_n: float) -> bool:
         # large modes that cancel are no motion
         if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
             return False
-    if _leaves_noise(window):
-        return not _cancels(window)
-    return not any(_bends(mode, window) for mode in fit.modes)
+    return _leaves_noise(window) or not any(_bends(mode, window) for mode in fit.modes)
 
 
 def _coloured(left: Series) -> float:
