@@ -33,6 +33,8 @@ Of 150 windows of each kind (0.3, 1, 3 and 10 s; share that covers, of those tha
     tremor, 9 Hz           100 of 9 %    93 of 100 %   100 of 100 %  100 of 100 %
 
 So what is said of a power law is nearly always nothing, and wrong in one of forty windows.
+
+TABLE
 """
 
 import math
