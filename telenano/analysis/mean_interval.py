@@ -34,7 +34,17 @@ Of 150 windows of each kind (0.3, 1, 3 and 10 s; share that covers, of those tha
 
 So what is said of a power law is nearly always nothing, and wrong in one of forty windows.
 
-TABLE
+With waves longer than the window in the model, of 200 windows of each kind of hand (0.7, 1.5 and 4 s):
+
+    white                  100 of 98 %    97 of 98 %   96 of 99 %
+    tremor of 7 to 12 Hz    87 of 64 %    90 of 68 %   98 of 95 %
+    the same and 1/f        81 of 35 %    76 of 32 %   72 of 23 %
+    hand, 2 to 4 Hz         63 of 10 %    84 of 30 %   95 of 89 %
+    pulse, 1.2 Hz          100 of 29 %    none         95 of 100 %
+    breathing, 0.25 Hz      84 of 87 %    99 of 100 %  89 of 97 %
+    breathing and tremor    85 of 58 %    60 of 68 %   88 of 99 %
+
+Without them breathing was covered in none of the few windows of 0.7 s that had an interval.
 """
 
 import math
