@@ -51,10 +51,10 @@ def test_a_course_that_was_once_judged_wrongly_is_not_again(seed: int) -> None:
     assert not confusion.false_alarm(said) and not confusion.missed_swing(said), said
 
 
-@pytest.mark.check("judges six hundred labelled courses")
+@pytest.mark.check("judges four hundred labelled courses")
 def test_few_courses_are_judged_wrongly() -> None:
-    found = shares(range(300), "all")
-    # of 231 that settle one is 0.4 %, and of 140 that grow or go on one is 0.7 %
+    found = shares(range(200), "all")
+    # of 136 that settle one is 0.7 %, and of 83 that grow or go on one is 1.2 %
     assert len(found["settling called a cycle or growth"].such) <= 2
     assert len(found["growing or going on called stable"].such) <= 1
     assert found["cannot say of a growth or cycle of four turns"].value < 0.12
