@@ -123,9 +123,9 @@ EQUIVALENT: dict[str, dict[str, str]] = {
             f"CommandHandler.__init__: self._stalled_s = 0.0 {change}": "read only after it was set"
             for change in ("[self._stalled_s = 0.0 => pass]", "[0.0 => 1.0]")
         },
-        "CommandClient.__init__: self._sender = os.urandom(8).hex() [8 => 9]": "another number of random bytes tells"
+        "CommandClient.__init__: self._sender = token(8) [8 => 9]": "another number of random bytes tells"
         " senders apart as well",
-        'stop_of: src, number = f"estop@{site_of(node)}", os.urandom(12).hex() [12 => 13]': "another number of random"
+        'stop_of: src, number = f"estop@{site_of(node)}", token(12) [12 => 13]': "another number of random"
         " bytes tells stops apart as well",
         "CommandClient._issue: self._issued += 1 [1 => 2]": "only that the ids of commands differ counts",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
