@@ -102,9 +102,9 @@ test: setup ## Run lint, the core's tests and one rig of real processes, or PACK
 check: setup ## Run everything else that ends by itself, before a change is merged; half an hour.
 	-@$(MAKE) --no-print-directory page
 	@failed=0; \
-	$(BIN)/pytest -m "check and not stack" -n 2 --dist loadfile --ignore tests/stack tests || failed=1; \
+	$(BIN)/pytest -m "check and not stack and not endurance" -n 2 --dist loadfile --ignore tests/stack tests || failed=1; \
 	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile packages || failed=1; \
-	$(BIN)/pytest -m "check and stack" tests/stack || failed=1; \
+	$(BIN)/pytest -m "check and stack and not endurance" tests/stack || failed=1; \
 	exit $$failed
 
 # what takes minutes each: long faults, many kills, ten minutes of the whole rig

@@ -107,7 +107,13 @@ def losing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
             shutil.rmtree(other)
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+# `make check` tries the loss of everything, of a socket and of a lock; the others are its parts.
+IN_CHECK = ("folder removed", "socket of the AFM removed", "locks of the rig removed")
+
+
+@pytest.mark.parametrize(
+    "loss", [loss if loss in IN_CHECK else pytest.param(loss, marks=pytest.mark.endurance) for loss in LOSSES]
+)
 def test_a_rig_whose_paths_are_removed_is_found_stopped_and_commanded(losing: Rig, loss: str) -> None:
     rig, lose = losing, LOSSES[loss]
     rig.wait_until(lambda: is_whole(rig), "the paths of the test before")
@@ -273,7 +279,7 @@ def follows(rig: Rig) -> bool:
     return mode(rig) in ("follow", "place")
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.endurance)])
 def test_in_any_order_a_stop_is_obeyed_and_no_rig_is_called_absent(pair: list[Rig], seed: int) -> None:
     draw, rig = random.Random(seed), start(pair[0])
     assert rig.process is not None
