@@ -19,7 +19,7 @@ HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 def _site_file(path: Path | None) -> Path | None:
     """Return the site file that is named; ConfigError, before the command begins, if it is not there."""
     file = site_file_named(path)
-    if file is not None and not file.is_file():
+    if file is not None and not file.exists():
         known = ", ".join(sorted(each.stem for each in SITE_DIRECTORY.glob("*.yaml")))
         raise ConfigError(f"--site-file {path}: no such file; give a .yaml file, or one of {known}")
     return file

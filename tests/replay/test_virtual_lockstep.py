@@ -76,10 +76,11 @@ SERIES = (
     "instrument_mode",
     "hand_following",
 )
-# Greatest difference as a share of the greatest value. Zero, the same bits, for all but one: through wave variables the
-# rounding of the split step of arming comes back as a wave and circulates; 1.6e-13 was measured in the rendered force
-# and less than 1e-14 in every other series.
-TOLERANCE = {("tip_sample", "wave"): 1e-12}
+# Greatest difference as a share of the greatest value. On the spring the two agree to the bit. Over the contact the tip
+# is let go to the hand first, which ends a little apart on the bus, where the slave half has the offset of the hand
+# from afm/state, and still decays in the session: 0.4 % of the tip's force was measured with passivity, 1e-4 with the
+# others.
+TOLERANCE = {"spring": 0.0, "tip_sample": 5e-3}
 
 
 class ConstantRig(VirtualRig):
@@ -212,7 +213,7 @@ def test_the_nodes_and_lockstep_agree(
     cell = cell_of(law, environment, round_trip_ms)
     expected = in_lockstep(cell)
     found = differences(undisturbed(cell), expected)
-    assert all(share <= TOLERANCE.get((environment, law), 0.0) for share in found.values()), found
+    assert all(share <= TOLERANCE[environment] for share in found.values()), found
     # the session shows something of the law
     assert expected.in_contact.any()
     assert expected.tip_force_n.max() > 1.5e-8

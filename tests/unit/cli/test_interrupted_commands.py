@@ -69,6 +69,7 @@ VARIANTS = (
 # why a command with --out is not in the table
 ELSEWHERE = {
     "up": "a session ends with its recording, figure and summary: tests/stack/test_fig12.py",
+    "simulate": "its nodes stop in order and the file is completed: tests/unit/virtual/test_virtual_session.py",
     "experiment publish": "renames a folder when it is whole: test_experiment_publish.py",
     "experiment run": "each trial is in the journal when it is over: test_experiment_runner.py",
     "experiment analyse": "reads a journal, and writes all at once at the end by `results_in`",
