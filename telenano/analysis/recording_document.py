@@ -46,7 +46,7 @@ def _session_facts(
         {"t_s": moment.time_s + shift_s, "kind": moment.kind, "level": "info", "src": "afm_node", "text": moment.text}
         for moment in moments_of(contacts, session.duration_s)
     ]
-    # what else interrupted a session a node has reported itself
+    # A node has reported itself what else interrupted a session.
     moments += [
         {
             "t_s": one["start_s"] + shift_s, "kind": one["kind"], "level": "warning",

@@ -87,7 +87,7 @@ _LEAST_N = 0.1
 # A launcher that is busy reports the end of a process this long after it [s].
 _EXIT_WITHIN_S = 2.0
 _NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
-# as a sentence names the source of a topic
+# A sentence names the source of a topic by these words.
 _SOURCES = {HAND: "the hand", TIP: "the AFM"}
 _COMMAND = "haptic/command"
 _HAND_FIELDS = ("seq", "log_ns", "session_s", "mode", "operator_force_n.2", "position_m.2")

@@ -25,6 +25,20 @@ def _site_file(path: Path | None) -> Path | None:
     return file
 
 
+SeedsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--seeds",
+        min=2,
+        max=100,
+        metavar="N",
+        help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
+    ),
+]
+AllowCodeOption = Annotated[
+    bool,
+    typer.Option("--allow-code", help="Run code that the scenario names: the function of a sample, a library."),
+]
 SiteFileOption = Annotated[
     Path,
     typer.Option(

@@ -170,7 +170,7 @@ class SessionNode(RigNode):
 
     def report(self, level: str, text: str, **data: Scalar) -> None:
         super().report(level, text, **data)
-        # what a launcher publishes does not come back to it
+        # A launcher does not receive what it publishes.
         if self._commands is not None and "exit_code" in data:
             self._commands.note_end(str(data.get("about_node", "")), text)
 

@@ -356,7 +356,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
         statistics.begin_file()
         part, counted = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += counted
-        # without a number that is missing nothing was sent in the pause
+        # Nothing was sent in the pause if no number is missing.
         if number and statistics.lost_between and recordings[number - 1].ending != _PLANNED_END:
             before = Path(parts[-1].path).name
             missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")

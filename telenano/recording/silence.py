@@ -108,7 +108,7 @@ def sent_of(recording: RecordingSource) -> dict[tuple[str, str], int]:
         if (sent := read_end(fields)) is None:
             continue
         counts.setdefault((END_TOPIC, message.src), 0)
-        # what it has sent on of others is not what they have sent
+        # Messages that it forwarded are not counts of their publishers.
         counts |= {key: count for key, count in sent.items() if key[1] == message.src}
     return counts
 

@@ -57,7 +57,7 @@ def verify(paths: Sequence[Path]) -> Verdict:
     findings: list[Finding] = []
     total = 0
     between: list[Finding] = []
-    # by channel, the newest number of a publisher that has not ended, and the file that it is in
+    # The newest number of each publisher that has not ended, by channel, with the file that it is in.
     newest: dict[RecordedChannel, tuple[int, Recording]] = {}
     for recording in recordings:
         check = _Check(recording, {channel: seq for channel, (seq, _) in newest.items()})
@@ -230,7 +230,7 @@ class _Check:
         self.ended.add(channel)
         newest = self._streams.get(channel)
         if newest is None:
-            # what there is of it is in a file before this one
+            # Its messages are in a file before this one.
             newest = self._streams[channel] = _Stream(channel)
             newest.seq = self._before[channel]
         last = (sent - 1) & _SEQUENCE_MASK

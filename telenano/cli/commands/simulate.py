@@ -13,7 +13,15 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
+from telenano.cli.options import (
+    AllowCodeOption,
+    FormatOption,
+    JsonOption,
+    SeedsOption,
+    StyleOption,
+    TableOption,
+    table_formats,
+)
 from telenano.cli.output import console, fail, fail_with_summary, print_summary, report_errors
 from telenano.cli.sweep import SEED, points_of, run_sweep, without_sweep
 from telenano.launcher.plan import Plan
@@ -41,20 +49,8 @@ def simulate(
             help="Run a session for each value of a key, of seed, or of round_trip_ms, and compare them (repeatable).",
         ),
     ] = None,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            "--seeds",
-            min=2,
-            max=100,
-            metavar="N",
-            help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
-        ),
-    ] = None,
-    allow_code: Annotated[
-        bool,
-        typer.Option("--allow-code", help="Run code that the scenario names: the function of a sample, a library."),
-    ] = False,
+    seeds: SeedsOption = None,
+    allow_code: AllowCodeOption = False,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Write the recording alone; `telenano report` makes the rest later.")
     ] = False,

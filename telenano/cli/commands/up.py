@@ -14,7 +14,15 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, refuse_unused
+from telenano.cli.options import (
+    AllowCodeOption,
+    FormatOption,
+    JsonOption,
+    SeedsOption,
+    StyleOption,
+    TableOption,
+    refuse_unused,
+)
 from telenano.cli.output import (
     console,
     fail,
@@ -50,20 +58,8 @@ def up(
             help="Run a session for each value of a key, or of round_trip_ms, and compare them (repeatable).",
         ),
     ] = None,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            "--seeds",
-            min=2,
-            max=100,
-            metavar="N",
-            help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
-        ),
-    ] = None,
-    allow_code: Annotated[
-        bool,
-        typer.Option("--allow-code", help="Run code that the scenario names: the function of a sample, a library."),
-    ] = False,
+    seeds: SeedsOption = None,
+    allow_code: AllowCodeOption = False,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "csv",
