@@ -47,7 +47,7 @@ def instrument_alone(params: Any, state: Any, bases_m: np.ndarray, dt: float) ->
     """Run the instrument over the base positions of a course."""
     total, arm = 0.0, True
     for base_m in bases_m:
-        state, outputs = instrument_step(params, state, AfmInputs(base_m, 0.0, 0, arm, False, 0.0, 0.0), dt)
+        state, outputs = instrument_step(params, state, AfmInputs(base_m, 0.0, 0, arm, False, 0.0, 0.0, False), dt)
         arm = False
         total += outputs.sample.force_n
     return total

@@ -91,7 +91,7 @@ def lockstep(params: Any, state: Any, rows: np.ndarray, found: np.ndarray) -> An
     """Take the guarded steps in one compiled call, as a study does."""
     for n in range(len(rows)):
         row = rows[n]
-        asked = AfmInputs(row[0], 0.0, 0, n == 0, False, row[1], row[2])
+        asked = AfmInputs(row[0], 0.0, 0, n == 0, False, row[1], row[2], False)
         state, out = step(params, state, asked, row[3])
         found[n, 0], found[n, 1], found[n, 2] = out.sample.base_m, out.sample.force_n, out.sample.distance_m
     return state
