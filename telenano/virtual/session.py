@@ -70,7 +70,16 @@ class ConsoleNode(Node):
         self._clients: list[CommandClient] = []
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), _CONSOLE_NS)
         # What became of each command that failed, in sentences.
-        self.failures: list[str] = []
+        self._failures: list[str] = []
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What became of each command that failed or whose time did not come, in sentences."""
+        late = (
+            f"{command.name} {command.target}: the session ended before {time_s:g} s"
+            for time_s, command in self._waiting
+        )
+        return (*self._failures, *late)
 
     def deadline_ns(self) -> int:
         return self._ticks.deadline_ns
@@ -88,7 +97,7 @@ class ConsoleNode(Node):
             self._clients.append(CommandClient(self.clock, self.publish, [command], token=self.context.machine.token))
         for client in [client for client in self._clients if client.advance()]:
             self._clients.remove(client)
-            self.failures += [client.failure] if client.failure else []
+            self._failures += [client.failure] if client.failure else []
 
     def make_safe(self) -> None:
         """Do nothing: a console moves no device."""
@@ -214,7 +223,7 @@ class SimulatedRig(Engine):
     @property
     def failed_commands(self) -> tuple[str, ...]:
         """Why commands that were to be given at the console failed, in sentences."""
-        return () if self.console is None else tuple(self.console.failures)
+        return () if self.console is None else self.console.failures
 
     def turn(self, key: str, loop: NodeLoop) -> None:
         """Let a node take a turn; one whose turn fails is started again by the launcher, as a process is."""

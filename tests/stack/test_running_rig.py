@@ -12,12 +12,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import machine
 import msgpack
 import pytest
 import zmq
 from killed import check_killed, kill_recorders
 from ledger import record
-from stack_rig import FIGURE_S, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
+from stack_rig import FIGURE_S, HELD_UP_MS, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
 
 from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub
@@ -148,7 +149,8 @@ def test_second_rig_of_the_same_name_names_who_has_it(rig: Any, tmp_path: Any) -
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
+def states_around_switches(rig: Rig) -> list[list[Any]]:
+    """Switch the law and back while the tip rests on the sample; return the states of the tip around both switches."""
 
     def rests() -> bool:
         before = rig.newest("afm/state")
@@ -169,8 +171,19 @@ def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
     forward, tip = decoded(rig, "teleop/forward", begin_ns), decoded(rig, "afm/state", begin_ns)
     switches = [after.t_ns for before, after in pairwise(forward) if before.law != after.law]
     assert len(switches) == 2
-    for at_ns in switches:
-        around = [state for state in tip if abs(state.t_ns - at_ns) < 30_000_000]
+    return [[state for state in tip if abs(state.t_ns - at_ns) < 30_000_000] for at_ns in switches]
+
+
+def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
+    for _ in range(3):
+        switches = states_around_switches(rig)
+        still_ms = max((b.t_ns - a.t_ns) * 1e-6 for around in switches for a, b in pairwise(around))
+        if still_ms <= HELD_UP_MS:
+            break
+        machine.note(f"the law was switched again: the instrument stood still for {still_ms:.0f} ms at the switch")
+    else:
+        pytest.skip("the instrument was held up at each of three switches of the law")
+    for around in switches:
         assert {state.mode for state in around} == {"follow"}
         # the free approach moves 15 pm a millisecond; a switch must not be seen among such steps
         moved = [abs(b.base_position_m[2] - a.base_position_m[2]) / b.step_s for a, b in pairwise(around)]

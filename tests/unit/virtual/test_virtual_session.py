@@ -126,6 +126,13 @@ def test_a_command_that_no_node_knows_is_reported_and_ends_nothing(tmp_path: Pat
     assert "nothing" in shown[0]
 
 
+def test_a_command_whose_time_does_not_come_is_reported(tmp_path: Path) -> None:
+    outcome, shown = session(tmp_path, at=("60 set controller law=wave", "0.2 mark recorder@master note=here"))
+    assert outcome.failure == ""
+    assert len(shown) == 1
+    assert "set controller: the session ended before 60 s" in shown[0]
+
+
 @pytest.mark.parametrize(
     ("text", "names"),
     [
