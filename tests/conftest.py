@@ -2,6 +2,7 @@
 
 import gc
 import sys
+import zlib
 from collections.abc import Iterator
 
 import pytest
@@ -23,12 +24,18 @@ settings.load_profile("telenano")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave the cases of a grid to `make check`, but for the one law that stands for it in `make test`."""
+    """Leave the cases of a grid to `make check` but for one, and what is not drawn of many cases to `make endurance`.
+
+    A case is drawn by its name, so that each run has the same ones and a new case moves no other.
+    """
     for item in items:
         if (grid := item.get_closest_marker("grid")) and item.get_closest_marker("endurance") is None:
             values = item.callspec.params  # type: ignore[attr-defined]
             if any(values[name] != chosen for name, chosen in grid.kwargs.items()):
                 item.add_marker(pytest.mark.check(f"{grid.kwargs} stand for the grid"))
+        drawn = item.get_closest_marker("drawn") if item.get_closest_marker("check") else None
+        if drawn and zlib.crc32(item.name.encode()) >= drawn.args[0] * 2**32:
+            item.add_marker(pytest.mark.endurance(f"{drawn.args[0]:.0%} of the cases stand for all"))
 
 
 @pytest.hookimpl(wrapper=True)

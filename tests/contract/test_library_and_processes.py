@@ -44,7 +44,14 @@ print("imported:", sorted(name for name in sys.modules if name.partition(".")[0]
 
 
 @pytest.mark.check("simulates, reads and draws in a process of its own, three times")
-@pytest.mark.parametrize("place", ["here", "where Linux's modules are not", "among files of the same names"])
+@pytest.mark.parametrize(
+    "place",
+    [
+        "here",
+        pytest.param("where Linux's modules are not", marks=pytest.mark.endurance),
+        pytest.param("among files of the same names", marks=pytest.mark.endurance),
+    ],
+)
 def test_the_library_works_alone(place: str, tmp_path: Path) -> None:
     folder = tmp_path / "notes"
     folder.mkdir()

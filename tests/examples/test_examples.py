@@ -29,6 +29,8 @@ FIGURES: dict[str, tuple[tuple[str, float, float], ...]] = {
     "own_sample": (("held_nn", 18.964, 0.05), ("least_nn", -5.044, 0.02)),
     "why_it_rings": (("K_f 20 delay_ms 40 verdict stable margin_ms", 5.0, 0.1),),
 }
+# Programs that simulate many sessions or a long line.
+MINUTES = ("many_recordings", "own_line")
 TEXTS: dict[str, tuple[str, ...]] = {
     "dask_study": (
         "K_f 10 delay_ms 60 verdict stable",
@@ -68,7 +70,9 @@ def test_a_program_is_short_has_its_picture_and_is_in_the_table(name: str) -> No
 
 
 @pytest.mark.check("runs a program that simulates and draws")
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.endurance] if name in MINUTES else []) for name in FIGURES]
+)
 def test_a_program_prints_its_figures_and_draws_its_picture(name: str, tmp_path: Path) -> None:
     command = [sys.executable, f"examples/{name}.py", *ARGUMENTS.get(name, ()), str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)

@@ -61,8 +61,15 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return experiment_in(tmp_path_factory.mktemp("experiment"))
 
 
-@pytest.mark.check("runs a notebook, and for one of them an experiment")
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.check("runs a notebook")
+@pytest.mark.parametrize(
+    "path",
+    [
+        # This one begins with an experiment of a minute.
+        pytest.param(path, id=path.stem, marks=[pytest.mark.endurance] if path.stem == "experiment_table" else [])
+        for path in NOTEBOOKS
+    ],
+)
 def test_a_fresh_run_prints_and_draws_what_is_kept(path: Path, experiment: Path, tmp_path: Path) -> None:
     fresh = cells_of(executed(path, tmp_path, experiment))
     for number, (kept, made) in enumerate(zip(cells_of(document_of(path)), fresh, strict=True)):

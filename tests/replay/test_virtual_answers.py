@@ -82,6 +82,7 @@ BACK, THERE = {LINK_NODE}, {LINK_ENDPOINT}
 
 
 @pytest.mark.grid(law="virtual_impedance")
+@pytest.mark.drawn(0.2)
 @pytest.mark.parametrize(
     ("link_s", "blocked"),
     [(0.0, BACK), (0.02, BACK), (0.25, BACK), (0.02, THERE), (0.02, BACK | THERE)],

@@ -46,7 +46,7 @@ def run(folder: Path, duration_s: float, *settings: str) -> dict[str, Any]:
     return session.summary(recording)
 
 
-@pytest.mark.check("takes 7.6 s")
+@pytest.mark.endurance("takes 7.6 s")
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(
     tmp_path: Path,
 ) -> None:

@@ -25,7 +25,8 @@ LINES = (
 )  # fmt: skip
 
 
-@pytest.mark.grid(law="wave")
+@pytest.mark.grid(law="wave", kind="delay_s")
+@pytest.mark.drawn(0.2)
 @pytest.mark.parametrize(
     ("law", "kind"),
     [("wave", kind) for kind in KINDS] + [(law, kind) for law in LAWS if law != "wave" for kind in LINES],

@@ -187,6 +187,7 @@ IN_MAKE_TEST = [name for name, recipe in RECIPES.items() if recipe.in_make_test]
 
 
 @pytest.mark.check("takes 22.1 s")
+@pytest.mark.drawn(0.4)
 @pytest.mark.parametrize("name", IN_MAKE_TEST)
 def test_a_command_interrupted_at_a_random_time_leaves_nothing_half_and_runs_again(
     name: str, with_recordings: Callable[[str], str], tmp_path: Path

@@ -144,6 +144,6 @@ def test_a_hand_of_a_package_steers_the_tip_in_lockstep(found: dict[str, Any]) -
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.check("compiles the loop over a layer of a package")
+@pytest.mark.endurance("compiles the loop over a layer of a package")
 def test_a_session_with_both_gives_the_same_bits_compiled(tmp_path: Path) -> None:
     assert run(tmp_path / "site", "--compiled")["same"]

@@ -141,12 +141,19 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
 
 
-@pytest.mark.check("tries every option of every command")
 @pytest.mark.timeout(600)
-def test_a_wrong_value_is_refused_by_its_option_before_work_begins() -> None:
+@pytest.mark.parametrize(
+    "every",
+    [
+        pytest.param(8, marks=pytest.mark.check("tries an eighth of the options")),
+        pytest.param(1, marks=pytest.mark.endurance("tries every option of every command")),
+    ],
+)
+def test_a_wrong_value_is_refused_by_its_option_before_work_begins(every: int) -> None:
     assert len({words for words, _, _ in CASES}) > 60 and len(CASES) > 300
+    cases = CASES[::every]
     wrong, refused_before = [], []
-    for words, command, option in CASES:
+    for words, command, option in cases:
         flag = option.opts[0]
         asked = [*words, *filled(words, command, option.name), flag, WRONG]
         if (end := ended(asked, MOST_S)) is None:
@@ -160,7 +167,7 @@ def test_a_wrong_value_is_refused_by_its_option_before_work_begins() -> None:
             wrong.append(f"{' '.join(asked)}: {code}, {output[-200:]}")
             shutil.rmtree("out", ignore_errors=True)
     assert not wrong, "\n".join(wrong)
-    assert len(refused_before) < MOST_REFUSED_BEFORE * len(CASES), refused_before
+    assert len(refused_before) < MOST_REFUSED_BEFORE * len(cases), refused_before
 
 
 PATHS = [

@@ -440,7 +440,7 @@ def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys
     assert list(json.loads(capsys.readouterr().out)["warmed_s"]) == list(KNOWN_LAWS)
 
 
-@pytest.mark.check("compiles a law")
+@pytest.mark.endurance("compiles a law")
 def test_a_session_after_warming_compiles_nothing_and_one_before_it_says_that_it_does(tmp_path: Path) -> None:
     warm = (
         "from telenano.lockstep import simulation; warm = simulation.compile_scenario\n"

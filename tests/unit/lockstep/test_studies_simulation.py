@@ -87,7 +87,7 @@ for _ in range(calls):
 """
 
 
-@pytest.mark.check("compiles the loop in a folder of its own")
+@pytest.mark.endurance("compiles the loop in a folder of its own")
 def test_a_call_is_plain_python_until_a_loop_of_calls_pays_for_compiling_and_what_is_kept_is_used(
     tmp_path: Path,
 ) -> None:

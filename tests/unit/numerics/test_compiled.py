@@ -327,7 +327,7 @@ def write_package(folder: Path, force: str) -> None:
         (pack / f"{name}.py").write_text(text)
 
 
-@pytest.mark.check("compiles in a folder of its own, several times")
+@pytest.mark.endurance("compiles in a folder of its own, several times")
 @pytest.mark.parametrize(("kind", "folders"), [("laws", 3), ("steps", 1)])
 def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path, kind: str, folders: int) -> None:
     install(tmp_path, "pack", kind)
@@ -403,7 +403,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
     return run_simulation(tmp_path_factory.mktemp("simulated"))
 
 
-@pytest.mark.check("compiles the loop in a folder of its own, once for each import")
+@pytest.mark.endurance("compiles the loop in a folder of its own, once for each import")
 @pytest.mark.parametrize(
     "before",
     [

@@ -85,6 +85,7 @@ def write(case: Case, folder: Path) -> Path:
 
 
 @pytest.mark.check("takes 2.9 s")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("name", CASES)
 def test_stamps_of_an_hour_are_within_a_millisecond(tmp_path: Path, name: str) -> None:
     case = CASES[name]

@@ -69,6 +69,7 @@ print(step)
 
 
 @pytest.mark.check("takes 2.3 s")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("opener", OPENERS.values(), ids=OPENERS)
 def test_what_an_interruption_leaves_open_does_not_keep_a_process_from_exiting(opener: str, tmp_path: Path) -> None:
     code = CODE.replace("{opener}", opener)
