@@ -64,6 +64,7 @@ def recordings_of(rig: Rig) -> list[Path]:
 
 
 @pytest.mark.browser
+@pytest.mark.endurance
 @needs_browser
 def test_a_click_just_after_a_connection_never_arms_a_tip_alone(rig: Rig) -> None:
     view = View(rig.environment)
@@ -143,7 +144,12 @@ def first_of_the_session(rig: Rig) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize(
-    ("speed_m_per_s", "rate_hz"), [(15e-9, 250), (50e-9, 250), (2e-6, 125), (2e-6, 250), (2e-6, 1000)]
+    ("speed_m_per_s", "rate_hz"),
+    [
+        (15e-9, 250),
+        *(pytest.param(*case, marks=pytest.mark.endurance) for case in [(50e-9, 250), (2e-6, 125), (2e-6, 1000)]),
+        (2e-6, 250),
+    ],
 )
 def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
     tmp_path: Path, speed_m_per_s: float, rate_hz: int
@@ -161,7 +167,9 @@ def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
     assert tip.separation_m == pytest.approx(10e-9, rel=0.0, abs=0.1e-9)
 
 
-@pytest.mark.parametrize("scenario", ["fig10", "touch", "image"])
+@pytest.mark.parametrize(
+    "scenario", [*(pytest.param(name, marks=pytest.mark.endurance) for name in ("fig10", "touch")), "image"]
+)
 def test_every_scenario_begins_with_the_tip_placed_or_its_program_under_way(tmp_path: Path, scenario: str) -> None:
     rig = Rig(tmp_path)
     try:

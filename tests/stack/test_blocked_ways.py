@@ -27,10 +27,7 @@ TIP_S, HAND_S = 0.5, 0.1
 OVER = {"cable": "over a cable", "direct": "past a relay", "relayed": "through a relay"}
 
 
-# `make check` tries the way through a relay, whose end the kill of the relay is as well.
-@pytest.fixture(
-    params=[way if way == "relayed" else pytest.param(way, marks=pytest.mark.endurance) for way in WAYS],
-)
+@pytest.fixture(params=WAYS)
 def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[tuple[str, TwoSites]]:
     found = sites_of(request.param, tmp_path)
     try:
@@ -40,6 +37,7 @@ def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[tuple[str, T
         found.close()
 
 
+@pytest.mark.endurance
 def test_hand_and_tip_stop_soon_after_the_last_answer(rig: tuple[str, TwoSites]) -> None:
     way, sites = rig
     found = {name: injected(sites, name) for name in FAULTS_OF[way]}
@@ -66,7 +64,10 @@ def test_hand_and_tip_stop_soon_after_the_last_answer(rig: tuple[str, TwoSites])
 
 @pytest.mark.parametrize(
     ("name", "what"),
-    [("all_both", "nothing crosses between the sites"), ("tcp_both", "no TCP crosses between the sites")],
+    [
+        ("all_both", "nothing crosses between the sites"),
+        pytest.param("tcp_both", "no TCP crosses between the sites", marks=pytest.mark.endurance),
+    ],
 )
 @pytest.mark.parametrize("rig", ["cable"], indirect=True)
 def test_a_stop_that_cannot_cross_is_obeyed_before_anything_follows(

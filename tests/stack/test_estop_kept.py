@@ -62,6 +62,7 @@ def stays_stopped(rig: Rig, since_ns: int) -> str:
     return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
 
 
+@pytest.mark.endurance
 def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
     begin_ns = time.time_ns()

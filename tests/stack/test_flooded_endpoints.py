@@ -9,6 +9,7 @@ from statistics import mean, median
 from typing import Any
 
 import machine
+import pytest
 import zmq
 from empty_loop import EmptyLoops
 from ledger import record
@@ -61,6 +62,7 @@ def flood(socket: "zmq.Socket[Any]", messages: list[list[bytes]]) -> float:
     return sent / (time.monotonic() - begin_s)
 
 
+@pytest.mark.endurance
 def test_garbage_at_the_endpoints_that_are_open_to_others_ends_nothing(rig: Rig) -> None:
     rig.start("--duration", "300", "--set", CONSTANT_PUSH)
     rig.wait_until(rig.running, "a running session")

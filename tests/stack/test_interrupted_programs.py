@@ -33,6 +33,7 @@ def states_of_programs(rig: Rig) -> list[str]:
     return [str(getattr(message.decode(), "state", "")) for message in rig.recording().messages("afm/program")]
 
 
+@pytest.mark.endurance
 def test_a_live_image_that_is_ended_keeps_its_lines_and_the_instrument_does_not_scan_on(
     rig: Rig, tmp_path: Path
 ) -> None:

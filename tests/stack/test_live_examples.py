@@ -31,6 +31,7 @@ def run(name: str, folder: Path, rig: Rig) -> str:
     return done.stdout
 
 
+@pytest.mark.endurance
 def test_programs_beside_a_rig_print_its_forces_and_draw_them(rig: Rig, tmp_path: Path) -> None:
     rig.start(scenario="examples/pressing.yaml")
     rig.wait_until(rig.running, "the session")

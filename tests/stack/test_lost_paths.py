@@ -161,6 +161,7 @@ def pair(tmp_path: Path) -> Iterator[list[Rig]]:
         rig.close()
 
 
+@pytest.mark.endurance
 def test_a_second_rig_sees_the_first_and_outlives_it(pair: list[Rig]) -> None:
     first, second = pair
     start(first)
@@ -233,7 +234,11 @@ def taken_by_another_user(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("take", "asked"),
-    [(taken_by_a_file, False), (taken_by_a_file, True), (taken_by_another_user, True)],
+    [
+        pytest.param(taken_by_a_file, False, marks=pytest.mark.endurance),
+        pytest.param(taken_by_a_file, True, marks=pytest.mark.endurance),
+        (taken_by_another_user, True),
+    ],
 )
 def test_devices_that_cannot_have_their_paths_again_are_made_safe(
     rig: Rig, take: Callable[[Path], None], asked: bool

@@ -8,6 +8,7 @@ from verdict_sweep import drawn_cells, live
 
 
 @pytest.mark.timeout(600)
+@pytest.mark.endurance
 def test_no_verdict_over_an_outage_on_the_bus_contradicts_the_theory(tmp_path: Path) -> None:
     cells = list(live(drawn_cells(5), tmp_path))
     for cell in cells:

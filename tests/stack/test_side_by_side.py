@@ -41,6 +41,7 @@ def has_room() -> bool:
     return False
 
 
+@pytest.mark.endurance
 def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> None:
     room = has_room()
     for rig in rigs:
@@ -80,6 +81,7 @@ def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> Non
     assert not (rigs[0].sockets / "rig-2").exists()
 
 
+@pytest.mark.endurance
 def test_a_rig_that_is_killed_leaves_its_name_to_the_next(rigs: list[Rig]) -> None:
     first, second = rigs
     first.start("--duration", "60")

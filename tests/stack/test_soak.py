@@ -31,6 +31,7 @@ def soaked(out: Path, rate_hz: str) -> dict[str, Any]:
 
 
 @pytest.mark.stack
+@pytest.mark.endurance
 def test_the_rig_endures(tmp_path: Path) -> None:
     for rate_hz in RATES_HZ:
         figures = soaked(tmp_path / rate_hz, rate_hz)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from installations import ROOT, Installation, wheel_of
 
-pytestmark = pytest.mark.check("builds and installs wheels")
+pytestmark = pytest.mark.endurance("builds and installs wheels")
 
 # The distribution has the import name of proto-plus, which comes with every client of Google.
 STRANGER = """

@@ -514,7 +514,8 @@ def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, sec
     )
 
 
-@pytest.mark.parametrize("seconds", [30, pytest.param(300, marks=pytest.mark.endurance)])
+@pytest.mark.endurance
+@pytest.mark.parametrize("seconds", [30, 300])
 @pytest.mark.parametrize("node", ["delay_node@master", "controller@slave"])
 def test_an_end_of_the_link_that_stands_still_leaves_both_sides_safe_and_comes_back(
     rig: TwoSites, node: str, seconds: int

@@ -7,7 +7,7 @@ from two_sites import TwoSites, needs_namespaces
 from telenano.recording.reader import Recording
 from telenano.settings.known_packages import KNOWN_PACKAGES
 
-pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.timeout(300)]
+pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(300)]
 
 PACKAGE = KNOWN_PACKAGES["transport datagram"]
 ENDS = {"master": "delay_node@master", "slave": "controller@slave"}
