@@ -56,28 +56,13 @@ ATTENDED = ("afm_node.attended=true",)
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
 
-class UpRequest(Settings):
-    """A session, as `telenano up` is asked for it; without `site` and `attach` the whole rig runs on this machine."""
+class SessionRequest(Settings):
+    """A session, live or in virtual time, as a person asks for it."""
 
-    scenario: Annotated[str, Option(("--scenario",), "NAME|FILE")] = Field(
-        description="Experiment to run: a known name or a YAML file; with --attach it gives name and duration only"
-    )
+    scenario: str = Field(description="Experiment to run: a known name or a YAML file")
     instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
         default=None,
         description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
-    )
-    site_file: Annotated[Path | None, Option(("--site-file",), "FILE", site_file_named)] = Field(
-        default=None,
-        description="Address book of the rig (YAML); default: all on this machine, with --site two of them",
-    )
-    site: Site | None = Field(
-        default=None, description="Run the nodes of one site here; those of the other run on another machine"
-    )
-    attach: Annotated[bool, Option(("--attach",))] = Field(
-        default=False, description="Start no node: run a session with nodes that were started elsewhere"
-    )
-    wait_s: float | None = Field(
-        default=None, ge=0.0, description="Give up if nodes started elsewhere are not ready after this time [s]"
     )
     round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
         default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
@@ -91,6 +76,27 @@ class UpRequest(Settings):
     )
     settings: Annotated[tuple[str, ...], Option(("--set",), "SECTION.KEY=VALUE", tuple, many=True)] = Field(
         default=(), description="Change one key of the scenario (SI units); may be repeated"
+    )
+
+
+class UpRequest(SessionRequest):
+    """A session, as `telenano up` is asked for it; without `site` and `attach` the whole rig runs on this machine."""
+
+    scenario: Annotated[str, Option(("--scenario",), "NAME|FILE")] = Field(
+        description="Experiment to run: a known name or a YAML file; with --attach it gives name and duration only"
+    )
+    site_file: Annotated[Path | None, Option(("--site-file",), "FILE", site_file_named)] = Field(
+        default=None,
+        description="Address book of the rig (YAML); default: all on this machine, with --site two of them",
+    )
+    site: Site | None = Field(
+        default=None, description="Run the nodes of one site here; those of the other run on another machine"
+    )
+    attach: Annotated[bool, Option(("--attach",))] = Field(
+        default=False, description="Start no node: run a session with nodes that were started elsewhere"
+    )
+    wait_s: float | None = Field(
+        default=None, ge=0.0, description="Give up if nodes started elsewhere are not ready after this time [s]"
     )
     without: Annotated[tuple[str, ...], Option(("--without",), "NODE", tuple, many=True)] = Field(
         default=(), description="Leave this node out, for a replay to take its place (repeatable)"

@@ -9,12 +9,11 @@ from typing import Annotated
 import yaml
 from pydantic import Field
 
-from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.launcher.plan import Plan, SessionRequest, UpRequest, make_plan
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.run import Outcome
 from telenano.recording.session_folder import SessionFolder
 from telenano.runtime.loop.commands import Command, CommandName
-from telenano.settings.config import Settings
 from telenano.settings.included import TWO_SITES_FILE
 from telenano.settings.option import Option
 from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand, absence_of
@@ -25,27 +24,9 @@ SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturban
 _NAMES: tuple[str, ...] = CommandName.__args__  # type: ignore[attr-defined]
 
 
-class SimulateRequest(Settings):
+class SimulateRequest(SessionRequest):
     """A session in virtual time, as `telenano simulate` is asked for it."""
 
-    scenario: str = Field(description="Experiment to run: a known name or a YAML file")
-    instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
-        default=None,
-        description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
-    )
-    round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
-        default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
-    )
-    duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
-    out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(
-        default=None, description="Folder for the results; default: sessions/NAME-DATE-TIME"
-    )
-    overwrite: Annotated[bool, Option(("--overwrite",))] = Field(
-        default=False, description="Replace the results of a session that the folder holds already"
-    )
-    settings: Annotated[tuple[str, ...], Option(("--set",), "SECTION.KEY=VALUE", tuple, many=True)] = Field(
-        default=(), description="Change one key of the scenario (SI units); may be repeated"
-    )
     seed: int | None = Field(
         default=None,
         ge=0,
@@ -98,16 +79,9 @@ def plan_of(request: SimulateRequest, default_out: Path) -> Plan:
     """Read and check everything that a session in virtual time needs; ConfigError names file and key at fault."""
     seeds = () if request.seed is None else tuple(f"{key}={request.seed}" for key in SEEDS)
     sites = ("recorder.far=fetch",) if request.both_sites else ()
-    up = UpRequest(
-        scenario=request.scenario,
-        instrument=request.instrument,
-        round_trip_ms=request.round_trip_ms,
-        duration_s=request.duration_s,
-        out=request.out,
-        overwrite=request.overwrite,
-        settings=(*seeds, *request.settings, *sites),
-        site_file=TWO_SITES_FILE if request.both_sites else None,
-    )
+    asked = {name: getattr(request, name) for name in SessionRequest.model_fields}
+    asked["settings"] = (*seeds, *request.settings, *sites)
+    up = UpRequest(**asked, site_file=TWO_SITES_FILE if request.both_sites else None)
     request.commands()
     return make_plan(up, default_out)
 
