@@ -17,7 +17,7 @@ from test_haply_service import Served
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 

@@ -42,9 +42,9 @@ from typer.testing import CliRunner
 
 from telenano.cli import run_ahead
 from telenano.cli.root import app
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
 from telenano.runtime.loop import realtime
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
 Put = Callable[[str], None]
@@ -406,7 +406,7 @@ def test_an_end_at_any_time_leaves_what_was_found_so_far(guide: Guide, tmp_path:
 def test_an_instrument_whose_trial_is_ended_is_retracted(tmp_path: Path) -> None:
     for hook in (led({"approach": False}), led({"silence": "end"})):
         chosen = instruments.config("simulated")
-        from telenano.devices.afm.instrument import driver_of
+        from telenano.devices import driver_of
 
         driver = driver_of(chosen, 1e-3)
         driver.open()

@@ -19,12 +19,11 @@ from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from typer.testing import CliRunner
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.sim import simulated_afm
+from telenano.afm import AfmConfig, simulated_afm
 from telenano.cli.root import app
-from telenano.devices.afm.modbus_driver import ModbusAfm
+from telenano.devices import ModbusAfm
 from telenano.devices.afm.register_map import read_map
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 # near the sample, so that the approach is short
 SAFETY = {"base_min_m": -30e-9, "base_max_m": 30e-9, "retract_position_m": -15e-9}

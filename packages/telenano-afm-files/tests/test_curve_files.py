@@ -15,9 +15,9 @@ from telenano_calibration.own_calibration import sensitivities_of_file
 from telenano_microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 from typer.testing import CliRunner
 
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from telenano_microscopy.image_files import Image, write_gwy
 
-from telenano.afm.sample.surface_files import read_surface
+from telenano.afm import read_surface
 from telenano.settings import file_readers
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) ** 2 / 4e-9)

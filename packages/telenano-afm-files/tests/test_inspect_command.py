@@ -11,7 +11,7 @@ from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.settings.file_readers import read_by_package
+from telenano.settings import read_by_package
 from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data"

@@ -31,9 +31,9 @@ from telenano_microscopy.force_curve import Curve, read_measured
 from telenano_microscopy.image_files import Image, write_gwy
 from typer.testing import CliRunner
 
-from telenano.afm.sample.surface_files import read_surface
+from telenano.afm import read_surface
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 CONSTANTS = {"stiffness_n_per_m": STIFFNESS_N_PER_M, "sensitivity_m_per_v": SENSITIVITY_M_PER_V}
 needs_converter = pytest.mark.skipif(

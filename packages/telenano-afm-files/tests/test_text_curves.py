@@ -11,7 +11,7 @@ from telenano_afm_files.text_curves import curves_of
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 POINTS, K, M_PER_V = 300, 0.5, 50e-9
 LENGTHS = {"nm": 1e-9, "µm": 1e-6, "m": 1.0, "Å": 1e-10}

@@ -14,7 +14,7 @@ from telenano_assembly.particles.tip_shape import tip_shape
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.recording.reader import Recording
+from telenano.recording import Recording
 from telenano.recording.verify import verify
 
 ONE = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=2.5e-6")

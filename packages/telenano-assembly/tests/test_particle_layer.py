@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from telenano_assembly.particles.tip_shape import ride_height_m, tip_shape
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.part import part_step
+from telenano.afm import AfmConfig, part_step
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.torsion import TorsionParams, _step
-from telenano.devices.afm.instrument import driver_of
+from telenano.devices import driver_of
 from telenano.extend.samples import PlantInputs
-from telenano.numerics.compiler import compiled_form
-from telenano.settings.config import validate
-from telenano.wire.errors import ConfigError
+from telenano.numerics import compiled_form
+from telenano.settings import validate
+from telenano.wire import ConfigError
 
 DEEP = {"base_min_m": -1e-6, "retract_position_m": -7e-7, "base_max_m": 2e-7}
 TWO = {"places": [[0.0, 0.0], [2e-6, 0.0]]}

@@ -10,14 +10,14 @@ from telenano_assembly.particles.settings import ParticlesConfig
 from telenano_assembly.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano_assembly.push_program import Push, PushSettings, PushState
 
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig
 from telenano.afm.programs import scan
 from telenano.devices import VirtualInstrument
 from telenano.extend.programs import Inputs, Instrument
 from telenano.extend.samples import Oscillation
 from telenano.extend.stage import LateralParams, Place
-from telenano.settings.config import validate
-from telenano.wire.errors import RefusedError
+from telenano.settings import validate
+from telenano.wire import RefusedError
 
 ORIGIN, SIDES, LATERAL = Place(0.0, 0.0), (8e-6, 8e-6), LateralParams(5e-5, 2e-5)
 

@@ -16,12 +16,10 @@ from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 from typer.testing import CliRunner
 
-from telenano.analysis.report import Session
+from telenano.analysis import Session
 from telenano.cli.root import app
-from telenano.devices.afm.converter_calibration import InstrumentCalibration
-from telenano.devices.hand.calibration import HandleCalibration
-from telenano.recording.multi_file import open_recordings
-from telenano.recording.site_clock import Timeline
+from telenano.devices import HandleCalibration, InstrumentCalibration
+from telenano.recording import Timeline, open_recordings
 from telenano.wire import TelenanoError
 
 NOW = datetime(2026, 11, 1, tzinfo=UTC).isoformat()

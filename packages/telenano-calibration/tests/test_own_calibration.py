@@ -27,7 +27,7 @@ from typer.testing import CliRunner
 
 from telenano.afm.disturbances import BOLTZMANN_J_PER_K
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 K, F0, Q, RATE, M_PER_V, KELVIN = 2.7, 70e3, 180.0, 1e6, 60e-9, 295.0
 KNOWN = Thermal(M_PER_V, KELVIN)

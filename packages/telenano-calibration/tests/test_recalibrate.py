@@ -12,11 +12,10 @@ from telenano_emulators.t7_model import calibration_of as stage_file
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.hand.config import HapticConfig
-from telenano.recording.reader import Recording
+from telenano.hand import HapticConfig
+from telenano.recording import Recording, RecordingWriter
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.writer import RecordingWriter
-from telenano.settings.config import merge
+from telenano.settings import merge
 from telenano.wire import encode
 
 HAND_ID = f"{DEVICE_ID:016x} 2026-01-01T00:00:00+00:00"

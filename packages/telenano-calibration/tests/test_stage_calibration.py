@@ -61,7 +61,7 @@ def test_sensitivity_and_zero_are_found_within_their_standard_errors() -> None:
 
 
 def test_compiled_instrument_gives_its_sensitivity_less_what_its_sample_yields() -> None:
-    from telenano.afm.sim import simulated_afm
+    from telenano.afm import simulated_afm
 
     afm = simulated_afm(PARAMS)
     afm.open()

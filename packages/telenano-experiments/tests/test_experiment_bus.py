@@ -17,8 +17,7 @@ from waiting import until
 from telenano.console import RigHand
 from telenano.runtime import AddressBook, Observer
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import ConfigError
-from telenano.wire.errors import EndpointError
+from telenano.wire import ConfigError, EndpointError
 
 PATIENCE_S = 20.0
 TRIAL = Trial("P07", 1, 2, 5, "main", "track", {}, {"law": "wave", "delay_s": 0.1, "on": (1, 2)}, {}, 11)

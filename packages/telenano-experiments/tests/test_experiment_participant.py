@@ -34,9 +34,8 @@ from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import described
 from telenano.serving.access import Access
-from telenano.wire import Array, Message
+from telenano.wire import TOPICS, Array, Message
 from telenano.wire.codec import fields_of
-from telenano.wire.topics import TOPICS
 
 TOKEN = "participant-token-01"
 ACCESS = replace(bus_page.ACCESS, participant_token=TOKEN)

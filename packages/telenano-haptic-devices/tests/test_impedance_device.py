@@ -15,7 +15,7 @@ from telenano_haptic_devices.servo import ServoCommand, ServoSample, Slot
 from services.haptic_node.__main__ import build
 from services.haptic_node.node import HapticNode
 from telenano.extend.hands import MODE_FORCE, MODE_POSITION, Capabilities, DeviceError, DriveCommand
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
 from telenano.wire.node_state import pack, restore
 
 MS = 1e-3

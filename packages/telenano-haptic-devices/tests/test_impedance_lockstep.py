@@ -5,10 +5,10 @@ import pytest
 from telenano_haptic_devices.coupled import coupled_plant_step
 
 from telenano.extend.hands import DriveCommand, SpatialCommand
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
 from telenano.hand.part import initial_plant
 from telenano.lockstep.simulation import simulate_scenario
-from telenano.numerics.compiler import compiled_form
+from telenano.numerics import compiled_form
 
 DEVICE = {"haptic_node.driver": "simulated_impedance", "haptic_node.coupling.rest_s": 0.05}
 # F_m over alpha_f F_s at rest

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import stranger_package
 
-from telenano.hand.config import DRIVERS, SECTIONS, HapticConfig
-from telenano.settings import entries
-from telenano.settings.config import validate
-from telenano.wire.errors import ConfigError
+from telenano.hand import HapticConfig
+from telenano.hand.config import DRIVERS, SECTIONS
+from telenano.settings import entries, validate
+from telenano.wire import ConfigError
 from telenano.wire.extras import how_to_add_package
 
 DRIVER = """

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.extend.hands import DeviceError
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
 
 DRAWN = 3000
 # sound of the eigenvalues of a matrix of some thirty rows

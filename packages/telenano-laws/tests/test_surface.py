@@ -25,8 +25,8 @@ from telenano_laws.surface import (
     unknown,
 )
 
-from telenano.afm.config import AfmConfig
-from telenano.numerics.compiler import compiled_form
+from telenano.afm import AfmConfig
+from telenano.numerics import compiled_form
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit
 K, RANGE = FIT.cantilever, FIT.range_nm

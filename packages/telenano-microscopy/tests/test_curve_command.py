@@ -8,7 +8,7 @@ from telenano_microscopy import adhesion_fit
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 RUNNER = CliRunner()
 

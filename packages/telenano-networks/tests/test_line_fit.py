@@ -28,15 +28,14 @@ from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.link.config import LinkSettings
-from telenano.link.direction import DirectionEngine
+from telenano.link import DirectionEngine, LinkSettings
 from telenano.link.fate import Direction
 from telenano.link.profiles import Profile
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.recording import RecordingWriter
+from telenano.recording.writer import FileSettings
 from telenano.serving import web_folder
-from telenano.settings.config import validate
-from telenano.wire import encode
-from telenano.wire.errors import ConfigError
+from telenano.settings import validate
+from telenano.wire import ConfigError, encode
 from telenano.wire.messages import LinkFate, LinkFates
 
 FOLDER = web_folder() / "gallery"

@@ -20,15 +20,15 @@ from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from telenano.link.config import LinkSettings
+from telenano.link import LinkSettings
 from telenano.link.fate import Direction
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.recording import RecordingWriter
+from telenano.recording.writer import FileSettings
 from telenano.runtime.byte_link import ByteLink
 from telenano.runtime.loop.machine import resident_bytes
 from telenano.signals import children
 from telenano.testing import NodeBench
-from telenano.wire import encode
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError, encode
 
 MS = 1_000_000
 

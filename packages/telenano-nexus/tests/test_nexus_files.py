@@ -18,13 +18,10 @@ from typer.testing import CliRunner
 
 import telenano
 from telenano.cli.root import app
-from telenano.recording.channel_filter import Selection
+from telenano.recording import RecordingWriter, Selection
 from telenano.recording.export import export_recording
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode
-from telenano.wire.errors import RecordingError
-from telenano.wire.messages import AfmScanline, Array
+from telenano.wire import AfmScanline, Array, RecordingError, encode
 
 # groups of which NXafm, NXspm and NXsensor_scan demand one, with the fields that they demand in them
 DEMANDED = {

@@ -18,7 +18,7 @@ from verdict_sweep import GAINS, LAWS, STIFFNESS_N_PER_M, Loop, wrong
 import telenano
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.disturbed import piezo_params
-from telenano.laws.config import ControllerConfig
+from telenano.laws import ControllerConfig
 from telenano.settings.named_instruments import instrument_named
 
 HOLD_S = (0.9, 6.9)

@@ -18,7 +18,7 @@ from free_ports import free_ports
 from telenano_studies.loops import sweep as sweeps
 from telenano_studies.loops.sweep import Journal, Sweep
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 distributed = pytest.importorskip("dask.distributed")
 

@@ -12,7 +12,7 @@ from telenano_studies.comparison import names_of, recordings_of, sessions_in
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 RUNNER = CliRunner()
 

@@ -14,9 +14,7 @@ from telenano_studies.loops.validate import scenario_of
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.link import profiles
-from telenano.link.config import LinkSettings
-from telenano.link.profiles import profile_named
+from telenano.link import LinkSettings, profile_named, profiles
 
 # What takes a network by its name; NAME stands for what a person gives.
 NETWORKS = {

@@ -8,8 +8,9 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from telenano_studies import plot
 from telenano_studies.plot import Trace, extremes, read_traces
 
+from telenano.recording import RecordingWriter
 from telenano.recording.indexed import IndexedRecording
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.recording.writer import FileSettings
 from telenano.wire import encode
 
 

@@ -10,7 +10,8 @@ from telenano_studies.plot import Trace, draw
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.recording import RecordingWriter
+from telenano.recording.writer import FileSettings
 from telenano.wire import encode
 
 

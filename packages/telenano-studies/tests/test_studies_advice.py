@@ -12,10 +12,9 @@ from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import COMPARED_LAWS, Jitter
 
 from telenano.hand.operator_config import ARMS
-from telenano.laws.config import LAWS
-from telenano.lockstep import lockstep
-from telenano.lockstep.trajectory import Trajectory
-from telenano.wire.errors import ConfigError
+from telenano.laws import LAWS
+from telenano.lockstep import Trajectory, lockstep
+from telenano.wire import ConfigError
 
 
 def cell(hand: Any = "ordinary", **changes: Any) -> Cell:

@@ -7,14 +7,12 @@ import pytest
 from telenano_studies import option_values
 from telenano_studies.loops.cells import Cell, course_of, run_cell
 
-from telenano.afm import safety
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig, safety, simulated_afm
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.disturbed import noisy_params
-from telenano.afm.sim import simulated_afm
 from telenano.afm.step import AfmInputs, initial_afm_state, step
 from telenano.lockstep import lockstep
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
 ALL = {

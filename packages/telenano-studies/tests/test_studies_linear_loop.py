@@ -13,7 +13,7 @@ from telenano_studies.option_values import Jitter
 
 from telenano.hand.config import DeviceConfig
 from telenano.hand.operator_config import ARMS
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 OMEGA = np.geomspace(0.5, 100.0, 60)
 

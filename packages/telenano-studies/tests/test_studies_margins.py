@@ -11,7 +11,7 @@ from telenano_studies.loops.cells import Cell, run_cell
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 from telenano.laws.config import late_periods
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 SHARES = (0.8, 1.2)
 

@@ -10,7 +10,7 @@ from telenano_studies.loops.network import measured_network
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 LOST = 0.1
 

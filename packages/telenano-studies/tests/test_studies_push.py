@@ -20,13 +20,13 @@ from telenano_studies.loops.sweep import Journal
 from typer.testing import CliRunner
 
 from telenano import SimulatedSession
-from telenano.analysis.intervals import wilson
+from telenano.analysis import wilson
 from telenano.cli.root import app
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from telenano.laws.lateral_settings import LateralConfig
 from telenano.lockstep import across, lockstep
 from telenano.settings import find_scenario
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 TIP = tip_shape(10e-9, math.radians(15.0))
 SPRING = Spring(1.0, 100.0, 0.0, False, 0.01)

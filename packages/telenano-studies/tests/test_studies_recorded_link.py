@@ -9,13 +9,13 @@ from recorder_samples import NODE, sample
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
-from telenano.link.direction import DirectionEngine
+from telenano.link import DirectionEngine
 from telenano.link.fate import Fate
-from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, Schedule
+from telenano.lockstep import Schedule
+from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES
+from telenano.recording import RecordingWriter
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode
-from telenano.wire.errors import RecordingError
+from telenano.wire import RecordingError, encode
 from telenano.wire.messages import LinkFate
 
 MS = 1_000_000

@@ -32,7 +32,7 @@ from telenano_studies.page import Page
 from telenano_studies.pages.stability_page import broken_assumption, summarise, write_stability
 
 from telenano.afm.safety import MODE_HOLD, MODE_RETRACTING
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 
 def axes(**changes: Any) -> Axes:

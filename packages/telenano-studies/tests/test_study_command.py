@@ -17,7 +17,7 @@ from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
 from telenano.cli.root import app as root
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]

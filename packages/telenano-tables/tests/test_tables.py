@@ -14,14 +14,12 @@ import pytest
 from export_samples import HEIGHTS, hand_recording, rich_recording
 from recorder_samples import EPOCH_NS, NODE, haptic_state
 
-from telenano.recording import Selection, columns_of
+from telenano.recording import RecordingWriter, Selection, columns_of
 from telenano.recording.export import export_recording
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyWriter
-from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode
-from telenano.wire.errors import RecordingError
+from telenano.wire import RecordingError, encode
 
 
 @pytest.fixture

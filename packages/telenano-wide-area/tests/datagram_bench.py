@@ -15,9 +15,7 @@ from telenano_wide_area.settings import DatagramSettings
 
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.testing import VirtualClock
-from telenano.wire import compose
-from telenano.wire.messages import Message
-from telenano.wire.received import Received
+from telenano.wire import Message, Received, compose
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

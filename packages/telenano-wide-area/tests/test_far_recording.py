@@ -22,16 +22,14 @@ from telenano_wide_area.relay.site_end import SiteEnd
 
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.runtime.bus.address_book import AddressBook, NodeEntry
-from telenano.runtime.loop.log import StructuredLog
+from telenano.recording import RecordingWriter
+from telenano.recording.writer import FileSettings
+from telenano.runtime import AccessControl, AddressBook, Participant, StructuredLog
+from telenano.runtime.bus.address_book import NodeEntry
 from telenano.runtime.loop.node_loop import NodeLoop
-from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
-from telenano.runtime.wiring.participant import NO_REALTIME, Participant
-from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
-from telenano.wire.messages import Array
-from telenano.wire.network_messages import RecordingPiece
+from telenano.runtime.wiring.participant import NO_REALTIME
+from telenano.wire import Array, ConfigError, RecordingError, RecordingPiece, RefusedError, RigError
 
 NAME, NS = "session_1.mcap", 1_000_000_000
 

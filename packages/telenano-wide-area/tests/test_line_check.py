@@ -9,8 +9,7 @@ from telenano_wide_area.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
 from telenano_wide_area.transport import DATAGRAM
 from wire_contract import examples
 
-from telenano.wire.network_messages import LinkNetwork
-from telenano.wire.topics import TOPICS
+from telenano.wire import TOPICS, LinkNetwork
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

@@ -21,10 +21,8 @@ from telenano_wide_area.relay.server import Relay
 from telenano_wide_area.relay.site_end import SiteEnd
 from telenano_wide_area.sealed import RejectedError
 
-from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.security.access_control import AccessControl
-from telenano.wire.errors import ConfigError
+from telenano.runtime import AccessControl, AddressBook, StructuredLog
+from telenano.wire import ConfigError
 
 pytestmark = pytest.mark.anyio
 PATIENCE_S = 30.0
