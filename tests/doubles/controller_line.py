@@ -5,7 +5,6 @@ from operator import methodcaller
 from typing import Any, NamedTuple, TypeVar
 
 import pytest
-from request_line import InstrumentRig, RequestLine
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire, nanonis_model
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
@@ -15,7 +14,7 @@ from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
 from telenano.settings import merge, validate
-from telenano.testing import afm_config, afm_node, instrument_of
+from telenano.testing import InstrumentRig, RequestLine, afm_config, afm_node, instrument_of
 from telenano.wire import ConfigError
 
 NEAR_M = -70e-9

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from free_ports import free_ports
 from wire_contract import examples
 
 from telenano.runtime.bus.address_book import AddressBook
@@ -16,7 +15,7 @@ from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring, Role
 from telenano.runtime.wiring.transport import Transport, open_context
-from telenano.testing import VirtualClock
+from telenano.testing import VirtualClock, free_ports
 from telenano.wire import Message, encode
 from telenano.wire.received import Received
 from telenano.wire.topics import TOPICS

@@ -6,7 +6,6 @@ from typing import Any
 import yaml
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
-from request_line import InstrumentRig, RequestLine
 from telenano_emulators.t7_model import T7Model, calibration_of
 from telenano_emulators.t7_server import respond, served_requests
 
@@ -16,6 +15,7 @@ from telenano.devices.afm.converter_calibration import InstrumentCalibration
 from telenano.devices.afm.modbus_driver import ModbusAfm
 from telenano.devices.afm.register_map import RegisterMap, read_map
 from telenano.settings.config import merge, parse_yaml, validate
+from telenano.testing import InstrumentRig, RequestLine
 
 PARAMS = AfmConfig().to_params()
 

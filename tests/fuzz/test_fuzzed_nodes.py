@@ -11,7 +11,7 @@ import fuzzed_nodes
 import msgpack
 import pytest
 from fuzz_frames import Frames, stream
-from law_loop import TRIED_LAWS as LAWS
+from tried_laws import TRIED_LAWS as LAWS
 from wire_contract import examples
 
 from telenano.wire import encode

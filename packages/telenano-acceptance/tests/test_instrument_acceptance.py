@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from controller_line import Gwyscope, Nanonis
-from request_line import MS
 from stage_line import StageLine, calibration
 from telenano_acceptance.instrument.checks import INSTRUMENT
 from telenano_acceptance.instrument.instruments import facts_of, make_take
@@ -24,6 +23,8 @@ from telenano.cli.root import app
 from telenano.devices import ModbusAfm
 from telenano.devices.afm.register_map import read_map
 from telenano.wire import ConfigError
+
+MS = 1_000_000
 
 # near the sample, so that the approach is short
 SAFETY = {"base_min_m": -30e-9, "base_max_m": 30e-9, "retract_position_m": -15e-9}

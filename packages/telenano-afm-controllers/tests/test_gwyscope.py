@@ -26,7 +26,6 @@ from controller_line import (
     swallow,
     walk,
 )
-from request_line import MS
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
@@ -39,6 +38,8 @@ from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of
 from telenano.wire import ConfigError, RefusedError
+
+MS = 1_000_000
 
 # of the base in the three periods of the longest cycle, at the guard's speed
 STEP_M = 3e-3 * PARAMS.safety.base_speed_m_per_s * 1.001

@@ -26,7 +26,6 @@ from controller_line import (
     walk,
 )
 from recorded_maps import frequency_shift_hz
-from request_line import MS
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
@@ -36,6 +35,8 @@ from telenano.devices import TcpDriver
 from telenano.devices.afm import modbus_line
 from telenano.testing import afm_node, instrument_of, refused_laws
 from telenano.wire import ConfigError, RefusedError
+
+MS = 1_000_000
 
 NAN = math.nan
 # as the vendor's client 1.0.9 sends and parses them: after the name of 32 bytes

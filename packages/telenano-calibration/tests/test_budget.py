@@ -84,7 +84,7 @@ def test_the_interval_of_all_sources_covers_what_that_of_the_scatter_does_not() 
 
 
 def test_the_stages_add_up_to_the_loop_and_the_link_has_its_delay(recording_of: Callable[[str], Path]) -> None:
-    recording = open_recordings([recording_of("fig12_virtual_impedance")])
+    recording = open_recordings([recording_of("virtual_impedance")])
     session = Session.of(recording)
     *stages, loop = delay_budget(recording, session)
     assert sum(stage.mean_ms for stage in stages) == pytest.approx(loop.mean_ms, rel=1e-12)
@@ -101,7 +101,7 @@ def test_the_stages_add_up_to_the_loop_and_the_link_has_its_delay(recording_of: 
 def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
     recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording = open_recordings([recording_of("fig12_virtual_impedance")])
+    recording = open_recordings([recording_of("virtual_impedance")])
     session = Session.of(recording)
     before = delay_budget(recording, session)
     times_ns = Timeline.times_ns
@@ -125,7 +125,7 @@ def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
     found = CliRunner().invoke(app, ["budget", str(Made().write(tmp_path))])
     assert found.exit_code != 0
     assert "fewer than 50 samples of the hand can be followed" in found.stderr
-    recording = open_recordings([recording_of("fig12_virtual_impedance")])
+    recording = open_recordings([recording_of("virtual_impedance")])
     session = Session.of(recording)
     with pytest.raises(TelenanoError, match="fewer than 50 samples of the hand can be followed"):
         delay_budget(recording, replace(session, start_ns=0, end_ns=1))
@@ -140,7 +140,7 @@ def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
 def test_the_command_prints_and_writes_both_tables(
     recording_of: Callable[[str], Path], files: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    path = str(recording_of("fig12_virtual_impedance"))
+    path = str(recording_of("virtual_impedance"))
     given = ["--handle", str(files[0]), "--stage", str(files[1]), "--out", str(tmp_path / "out")]
     found = CliRunner().invoke(app, ["budget", path, *given, "--json"])
     assert found.exit_code == 0, found.stderr

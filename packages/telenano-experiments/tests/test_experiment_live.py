@@ -73,7 +73,7 @@ def test_a_delay_is_expected_where_nothing_random_makes_it(link: dict[str, Any],
 
 
 def test_a_recording_gives_the_tables_and_the_evidence_of_a_trial(recording_of: Callable[[str], Path]) -> None:
-    trial = RecordedTrial(recording_of("fig12_wave"))
+    trial = RecordedTrial(recording_of("wave"))
     data = trial.data(2.0)
     for table, column in (
         (data.afm, "tip_force_n.2"),
@@ -93,7 +93,7 @@ def test_a_recording_gives_the_tables_and_the_evidence_of_a_trial(recording_of: 
 
 def test_a_recording_without_a_programme_is_no_trial(tmp_path: Path, recording_of: Callable[[str], Path]) -> None:
     out = tmp_path / "without.mcap"
-    filter_recording(recording_of("fig12_wave"), out, Selection.of(["node/*"]))
+    filter_recording(recording_of("wave"), out, Selection.of(["node/*"]))
     with pytest.raises(RecordingError, match="no operator's force profile ran in it"):
         RecordedTrial(out)
 
@@ -110,7 +110,7 @@ def test_a_trial_whose_recording_has_no_state_of_the_tip_is_disturbed_and_not_ju
     tmp_path: Path, recording_of: Callable[[str], Path], task: str
 ) -> None:
     topics = ["haptic/state", "link/*", "law/status", "session/*"]
-    filter_recording(recording_of("fig12_wave"), tmp_path / "trial.mcap", Selection.of(topics))
+    filter_recording(recording_of("wave"), tmp_path / "trial.mcap", Selection.of(topics))
     plan = plan_of(tmp_path, tasks=[task], known=tasks.TASKS)
     outcome = Recorded(plan, tmp_path, Desk(plan)).run(plan.trials("P01")[0], 0)
     assert (outcome.status, outcome.measures) == ("disturbed", {})

@@ -107,7 +107,7 @@ class Marked(Live):
 def test_a_trial_says_when_it_was_marked_and_is_disturbed_where_it_was_not(
     tmp_path: Path, recording_of: Callable[[str], Path], goes_away: bool
 ) -> None:
-    path = recording_of("fig12_wave")
+    path = recording_of("wave")
     plan = plan_of(tmp_path, tasks=[next(iter(TASKS))], known=TASKS)
     far, near = os.openpty()
     port = Marks(Path(os.ttyname(near)), 115200)

@@ -75,7 +75,7 @@ def checked(path: Path) -> Any:
 def test_a_session_becomes_tip_hand_and_force_against_distance(
     recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    path = recording_of("fig12_wave")
+    path = recording_of("wave")
     said = CliRunner().invoke(
         app, ["bag", "export", str(path), "--to", "nexus", "--out", str(tmp_path / "s.nxs"), "--json"]
     )
@@ -152,7 +152,7 @@ def test_the_validator_of_the_field_finds_nothing_wrong(recording_of: Callable[[
     validator = shutil.which("pynx")
     if validator is None:
         pytest.skip("needs the command pynx: pip install pynxtools, in an environment of its own")
-    export_recording(recording_of("fig12_wave"), tmp_path / "s.nxs", "nexus")
+    export_recording(recording_of("wave"), tmp_path / "s.nxs", "nexus")
     heights = np.arange(12.0).reshape(3, 4) * 1e-9
     facts = ImageFacts("tapping", "simulated AFM", "0.1.0", "dots")
     write_images(tmp_path / "scan.nxs", {"height": Image("Height", "m", heights, 40e-9, 30e-9)}, facts)

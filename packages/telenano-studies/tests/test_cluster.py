@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 from cluster_cells import KIND, WaitingCell
-from free_ports import free_ports
 from telenano_studies.loops import sweep as sweeps
 from telenano_studies.loops.sweep import Journal, Sweep
 
+from telenano.testing import free_ports
 from telenano.wire import ConfigError
 
 distributed = pytest.importorskip("dask.distributed")

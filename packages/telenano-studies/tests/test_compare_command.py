@@ -22,7 +22,7 @@ def compared(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempP
     folder = tmp_path_factory.mktemp("compare")
     for name, law in (("a", "wave"), ("b", "position_force")):
         (folder / name).mkdir()
-        shutil.copy(recording_of(f"fig12_{law}"), folder / name / "session.mcap")
+        shutil.copy(recording_of(law), folder / name / "session.mcap")
     out = folder / "out"
     arguments = ["compare", str(folder / "a"), str(folder / "b" / "session.mcap"), "--out", str(out)]
     result = RUNNER.invoke(app, [*arguments, "--format", "png,svg", "--json"])

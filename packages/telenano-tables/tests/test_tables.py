@@ -215,7 +215,7 @@ def test_the_memory_of_an_export_does_not_grow_with_the_length(
 def test_a_recording_with_journals_becomes_tables_whose_times_are_whole(
     recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    export_recording(recording_of("fig12_wave"), tmp_path / "tables", "parquet")
+    export_recording(recording_of("wave"), tmp_path / "tables", "parquet")
     parquet = pytest.importorskip("pyarrow.parquet")
     (journal,) = (parquet.read_table(path) for path in (tmp_path / "tables").glob("*journal*.parquet"))
     times = journal["time_ns"].to_pylist()[0]

@@ -233,6 +233,6 @@ class Session:
 
 
 def _free_port() -> int:
-    from free_ports import free_ports
+    from telenano.testing import free_ports
 
     return free_ports(1)[0]

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from free_ports import free_ports
 from relay_bench import ring
 from telenano_wide_area.relay import channel as channels
 from telenano_wide_area.relay import server, site_end
@@ -22,6 +21,7 @@ from telenano_wide_area.relay.site_end import SiteEnd
 from telenano_wide_area.sealed import RejectedError
 
 from telenano.runtime import AccessControl, AddressBook, StructuredLog
+from telenano.testing import free_ports
 from telenano.wire import ConfigError
 
 pytestmark = pytest.mark.anyio

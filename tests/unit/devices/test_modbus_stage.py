@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu import ModbusPDU
-from request_line import MS
 from stage_line import PARAMS, Rig, StageLine, calibration
 from telenano_emulators import t7_model
 
@@ -19,6 +18,8 @@ from telenano.devices.afm.register_map import Register, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
 from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError
+
+MS = 1_000_000
 
 RETRACTED_M = PARAMS.safety.retract_position_m
 DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V

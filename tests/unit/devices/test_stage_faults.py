@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import pytest
 from pymodbus.pdu import ExceptionResponse
-from request_line import MS
 from stage_line import PARAMS, Rig, StageLine
 from telenano_emulators import t7_model
 from telenano_emulators.t7_server import respond
@@ -15,6 +14,8 @@ from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.devices.afm import modbus_line
 from telenano.wire.errors import ConfigError
+
+MS = 1_000_000
 
 DAC_STEP_V = 5.0 / 4095.0
 # a place before the sample, and the voltage there

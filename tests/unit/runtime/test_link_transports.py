@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from free_ports import free_ports
 from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_machine_book
 from stranger_package import describe
 
@@ -23,7 +22,7 @@ from telenano.runtime.wiring.link_transports import LinkEnds, LinkSide
 from telenano.runtime.wiring.participant import Participant
 from telenano.settings import TWO_SITES_FILE, plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
-from telenano.testing import NodeBench
+from telenano.testing import NodeBench, free_ports
 from telenano.wire.errors import ConfigError, RefusedError
 
 PACKAGE = KNOWN_PACKAGES["transport datagram"]

@@ -1,56 +1,23 @@
-"""What the tests of a package put around their code: messages of a rig, and nodes in virtual time."""
+"""Nodes in virtual time, each alone on a bench, and what a package gives to one: drivers and programs."""
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from importlib.metadata import entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from telenano.extend.laws import longest_pause_periods as longest_pause_periods
-from telenano.extend.laws import paced as paced
-from telenano.extend.programs import Inputs, Instrument, Program, ProgramSettings
-from telenano.extend.samples import Oscillation
-from telenano.extend.stage import Place, moved
-from telenano.recording import RecordedMessage, recorded
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
-from telenano.settings.config import merge as merge
-from telenano.settings.config import validate as validate
-from telenano.timing.clock import VirtualClock as VirtualClock
-from telenano.wire import TOPICS, compose, encode, example
-from telenano.wire.errors import RefusedError as RefusedError
+from telenano.timing.clock import VirtualClock
+from telenano.wire import TOPICS, compose, encode
 from telenano.wire.messages import Message
-from telenano.wire.nodes import TIP, module_of, name_of
+from telenano.wire.nodes import HAND, TIP, module_of, name_of
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
-_MS = 1_000_000
+if TYPE_CHECKING:
+    from telenano.extend.programs import Inputs, Program, ProgramSettings
+
 # the period of an instrument [s]
 _PERIOD_S = 1e-3
-# when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before
-EPOCH_NS = 1_750_000_000_000_000_000
-
-
-def __getattr__(name: str) -> Any:
-    """Return what an installed package brings for tests, by its entry point of the group `telenano.testing`."""
-    for entry in entry_points(group="telenano.testing", name=name):
-        return entry.load()
-    raise AttributeError(f"telenano.testing has no {name}, and no installed package brings it")
-
-
-def numbered(topic: str, seq: int, **changes: Any) -> Message:
-    """Return an example of a message with this number and its time of sending, with some fields changed."""
-    return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * _MS} | changes))
-
-
-def hand_state(seq: int, **changes: Any) -> Message:
-    """Return a numbered `haptic/state`, whose place and force are others with every number."""
-    fields = {"position_m": (0.0, 0.0, -1e-3 * seq), "operator_force_n": (0.1, 0.2, -0.5 - seq)}
-    return numbered("haptic/state", seq, **({"src": "haptic_node@master", "limited": seq % 2 == 1} | fields | changes))
-
-
-def received(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:
-    """Return a message as received `number` milliseconds after `EPOCH_NS`; for `site` see `messages.recorded`."""
-    return recorded(topic, message, EPOCH_NS + number * _MS, site)
 
 
 class NodeBench:
@@ -135,6 +102,58 @@ def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = 
     return process.AfmNode(bench.context, afm_config(section), driver)
 
 
+def haptic_config(section: Mapping[str, Any] | None = None) -> Any:
+    """Return the settings of a section `haptic_node`, validated; ValueError names what is wrong."""
+    from telenano.hand.config import HapticConfig
+
+    return HapticConfig.model_validate(section or {})
+
+
+def haptic_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> Any:
+    """Return the node with a driver of a haptic device, opened, whatever the section names as its driver.
+
+    Raises:
+        DeviceError: The driver refuses to open.
+    """
+    process = import_module(f"{module_of(name_of(HAND))}.node")
+    return process.HapticNode(bench.context, haptic_config(section), driver)
+
+
+class InstrumentRig:
+    """An AFM node on a bench, over a wire (`RequestLine`) or with any driver, which a test commands as a law does.
+
+    Args:
+        bench: The bench of the node.
+        driver: The driver, or what has it as its attribute `driver` and lets its own time pass in `pass_ms`.
+        section: The section `afm_node`.
+    """
+
+    def __init__(self, bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> None:
+        self.bench, self.line = bench, driver
+        self.node = afm_node(bench, getattr(driver, "driver", driver), section)
+        self._pass_ms = getattr(driver, "pass_ms", lambda duration_ms: None)
+
+    def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Command a base and a place over the sample, once a millisecond.
+
+        Args:
+            count: How often.
+            x_s_m: Where the base is wanted, towards the sample [m].
+            place: Where over the sample the tip is wanted [m].
+        """
+        for _ in range(count):
+            self.bench.advance_ms(1)
+            self._pass_ms(1)
+            fields = {"mode": "position", "base_position_m": (*place, 0.0 - x_s_m), "hand_seq": 7, "hand_armed": True}
+            fields["hand_t_ns"] = self.bench.clock.now_ns()
+            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
+
+    def control(self, command: str, **parameters: Any) -> str:
+        """Give the node a command, and return what it refuses it with; empty where it does not."""
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
+        return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))
+
+
 def refused_laws(driver: str) -> dict[str, str]:
     """Return the laws that cannot be used with a driver of the instrument, and why, by their names."""
     from telenano.launcher import plan
@@ -143,8 +162,11 @@ def refused_laws(driver: str) -> dict[str, str]:
 
 
 def trial(
-    program: Program[Any, Any, Any], settings: ProgramSettings, stiffness_n_per_m: float = 40.0, most_s: float = 60.0
-) -> Iterator[Inputs]:
+    program: "Program[Any, Any, Any]",
+    settings: "ProgramSettings",
+    stiffness_n_per_m: float = 40.0,
+    most_s: float = 60.0,
+) -> "Iterator[Inputs]":
     """Yield what a program is given at each step until it is done, on an instrument as shipped over a linear spring.
 
     The base goes where the program wants it to be, and the stage no faster than it can; nothing guards the tip.
@@ -159,8 +181,10 @@ def trial(
         RefusedError: The program refuses its settings.
         TimeoutError: It is not done within most_s.
     """
-    # it holds the settings of every program, and so imports the packages that import this
     from telenano.afm.config import AfmConfig
+    from telenano.extend.programs import Inputs, Instrument
+    from telenano.extend.samples import Oscillation
+    from telenano.extend.stage import Place, moved
 
     config = AfmConfig()
     limits, lateral = config.to_params().safety, config.to_lateral_params()

@@ -1,18 +1,18 @@
-"""A connection between a driver and an emulated instrument that answers requests, in virtual time."""
+"""A wire between a driver and an emulated instrument that answers requests, in virtual time."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-from telenano.testing import afm_node
-
-MS = 1_000_000
+_MS = 1_000_000
 
 
 class RequestLine:
-    """The network, with the instrument at its end; time passes in `pass_ms`.
+    """A connection over a network, with an emulated instrument at its end; time passes in `pass_ms`.
 
-    A part of the test replaces `to_host`, what the network does with an answer, or says that the instrument is not
-    reachable, does not run, or is not accepting.
+    The line to one kind of instrument sets `model`, the instrument, whose `pass_time` is called with the time [ns], and
+    `driver`, which is given `clock`. Its `send` brings a request to the model, and `answer` brings back what that says.
+    A test makes the wire bad while it runs: `latency_ms` delays answers, `to_host` replaces their bytes, and the
+    instrument is not `reachable`, does not run (`running`), or is not `accepting` what is sent to it.
     """
 
     resolved = True
@@ -39,7 +39,7 @@ class RequestLine:
 
     def answer(self, sent: bytes) -> int:
         """Have an answer arrive when the latency has passed; give when that is [ns]."""
-        due_ns = self.now_ns + round(self.latency_ms * MS)
+        due_ns = self.now_ns + round(self.latency_ms * _MS)
         self._waiting.append((due_ns, self.to_host(sent)))
         return due_ns
 
@@ -55,7 +55,7 @@ class RequestLine:
 
     def pass_ms(self, duration_ms: int) -> None:
         for _ in range(duration_ms):
-            self.now_ns += MS
+            self.now_ns += _MS
             self.guard()
             self.model.pass_time(self.now_ns)
 
@@ -77,23 +77,3 @@ class RequestLine:
             "now_ns": lambda: self.now_ns,
             "sleep": lambda duration_s: self.pass_ms(max(1, round(duration_s * 1e3))),
         }
-
-
-class InstrumentRig:
-    """An AFM node with an emulated instrument on a bench."""
-
-    def __init__(self, bench: Any, line: Any, section: Mapping[str, Any] | None = None) -> None:
-        self.bench, self.line = bench, line
-        self.node = afm_node(bench, line.driver, section)
-
-    def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
-        for _ in range(count):
-            self.bench.advance_ms(1)
-            self.line.pass_ms(1)
-            fields = {"mode": "position", "base_position_m": (*place, 0.0 - x_s_m), "hand_seq": 7, "hand_armed": True}
-            fields["hand_t_ns"] = self.bench.clock.now_ns()
-            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
-
-    def control(self, command: str, **parameters: Any) -> str:
-        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
-        return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))

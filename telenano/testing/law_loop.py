@@ -8,16 +8,14 @@ import numpy as np
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.clamp import ClampConfig, clamped
-from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.laws.config import LAWS, ControllerConfig
 
-# the laws of the core, and the one of a package that a slow instrument needs
-TRIED_LAWS = (*OWN_LAWS, "model_mediated")
 PERIOD_S = 1e-3
 LOST = -1
 
 
 @dataclass
-class Run:
+class LawRun:
     """One value a tick: hand's reference [m], force shown to it [N], base [m], force on the tip [N]; and the work.
 
     entered_j: of the hand on the law since the start, left_j: of the law on the environment, at the hand's scale.
@@ -33,7 +31,7 @@ class Run:
     slaves: list[Any]
 
 
-def loop(
+def run_law(
     name: str,
     hand_force: Callable[[int], float],
     environment: Callable[[float], float],
@@ -43,7 +41,7 @@ def loop(
     touches: Callable[[float], bool] = lambda force_n: force_n != 0.0,
     clamp: ClampConfig = ClampConfig(),  # noqa: B008
     **parameters: Any,
-) -> Run:
+) -> LawRun:
     """Run a law; `forward(n)`, `backward(n)`: delay of the signal of tick n in ticks, or LOST.
 
     `touches(force_n)`: whether the tip is in contact. A reader acts on what is newer than what it has, as the
@@ -97,4 +95,5 @@ def loop(
         rows.append((x, reference.force_n, tip.base_position_m, tip.force_n, entered, left))
         masters.append(master)
         slaves.append(slave)
-    return Run(*np.array(rows).T, masters, slaves)
+    reference, shown, base, force, work, given = np.array(rows).T
+    return LawRun(reference, shown, base, force, work, given, masters, slaves)
