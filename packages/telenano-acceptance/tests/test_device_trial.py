@@ -38,12 +38,11 @@ from telenano_acceptance.trial.trial_file import Trial, read_trial, write_trial
 from telenano_haptic_devices import haply_service
 from telenano_haptic_devices.impedance_config import CouplingConfig
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
-from typer.testing import CliRunner
 
 from telenano.cli import run_ahead
-from telenano.cli.root import app
 from telenano.hand import HapticConfig
 from telenano.runtime.loop import realtime
+from telenano.testing import invoke
 from telenano.wire import ConfigError
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
@@ -363,7 +362,7 @@ QUICK = ["device", "trial", "simulated_impedance", "--set", "haptic_node.impedan
 def typed(folder: Path, text: str, *options: str) -> tuple[int, str, Path]:
     """Run the command with what a person types; return its exit code, what it printed, and its file."""
     path = folder / "trial.zip"
-    done = CliRunner().invoke(app, ["device", "trial", *options, "--out", str(path)], input=text)
+    done = invoke(["device", "trial", *options, "--out", str(path)], input=text)
     return done.exit_code, " ".join(done.output.split()), path
 
 
@@ -424,7 +423,7 @@ def test_questions_are_answered_on_the_terminal_and_the_page_is_the_same_from_th
     assert "the person has ended it" in output
     with zipfile.ZipFile(path) as archive:
         assert set(archive.namelist()) == {"acceptance.json", "take.npz", "versions.json", "errors.json"}
-    done = CliRunner().invoke(app, ["device", "trial", "--read", str(path)])
+    done = invoke(["device", "trial", "--read", str(path)])
     assert done.exit_code == 0 and " ".join(done.stdout.split()) in output
     # an input that ends is an end as well
     assert "the person has ended it" in typed(tmp_path, "y\n", "simulated_impedance")[1]
@@ -622,7 +621,7 @@ def test_a_file_that_is_damaged_or_larger_than_a_trial_is_refused_by_its_name(tm
         "pipe",
         "none",
     ):
-        done = CliRunner().invoke(app, ["device", "trial", "--read", str(tmp_path / name)])
+        done = invoke(["device", "trial", "--read", str(tmp_path / name)])
         output = " ".join(done.output.split())
         reason = "cannot be read" if name in ("pipe", "none") else "is no"
         assert done.exit_code == 2 and f"{tmp_path / name}: {reason}" in output, (name, output)

@@ -11,17 +11,16 @@ import pytest
 from telenano_assembly.find import sphere_m
 from telenano_assembly.messages import AfmParticles
 from telenano_assembly.particles.tip_shape import tip_shape
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
 from telenano.recording import Recording
 from telenano.recording.verify import verify
+from telenano.testing import invoke
 
 ONE = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=2.5e-6")
 
 
 def run(*words: str) -> Any:
-    return CliRunner().invoke(app, list(words))
+    return invoke(list(words))
 
 
 @pytest.fixture

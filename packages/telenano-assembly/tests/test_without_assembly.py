@@ -28,8 +28,6 @@ PUSH = {"program": "push", "push.x1_m": 2e-7, "push.approach_m_per_s": 5e-6}
 PROGRAM = """
 import json, sys
 from pathlib import Path
-from typer.testing import CliRunner
-from telenano.cli.root import app
 from telenano.afm import AfmConfig
 from telenano.afm.programs.settings import requested
 from telenano.launcher.plan import UpRequest, make_plan
@@ -52,7 +50,7 @@ def plan(scenario, site=None):
 
 
 def run(*words):
-    done = CliRunner().invoke(app, words)
+    done = invoke(words)
     return [done.exit_code, " ".join(done.stdout.split()), " ".join(done.stderr.split())]
 
 

@@ -14,12 +14,11 @@ import yaml
 from made_sessions import Made
 from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
-from typer.testing import CliRunner
 
 from telenano.analysis import Session
-from telenano.cli.root import app
 from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.recording import Timeline, open_recordings
+from telenano.testing import invoke
 from telenano.wire import TelenanoError
 
 NOW = datetime(2026, 11, 1, tzinfo=UTC).isoformat()
@@ -122,7 +121,7 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
 def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
     recording_of: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = CliRunner().invoke(app, ["budget", str(Made().write(tmp_path))])
+    found = invoke(["budget", str(Made().write(tmp_path))])
     assert found.exit_code != 0
     assert "fewer than 50 samples of the hand can be followed" in found.stderr
     recording = open_recordings([recording_of("virtual_impedance")])
@@ -142,7 +141,7 @@ def test_the_command_prints_and_writes_both_tables(
 ) -> None:
     path = str(recording_of("virtual_impedance"))
     given = ["--handle", str(files[0]), "--stage", str(files[1]), "--out", str(tmp_path / "out")]
-    found = CliRunner().invoke(app, ["budget", path, *given, "--json"])
+    found = invoke(["budget", path, *given, "--json"])
     assert found.exit_code == 0, found.stderr
     document = json.loads(found.stdout)
     assert document == json.loads((tmp_path / "out" / "budget.json").read_text())
@@ -151,7 +150,7 @@ def test_the_command_prints_and_writes_both_tables(
     assert "deflection for a volt" in page
     assert "The link adds a delay of 8 ms there and back, as set." in page
     # without noise no mean has a scatter that says how well it is known, so the scales alone are in the budget
-    shown = CliRunner().invoke(app, ["budget", path, "--stage", str(files[1])], env={"COLUMNS": "200"})
+    shown = invoke(["budget", path, "--stage", str(files[1])], env={"COLUMNS": "200"})
     assert shown.exit_code == 0
     assert "scatter in the session" in shown.stdout
     assert "are left out: " in shown.stdout.replace("is left out", "are left out")

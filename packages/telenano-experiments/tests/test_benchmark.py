@@ -39,13 +39,12 @@ from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_
 from telenano_experiments.benchmark_page import frontier_figure
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.laws.wave import WaveConfig
 from telenano.link import profile_named
 from telenano.lockstep import Schedule
+from telenano.testing import invoke
 from telenano.wire import ConfigError
 
 STEP_S = 0.005
@@ -311,14 +310,14 @@ def small(laws, *, quick, networks=(), settings=(), instruments=(), steadiness=(
 def test_the_command_writes_page_figure_and_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(plan_module, "plan_of", small)
     command = ["benchmark", "--law", "wave", "--workers", "1", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(app, command)
+    done = invoke(command)
     assert done.exit_code == 0, done.output
     text = (tmp_path / "out" / "runs.csv").read_text()
     assert f"digest: {digest_of(text)}" in done.stdout
     page = (tmp_path / "out" / "benchmark.html").read_text()
     assert digest_of(text) in page
     assert "meet a surface of 38 N/m" in page
-    changed = CliRunner().invoke(app, [*command, "--set", "wave.impedance_n_s_per_m=200", "--json"])
+    changed = invoke([*command, "--set", "wave.impedance_n_s_per_m=200", "--json"])
     assert json.loads(changed.stdout)["digest"] != digest_of(text)
 
 

@@ -69,11 +69,9 @@ finally:
     device.close()
 found["imported"].append(imported())
 
-from typer.testing import CliRunner
-from telenano.cli.root import app
 
 def said(*words):
-    done = CliRunner().invoke(app, ["device", *words, "--json"])
+    done = invoke(["device", *words, "--json"])
     return {"code": done.exit_code, **json.loads(done.stdout)}
 
 found["list"] = [row for row in said("list")["packages"] if row["driver"] == "knob"]

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from telenano_microscopy.image_files import Image, ImageFacts
 from telenano_nexus.nexus_files import write_images
-from typer.testing import CliRunner
 
 import telenano
-from telenano.cli.root import app
 from telenano.recording import RecordingWriter, Selection
 from telenano.recording.export import export_recording
 from telenano.recording.recorder_config import RecorderConfig
+from telenano.testing import invoke
 from telenano.wire import AfmScanline, Array, RecordingError, encode
 
 # groups of which NXafm, NXspm and NXsensor_scan demand one, with the fields that they demand in them
@@ -76,9 +75,7 @@ def test_a_session_becomes_tip_hand_and_force_against_distance(
     recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
     path = recording_of("wave")
-    said = CliRunner().invoke(
-        app, ["bag", "export", str(path), "--to", "nexus", "--out", str(tmp_path / "s.nxs"), "--json"]
-    )
+    said = invoke(["bag", "export", str(path), "--to", "nexus", "--out", str(tmp_path / "s.nxs"), "--json"])
     assert said.exit_code == 0, said.output
     session = telenano.open(path)
     tip, hand = session.table("afm/state"), session.table("haptic/state")

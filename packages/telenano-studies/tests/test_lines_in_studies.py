@@ -11,10 +11,9 @@ from telenano_experiments.benchmark.plan import plan_of
 from telenano_studies.loops.advice import Question
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.validate import scenario_of
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
 from telenano.link import LinkSettings, profile_named, profiles
+from telenano.testing import invoke
 
 # What takes a network by its name; NAME stands for what a person gives.
 NETWORKS = {
@@ -58,7 +57,7 @@ def written(folder: Path, kind: str) -> Path:
 
 def _run(command: list[str], name: Path, folder: Path) -> str:
     words = [word.replace("NAME", str(name)).replace("OUT", str(folder / "out")) for word in command]
-    done = CliRunner().invoke(app, words)
+    done = invoke(words)
     assert done.exit_code != 0, done.output
     assert not (folder / "out").exists()
     return re.sub(r"[\s│]+", " ", done.output)
@@ -78,7 +77,7 @@ def test_a_file_of_a_line_is_refused_with_the_way_it_goes_in(study: str, kind: s
 
 
 def test_each_study_is_in_the_table() -> None:
-    listed = CliRunner().invoke(app, ["study", "--help"]).output.partition("Commands:")[2]
+    listed = invoke(["study", "--help"]).output.partition("Commands:")[2]
     names = set(re.findall(r"^  (\w+) ", listed, re.MULTILINE))
     assert names == {*NETWORKS, *NUMBERS, *OTHERS, *OWN} - {"benchmark", "profile", "picture", "udp", "up"}
 
@@ -105,4 +104,4 @@ def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one() -> N
         )
     )
     assert plan_of(["wave"], quick=True, networks=["my_line"]).networks == ("my_line",)
-    assert "a line" in CliRunner().invoke(app, ["link", "profile", "my_line", "--show"]).output
+    assert "a line" in invoke(["link", "profile", "my_line", "--show"]).output

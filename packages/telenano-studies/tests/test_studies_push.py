@@ -17,15 +17,14 @@ from telenano_studies import push_command
 from telenano_studies.loops import push_study
 from telenano_studies.loops.push_study import Outcome, Trial, check, read, rows_of, trials_of
 from telenano_studies.loops.sweep import Journal
-from typer.testing import CliRunner
 
 from telenano import SimulatedSession
 from telenano.analysis import wilson
-from telenano.cli.root import app
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from telenano.laws.lateral_settings import LateralConfig
 from telenano.lockstep import across, lockstep
 from telenano.settings import find_scenario
+from telenano.testing import invoke
 from telenano.wire import ConfigError
 
 TIP = tip_shape(10e-9, math.radians(15.0))
@@ -201,7 +200,7 @@ def test_the_command_writes_page_figure_and_tables(tmp_path: Path, monkeypatch: 
     kind = push_study.PUSHES._replace(run=lambda trial: outcome(trial.law, trial.seed, 20.0 + trial.seed))
     monkeypatch.setattr(push_study, "PUSHES", kind)
     words = ["study", "push", "--law", "wave", "--delay", "50", "--loss", "0", "--quick", "--workers", "1", "--json"]
-    done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "push")])
+    done = invoke([*words, "--out", str(tmp_path / "push")])
     assert done.exit_code == 0, done.output
     (row,) = json.loads(done.stdout)["rows"]
     assert row["placed"] == row["trials"] == 12

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorder_samples import NODE, sample
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
@@ -15,6 +14,7 @@ from telenano.lockstep import Schedule
 from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES
 from telenano.recording import RecordingWriter
 from telenano.recording.recorder_config import RecorderConfig
+from telenano.testing import numbered
 from telenano.wire import RecordingError, encode
 from telenano.wire.messages import LinkFate
 
@@ -36,14 +36,14 @@ class Tape:
     """A recording of a session over a link, written by hand."""
 
     def __init__(self, folder: Path) -> None:
-        self.writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
+        self.writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
         self.path = self.writer.path
 
     def write(self, topic: str, src: str, messages: list[dict[str, Any]]) -> None:
         channel = self.writer.channel(topic, src, src.partition("@")[2])
         for seq, fields in enumerate(messages):
             t_ns = fields.get("t_ns", EPOCH_NS)
-            message = sample(topic, seq, **{**fields, "src": src, "t_ns": t_ns})
+            message = numbered(topic, seq, **{**fields, "src": src, "t_ns": t_ns})
             self.writer.write(channel, t_ns, t_ns, seq, encode(message))
 
 

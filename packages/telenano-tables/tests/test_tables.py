@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow.parquet as parquet
 import pytest
 from export_samples import HEIGHTS, hand_recording, rich_recording
-from recorder_samples import EPOCH_NS, NODE, haptic_state
 
 from telenano.recording import RecordingWriter, Selection, columns_of
 from telenano.recording.export import export_recording
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyWriter
+from telenano.testing import EPOCH_NS, hand_state
 from telenano.wire import RecordingError, encode
 
 
@@ -31,8 +31,8 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     target = tmp_path / "tables"
     copied = export_recording(rich, target, "parquet")
     assert copied.messages == 41
-    hand = parquet.read_table(target / "haptic_state.parquet").to_pydict()
-    assert hand["position_m.2"] == [haptic_state(seq).position_m[2] for seq in range(10)]
+    hand = parquet.read_table(target / "hand_state.parquet").to_pydict()
+    assert hand["position_m.2"] == [hand_state(seq).position_m[2] for seq in range(10)]
     assert hand["limited"] == [seq % 2 == 1 for seq in range(10)]
     forward = parquet.read_table(target / "teleop_forward@slave.parquet").to_pydict()
     assert forward["wave_sqrt_w.2"] == [0.5 if seq == 3 else None for seq in range(10)]
@@ -54,11 +54,11 @@ def test_pandas_has_topic_and_units_of_a_parquet_file_in_its_attrs(rich: Path, t
 def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     export_recording(rich, tmp_path / "csv", "csv", Selection.of(["haptic/*"]))
     names = {path.name for path in (tmp_path / "csv").iterdir()}
-    assert names == {"columns.csv", "haptic_state.csv", "metadata.json", "site.yaml"}
-    with (tmp_path / "csv" / "haptic_state.csv").open(newline="", encoding="utf-8") as file:
+    assert names == {"columns.csv", "hand_state.csv", "metadata.json", "site.yaml"}
+    with (tmp_path / "csv" / "hand_state.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["operator_force_n.2"]) for row in rows] == [
-        haptic_state(seq).operator_force_n[2] for seq in range(10)
+        hand_state(seq).operator_force_n[2] for seq in range(10)
     ]
     assert [int(row["log_ns"]) for row in rows] == [EPOCH_NS + seq for seq in range(10)]
 
@@ -67,10 +67,10 @@ def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Pa
     target = tmp_path / "session.h5"
     export_recording(rich, target, "hdf5")
     with h5py.File(target) as file:
-        assert file["haptic/state/position_m.2"][:].tolist() == [haptic_state(seq).position_m[2] for seq in range(10)]
+        assert file["haptic/state/position_m.2"][:].tolist() == [hand_state(seq).position_m[2] for seq in range(10)]
         assert file["haptic/state/log_ns"].dtype == np.int64
         assert file["haptic/state/limited"].dtype == np.bool_
-        assert file["haptic/state/mode"].asstr()[0] == haptic_state(0).mode
+        assert file["haptic/state/mode"].asstr()[0] == hand_state(0).mode
         wave = file["teleop/forward@slave/wave_sqrt_w.2"][:]
         assert wave[3] == 0.5
         assert np.isnan(np.delete(wave, 3)).all()
@@ -82,7 +82,7 @@ def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Pa
 def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path, tmp_path: Path) -> None:
     for kind in ("parquet", "csv", "hdf5"):
         export_recording(rich, tmp_path / kind, kind)
-    schema = parquet.read_schema(tmp_path / "parquet" / "haptic_state.parquet")
+    schema = parquet.read_schema(tmp_path / "parquet" / "hand_state.parquet")
     force = schema.field("operator_force_n.2").metadata
     assert (force[b"unit"], force[b"description"][:5]) == (b"N", b"Force")
     assert json.loads(schema.metadata[b"telenano.versions"]) == {"python": "3"}
@@ -154,10 +154,10 @@ def test_tables_written_in_batches_are_those_written_at_once(
 
 
 def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=tmp_path))
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     for seq in range(1000):
-        writer.write(channel, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(haptic_state(seq)))
+        writer.write(channel, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(hand_state(seq)))
     writer.finish()
     lengths: list[int] = []
 
@@ -176,14 +176,14 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
 ) -> None:
     path = hand_recording(tmp_path, 1000)
     export_recording(path, tmp_path / "once", "parquet")
-    once = parquet.ParquetFile(tmp_path / "once" / "haptic_state.parquet")
+    once = parquet.ParquetFile(tmp_path / "once" / "hand_state.parquet")
     # The writer holds the metadata of every row group in memory until the file is closed.
     assert once.metadata.num_row_groups == 1
     monkeypatch.setattr("telenano_tables.table_batches._MOST_ROWS", 10)
     monkeypatch.setattr("telenano_tables.parquet_tables._MOST_ROWS", 100)
     monkeypatch.setattr("telenano_tables.parquet_tables._MOST_PARTS", 4 * once.metadata.num_columns)
     export_recording(path, tmp_path / "parts", "parquet")
-    names = [f"haptic_state{part}.parquet" for part in ("", ".2", ".3")]
+    names = [f"hand_state{part}.parquet" for part in ("", ".2", ".3")]
     assert sorted(each.name for each in (tmp_path / "parts").iterdir()) == sorted(names)
     files = [parquet.ParquetFile(tmp_path / "parts" / name) for name in names]
     assert [file.metadata.num_row_groups for file in files] == [4, 4, 2]
