@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from telenano.testing.bench import afm_config as afm_config
     from telenano.testing.bench import afm_node as afm_node
     from telenano.testing.bench import haptic_config as haptic_config
+    from telenano.testing.bench import haptic_device_of as haptic_device_of
     from telenano.testing.bench import haptic_node as haptic_node
     from telenano.testing.bench import instrument_of as instrument_of
     from telenano.testing.bench import refused_laws as refused_laws
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from telenano.testing.commands import run as run
     from telenano.testing.commands import run_apart as run_apart
     from telenano.testing.damage import damaged as damaged
+    from telenano.testing.examples import examples as examples
+    from telenano.testing.frames import Frames as Frames
     from telenano.testing.law_loop import LOST as LOST
     from telenano.testing.law_loop import LawRun as LawRun
     from telenano.testing.law_loop import run_law as run_law
@@ -34,9 +37,20 @@ if TYPE_CHECKING:
     from telenano.testing.messages import hand_state as hand_state
     from telenano.testing.messages import numbered as numbered
     from telenano.testing.messages import received as received
+    from telenano.testing.packages import describe as describe
+    from telenano.testing.packages import install as install
+    from telenano.testing.packages import said as said
     from telenano.testing.processes import LiveRig as LiveRig
+    from telenano.testing.recordings import HEIGHTS_M as HEIGHTS_M
+    from telenano.testing.recordings import hand_recording as hand_recording
     from telenano.testing.recordings import record_fig12 as record_fig12
     from telenano.testing.recordings import recording_with as recording_with
+    from telenano.testing.recordings import rich_recording as rich_recording
+    from telenano.testing.sites import SiteLauncher as SiteLauncher
+    from telenano.testing.vectors import assert_same_bytes as assert_same_bytes
+    from telenano.testing.vectors import assert_same_schema as assert_same_schema
+    from telenano.testing.vectors import case_of as case_of
+    from telenano.testing.vectors import vectors_of as vectors_of
     from telenano.testing.waiting import PATIENCE_S as PATIENCE_S
     from telenano.testing.waiting import free_ports as free_ports
     from telenano.testing.waiting import until as until

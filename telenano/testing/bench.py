@@ -109,6 +109,12 @@ def haptic_config(section: Mapping[str, Any] | None = None) -> Any:
     return HapticConfig.model_validate(section or {})
 
 
+def haptic_device_of(section: Mapping[str, Any] | None = None) -> Any:
+    """Return the driver of a section `haptic_node`, not yet open: the simulated device where it names none."""
+    process = import_module(f"{module_of(name_of(HAND))}.__main__")
+    return process.device_of(haptic_config(section))
+
+
 def haptic_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> Any:
     """Return the node with a driver of a haptic device, opened, whatever the section names as its driver.
 

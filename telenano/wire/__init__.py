@@ -32,13 +32,17 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
     from telenano.wire.messages import Lengths as Lengths
+    from telenano.wire.messages import LinkClock as LinkClock
     from telenano.wire.messages import LinkDelay as LinkDelay
+    from telenano.wire.messages import LinkFate as LinkFate
+    from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import LinkStatus as LinkStatus
     from telenano.wire.messages import Message as Message
     from telenano.wire.messages import Name as Name
     from telenano.wire.messages import NodeHealth as NodeHealth
     from telenano.wire.messages import Record as Record
     from telenano.wire.messages import Scalar as Scalar
+    from telenano.wire.messages import SessionEvent as SessionEvent
     from telenano.wire.messages import TeleopBackward as TeleopBackward
     from telenano.wire.messages import about as about
     from telenano.wire.network_messages import LinkKey as LinkKey

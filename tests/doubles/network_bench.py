@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from wire_contract import examples
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
@@ -16,6 +15,7 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring, Role
 from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.testing import VirtualClock, free_ports
+from telenano.testing.examples import examples
 from telenano.wire import Message, encode
 from telenano.wire.received import Received
 from telenano.wire.topics import TOPICS

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import stranger_package
 from ledger import record
 from stack_rig import ROOT, Rig
 
 from telenano.cli.new_package import new_package
 from telenano.recording.multi_file import open_recordings
+from telenano.testing import packages as stranger_package
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 from browser_page import ROOT, View, keep, missing, open_page
-from stranger_package import environment, install
+
+from telenano.testing.packages import environment, install
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(missing()), reason=missing())]
 

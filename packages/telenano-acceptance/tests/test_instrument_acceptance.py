@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import Gwyscope, Nanonis
-from stage_line import StageLine, calibration
 from telenano_acceptance.instrument.checks import INSTRUMENT
 from telenano_acceptance.instrument.instruments import facts_of, make_take
 from telenano_acceptance.instrument.take import STEPS, Facts, record_take
 from telenano_acceptance.take import Clock, Guide, Take, Verdict, overall, read_take
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
+from telenano_emulators.stage_line import StageLine, calibration
 
 from telenano.afm import AfmConfig, simulated_afm
 from telenano.devices import ModbusAfm

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 import yaml
-from controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers import gwyscope_model, nanonis_model
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm

@@ -11,13 +11,11 @@ from typing import Any
 import gwyfile
 import numpy as np
 import pytest
-from controller_line import (
+from controller_faults import (
     NEAR_M,
-    PARAMS,
     RETRACTED_M,
     ControllerRig,
     Fault,
-    Gwyscope,
     answer_twice,
     interrupt,
     kill,
@@ -28,6 +26,7 @@ from controller_line import (
 )
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
+from telenano_afm_controllers.controller_line import PARAMS, Gwyscope
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError

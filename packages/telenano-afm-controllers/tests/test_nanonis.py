@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import (
+from controller_faults import (
     NEAR_M,
     RETRACTED_M,
     ControllerRig,
     Fault,
-    Gwyscope,
-    Nanonis,
     answer_twice,
     interrupt,
     kill,
@@ -27,6 +25,7 @@ from controller_line import (
 )
 from recorded_maps import frequency_shift_hz
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError

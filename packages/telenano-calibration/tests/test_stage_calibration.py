@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
-from stage_line import PARAMS, StageLine, calibration
 from telenano_calibration.line_fit import CalibrationError
 from telenano_calibration.stage_calibration import Mover, fit_travel, press
+from telenano_emulators.stage_line import PARAMS, StageLine, calibration
 from telenano_emulators.t7_model import M_PER_V, T7Model
 
 from telenano.testing import invoke

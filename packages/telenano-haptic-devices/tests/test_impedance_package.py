@@ -4,11 +4,11 @@ import re
 from typing import Any
 
 import pytest
-import stranger_package
 
 from telenano.hand import HapticConfig
 from telenano.hand.config import DRIVERS, SECTIONS
 from telenano.settings import entries, validate
+from telenano.testing import packages as stranger_package
 from telenano.wire import ConfigError
 from telenano.wire.extras import how_to_add_package
 

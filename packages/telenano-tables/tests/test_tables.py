@@ -11,14 +11,13 @@ import h5py
 import numpy as np
 import pyarrow.parquet as parquet
 import pytest
-from export_samples import HEIGHTS, hand_recording, rich_recording
 
 from telenano.recording import RecordingWriter, Selection, columns_of
 from telenano.recording.export import export_recording
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyWriter
-from telenano.testing import EPOCH_NS, hand_state
+from telenano.testing import EPOCH_NS, HEIGHTS_M, hand_recording, hand_state, rich_recording
 from telenano.wire import RecordingError, encode
 
 
@@ -37,7 +36,7 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     forward = parquet.read_table(target / "teleop_forward@slave.parquet").to_pydict()
     assert forward["wave_sqrt_w.2"] == [0.5 if seq == 3 else None for seq in range(10)]
     scan = parquet.read_table(target / "afm_scanline.parquet").to_pydict()
-    assert scan["height_m"] == [(HEIGHTS * seq).tolist() for seq in range(10)]
+    assert scan["height_m"] == [(HEIGHTS_M * seq).tolist() for seq in range(10)]
     event = parquet.read_table(target / "session_event.parquet").to_pydict()
     assert json.loads(event["data"][4]) == {"force_n": 1.5, "k4": "x"}
 
@@ -74,7 +73,7 @@ def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Pa
         wave = file["teleop/forward@slave/wave_sqrt_w.2"][:]
         assert wave[3] == 0.5
         assert np.isnan(np.delete(wave, 3)).all()
-        assert file["afm/scanline/height_m"][2].tolist() == (HEIGHTS * 2).tolist()
+        assert file["afm/scanline/height_m"][2].tolist() == (HEIGHTS_M * 2).tolist()
         assert file["attachments/site.yaml"][()].tobytes() == b"nodes: {}\n"
         assert file["metadata/versions"].attrs["python"] == "3"
 

@@ -10,11 +10,11 @@ if "services.controller" in sys.orig_argv:
     import time
 
     from fuzz_datagrams import Datagrams
-    from fuzz_frames import Frames, stream
     from telenano_wide_area.datagram.body import DATAGRAMS_OF
     from telenano_wide_area.datagram.end import DatagramEnd
 
     from telenano.runtime.bus.publisher import ZmqPublisher
+    from telenano.testing.frames import Frames, stream
     from telenano.wire.topics import OWN_TOPICS as TOPICS
 
     # A frame for so many messages: the link's bytes are counted, and what is genuine should still get through.

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stranger_package import install, said
+
+from telenano.testing.packages import install, said
 
 PACKAGE = """
 from typing import NamedTuple

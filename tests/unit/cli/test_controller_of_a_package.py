@@ -3,7 +3,8 @@
 from typing import Any
 
 import pytest
-from stranger_package import install, said
+
+from telenano.testing.packages import install, said
 
 # A controller of lines: `z METRES` is answered with z and the deflection's signal.
 PACKAGE = """

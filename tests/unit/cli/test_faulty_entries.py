@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import stranger_package
 
 from telenano.cli.new_package import new_package
 from telenano.settings.plugins import KINDS
+from telenano.testing import packages as stranger_package
 
 pytestmark = pytest.mark.check("one process loads every entry of every kind and runs the doctor")
 

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stranger_package import describe, said
 from test_package_commands import ROOT
+
+from telenano.testing.packages import describe, said
 
 PAGE = (ROOT / "docs" / "extending.md").read_text("utf-8")
 BLOCKS = {

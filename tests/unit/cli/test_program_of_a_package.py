@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stranger_package import said
 from test_package_commands import ROOT, put_on_path
 
 from telenano.cli.new_package import new_package
+from telenano.testing.packages import said
 
 ON_THE_BENCH = """
 import json, math

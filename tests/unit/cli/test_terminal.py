@@ -7,12 +7,12 @@ from pathlib import Path
 import damaged_files as files
 import pytest
 from rich.console import Console
-from stranger_package import install
 
 from telenano.cli import output, terminal
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.files.printable import printable
 from telenano.testing import run_apart
+from telenano.testing.packages import install
 
 ROOT = Path(__file__).parents[3]
 # sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu import ModbusPDU
-from stage_line import PARAMS, Rig, StageLine, calibration
 from telenano_emulators import t7_model
+from telenano_emulators.stage_line import PARAMS, StageLine, StageRig, calibration
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
@@ -307,7 +307,7 @@ def test_function_76_has_the_bytes_of_the_manual() -> None:
 
 
 def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) -> None:
-    rig = Rig(bench_of("afm_node@slave"))
+    rig = StageRig(bench_of("afm_node@slave"))
     rig.tick(5)
     rig.control("arm", place="hand")
     rig.tick(400)

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from stranger_package import install, said
+
+from telenano.testing.packages import install, said
 
 PAGE = (Path(__file__).parents[3] / "docs" / "extending.md").read_text("utf-8")
 BLOCK = re.search(r"## My simulated hand device.*?```python\n(.*?)```", PAGE, re.DOTALL)

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from stranger_package import describe
 
 from telenano.numerics.digests import (
     KEPT_FOLDERS,
@@ -17,6 +16,7 @@ from telenano.numerics.digests import (
     remove_unused,
     source_digest,
 )
+from telenano.testing.packages import describe
 
 ROOT = Path(__file__).parents[3]
 # errors, models of settings and messages, and what loads packages: nothing of them is compiled

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_machine_book
-from stranger_package import describe
 
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.run import line_check_of
@@ -23,6 +22,7 @@ from telenano.runtime.wiring.participant import Participant
 from telenano.settings import TWO_SITES_FILE, plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.testing import NodeBench, free_ports
+from telenano.testing.packages import describe
 from telenano.wire.errors import ConfigError, RefusedError
 
 PACKAGE = KNOWN_PACKAGES["transport datagram"]

@@ -3,7 +3,8 @@
 from typing import Any
 
 import pytest
-import stranger_package
+
+from telenano.testing import packages as stranger_package
 
 PACKAGE = """
 import dataclasses

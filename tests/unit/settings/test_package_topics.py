@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import pytest
 from mcap.reader import make_reader
 from msgspec import Meta
-from stranger_package import install, run
 
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
+from telenano.testing.packages import install, run
 from telenano.wire import TOPICS, DurationS, Message, Topic, about, decode, encode
 from telenano.wire.topics import MOST_UNKNOWN, keep_unknown, register_topic, row_of
 

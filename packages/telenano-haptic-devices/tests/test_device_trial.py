@@ -22,7 +22,6 @@ if shutil.which("cc") is None:
 import live_devices
 import test_haptic_acceptance as simulated
 import test_instrument_acceptance as instruments
-from handle_line import Line, calibration
 from telenano_acceptance.handle.take import facts_of, record_take
 from telenano_acceptance.haptic_device import devices, simulated_link
 from telenano_acceptance.haptic_device.devices import make_take
@@ -35,6 +34,7 @@ from telenano_acceptance.trial.devices import Tried
 from telenano_acceptance.trial.sheet import judged_again, sheet_of
 from telenano_acceptance.trial.trial_command import make_trial
 from telenano_acceptance.trial.trial_file import Trial, read_trial, write_trial
+from telenano_emulators.handle_line import HandleLine, calibration
 from telenano_haptic_devices import haply_service
 from telenano_haptic_devices.impedance_config import CouplingConfig
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
@@ -267,9 +267,9 @@ def test_a_good_instrument_passes(driver: str, tmp_path: Path) -> None:
 class TriedHandle:
     """A trial of the emulated handle in virtual time, with a person at it."""
 
-    def __init__(self, put: Callable[[Line, str], None] = lambda line, step: None, **changes: Any) -> None:
+    def __init__(self, put: Callable[[HandleLine, str], None] = lambda line, step: None, **changes: Any) -> None:
         self._calibration = calibration(**changes)
-        self.line, self._put, self._step = Line(self._calibration), put, ""
+        self.line, self._put, self._step = HandleLine(self._calibration), put, ""
 
     def trial(self) -> Trial:
         return make_trial("serial", Tried(self._record, ()), Guide(self._say))
@@ -297,27 +297,27 @@ class TriedHandle:
             line.pass_ms(1)
 
 
-def unplugged(line: Line, step: str) -> None:
+def unplugged(line: HandleLine, step: str) -> None:
     line.plugged = step != "follow"
 
 
-def reset(line: Line, step: str) -> None:
+def reset(line: HandleLine, step: str) -> None:
     if step == "follow":
         line.handle.reset(0xDEAD)
 
 
-def with_latency(line: Line, step: str) -> None:
+def with_latency(line: HandleLine, step: str) -> None:
     line.latency_ms = 12.0
 
 
-def with_bad_bytes(line: Line, step: str) -> None:
+def with_bad_bytes(line: HandleLine, step: str) -> None:
     def flipped(sent: bytes) -> bytes:
         return bytes([*sent[:-3], sent[-3] ^ 1, *sent[-2:]]) if sent and line.now_ns % 97_000_000 == 0 else sent
 
     line.to_host = flipped
 
 
-def with_estop(line: Line, step: str) -> None:
+def with_estop(line: HandleLine, step: str) -> None:
     line.handle.estop_pressed = step == "follow"
 
 

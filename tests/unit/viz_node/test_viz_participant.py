@@ -24,7 +24,6 @@ from starlette.testclient import TestClient
 from telenano_experiments import panel as panels
 from telenano_experiments.messages import CUE, Question
 from telenano_experiments.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
-from wire_contract import examples
 
 from services.viz_node import hub as hubs
 from services.viz_node import server
@@ -34,6 +33,7 @@ from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import described
 from telenano.serving.access import Access
+from telenano.testing.examples import examples
 from telenano.wire import TOPICS, Array, Message
 from telenano.wire.codec import fields_of
 

@@ -1,29 +1,30 @@
-"""A line between the serial driver and the emulated handle in virtual time, whose bytes a test can tamper with."""
+"""A wire between the driver of the handle and the emulated handle in virtual time, whose bytes a test can replace."""
 
 from collections.abc import Callable
 from typing import Any
 
-import yaml
+from telenano.devices import HandleCalibration, SerialHandle
+from telenano.extend.hands import DeviceError
+from telenano.hand import HapticConfig
+from telenano.settings import validate
+from telenano.testing import NodeBench, haptic_node
 from telenano_emulators.emulated_handle import EmulatedHandle, calibration_of
 
-from services.haptic_node.node import HapticNode
-from telenano.devices.hand.calibration import HandleCalibration
-from telenano.devices.hand.serial_driver import SerialHandle
-from telenano.extend.hands import DeviceError
-from telenano.hand.config import HapticConfig
-from telenano.settings.config import parse_yaml, validate
-
 PATH = "/dev/serial/by-id/telenano"
-MS = 1_000_000
+_MS = 1_000_000
 
 
 def calibration(**changes: Any) -> HandleCalibration:
-    document = {**calibration_of(HapticConfig()), **changes}
-    return validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), "handle.yaml"), "handle.yaml")
+    """Return the calibration of the emulated handle, with some changes."""
+    return validate(HandleCalibration, {**calibration_of(HapticConfig()), **changes}, "handle.yaml")
 
 
-class Line:
-    """The port that the driver opens, and the device at its other end; time passes in `sleep` and `pass_ms`."""
+class HandleLine:
+    """The port that the driver opens, and the device at its other end; time passes in `sleep` and `pass_ms`.
+
+    Args:
+        calibrated: The calibration of the driver; None for that of the emulated handle.
+    """
 
     def __init__(self, calibrated: HandleCalibration | None = None) -> None:
         self.now_ns = 10**9
@@ -48,7 +49,7 @@ class Line:
             sleep=lambda duration_s: self.pass_ms(max(1, round(duration_s * 1e3))),
         )
 
-    def _open(self, path: str, baud: int) -> "Line":
+    def _open(self, path: str, baud: int) -> "HandleLine":
         if not self.plugged:
             raise DeviceError(f"{path}: there is no such port")
         if self.holder:
@@ -77,7 +78,7 @@ class Line:
 
     def pass_ms(self, duration_ms: int) -> None:
         for _ in range(duration_ms):
-            self.now_ns += MS
+            self.now_ns += _MS
             self.handle.advance()
             self._collect()
 
@@ -86,18 +87,19 @@ class Line:
         if sent and self.plugged:
             # in order, whatever the latency was before
             before_ns = self._waiting[-1][0] if self._waiting else 0
-            self._waiting.append((max(before_ns, self.now_ns + round(self.latency_ms * MS)), sent))
+            self._waiting.append((max(before_ns, self.now_ns + round(self.latency_ms * _MS)), sent))
 
 
-class Rig:
+class HandleRig:
     """A haptic node with the emulated handle on a bench."""
 
-    def __init__(self, bench: Any) -> None:
-        self.bench, self.line = bench, Line()
-        self.node = HapticNode(bench.context, HapticConfig(), self.line.driver)
+    def __init__(self, bench: NodeBench) -> None:
+        self.bench, self.line = bench, HandleLine()
+        self.node = haptic_node(bench, self.line.driver)
         self.x_m = 0.0
 
     def tick(self, count: int = 1) -> None:
+        """Command the place of the hand and let the node take its turn, once a millisecond."""
         for _ in range(count):
             now_ns = self.bench.clock.now_ns()
             command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}

@@ -1,35 +1,36 @@
-"""A Modbus connection between the driver and the T7 model in virtual time, whose bytes a test can replace."""
+"""A wire between the driver of the stage and the T7 model in virtual time, whose bytes a test can replace."""
 
 from collections.abc import Callable
 from typing import Any
 
-import yaml
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
+
+from telenano.afm import AfmConfig, simulated_afm
+from telenano.devices import InstrumentCalibration, ModbusAfm, read_map
+from telenano.settings import merge, validate
+from telenano.testing import InstrumentRig, NodeBench, RequestLine
 from telenano_emulators.t7_model import T7Model, calibration_of
 from telenano_emulators.t7_server import respond, served_requests
-
-from telenano.afm.config import AfmConfig
-from telenano.afm.sim import simulated_afm
-from telenano.devices.afm.converter_calibration import InstrumentCalibration
-from telenano.devices.afm.modbus_driver import ModbusAfm
-from telenano.devices.afm.register_map import RegisterMap, read_map
-from telenano.settings.config import merge, parse_yaml, validate
-from telenano.testing import InstrumentRig, RequestLine
 
 PARAMS = AfmConfig().to_params()
 
 
 def calibration(**changes: Any) -> InstrumentCalibration:
+    """Return the calibration of the emulated stage, with some changes."""
     document = merge(calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m), changes)
-    text = yaml.safe_dump(document).encode()
-    return validate(InstrumentCalibration, parse_yaml(text, "stage.yaml"), "stage.yaml")
+    return validate(InstrumentCalibration, document, "stage.yaml")
 
 
 class StageLine(RequestLine):
-    """A line to the T7 model. respond: what the device does with a request."""
+    """A wire to the T7 model, whose `respond` a test may replace: what the device does with a request.
 
-    def __init__(self, calibrated: InstrumentCalibration | None = None, registers: RegisterMap | None = None) -> None:
+    Args:
+        calibrated: The calibration of the driver; None for that of the emulated stage.
+        registers: The register map of the driver; None for that of the T7.
+    """
+
+    def __init__(self, calibrated: InstrumentCalibration | None = None, registers: Any = None) -> None:
         super().__init__()
         afm = simulated_afm(PARAMS)
         afm.open()
@@ -59,8 +60,8 @@ class StageLine(RequestLine):
         self.answer(self._framer.buildFrame(answer))
 
 
-class Rig(InstrumentRig):
+class StageRig(InstrumentRig):
     """An AFM node with the T7 model on a bench."""
 
-    def __init__(self, bench: Any) -> None:
+    def __init__(self, bench: NodeBench) -> None:
         super().__init__(bench, StageLine())

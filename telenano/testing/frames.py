@@ -10,12 +10,12 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from wire_contract import examples, schema_of
 
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
 from telenano.link.config import LinkSettings
 from telenano.settings.config import flatten
+from telenano.testing.examples import examples, schema_of
 from telenano.wire import Topic, encode
 from telenano.wire.codec import fields_of
 from telenano.wire.messages import Array
@@ -132,7 +132,7 @@ class Frames:
             return float(rng.choice((low, high)))
         ordinary = rng.choice((0.0, -0.0, 5e-324, 1e-9, 7e-9, 1e-3, 0.5, 1.0))
         spread = math.copysign(math.exp(rng.uniform(-30.0, math.log(max(high, 1e-9)))), rng.random() - 0.5)
-        return min(max(float(rng.choice((ordinary, -ordinary, spread))), low), high)
+        return float(min(max(float(rng.choice((ordinary, -ordinary, spread))), low), high))
 
     def _integer(self, schema: Mapping[str, Any], root: Any, name: str) -> int:
         rng = self.random
