@@ -6,6 +6,7 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.lockstep.link import Schedule as Schedule
+    from telenano.lockstep.link import schedule_from as schedule_from
     from telenano.lockstep.lockstep import Rig as Rig
     from telenano.lockstep.steering import HandSteps as HandSteps
     from telenano.lockstep.trajectory import Trajectory as Trajectory

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from telenano.testing.bench import refused_laws as refused_laws
     from telenano.testing.bench import trial as trial
     from telenano.testing.commands import invoke as invoke
+    from telenano.testing.commands import options_of as options_of
     from telenano.testing.commands import run as run
     from telenano.testing.commands import run_apart as run_apart
     from telenano.testing.damage import damaged as damaged

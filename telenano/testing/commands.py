@@ -40,3 +40,11 @@ def run_apart(
         [sys.executable, "-m", "telenano", *map(str, arguments)], cwd=folder, env=os.environ | environment,
         stdin=subprocess.DEVNULL, capture_output=True, encoding="utf-8", timeout=timeout_s, check=False,
     )  # fmt: skip
+
+
+def options_of(*words: str) -> set[str]:
+    """Return the long names of the options of a package's command, such as `--json`."""
+    from telenano.cli.lazy_commands import load_row, package_commands
+
+    command: Any = load_row(words[-1], package_commands()[words], words)
+    return {name for option in command.params for name in option.opts if name.startswith("--")}

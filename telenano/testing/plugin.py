@@ -86,3 +86,9 @@ def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the closed loop of studies as plain Python: the same bits, and a short one is done before it is compiled."""
     monkeypatch.setattr("telenano.lockstep.lockstep.compiled_call", lambda step, given: step(*given))
     monkeypatch.setattr("telenano.lockstep.lockstep.is_compiled", lambda step, given: False)
+
+
+@pytest.fixture
+def without_realtime(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no command of this process request real-time scheduling, which would outlast the test."""
+    monkeypatch.setattr("telenano.runtime.loop.realtime.apply_realtime", lambda *settings: None)

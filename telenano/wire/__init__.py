@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
+    from telenano.wire.topics import OWN_TOPICS as OWN_TOPICS
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from servo_bench import MemoryConversation, VirtualTime
 from telenano_afm_controllers import gwyscope_wire, nanonis_wire
 from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_emulators.handle_line import HandleLine
 from telenano_emulators.stage_line import StageLine
 from telenano_haptic_devices import dhd, haply, hd
 from telenano_haptic_devices.coupling import ZERO, CouplingSettings
+from telenano_haptic_devices.doubles.servo_bench import MemoryConversation, VirtualTime
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.servo import ServoCommand

@@ -18,8 +18,7 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from telenano_emulators.stage_line import StageLine, calibration
 
 from telenano.afm import AfmConfig, simulated_afm
-from telenano.devices import ModbusAfm
-from telenano.devices.afm.register_map import read_map
+from telenano.devices import ModbusAfm, read_map
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 

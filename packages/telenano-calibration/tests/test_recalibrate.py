@@ -10,8 +10,7 @@ from telenano_emulators.emulated_handle import calibration_of as handle_file
 from telenano_emulators.t7_model import calibration_of as stage_file
 
 from telenano.hand import HapticConfig
-from telenano.recording import Recording, RecordingWriter
-from telenano.recording.recorder_config import RecorderConfig
+from telenano.recording import FileSettings, Recording, RecordingWriter
 from telenano.settings import merge
 from telenano.testing import EPOCH_NS, invoke, numbered
 from telenano.wire import encode
@@ -22,7 +21,7 @@ STAGE_ID = "t7 470012345 2026-01-01T00:00:00+00:00"
 
 def recorded(folder: Path, *, raw: bool = True) -> Path:
     """Write a recording of both devices at 10 counts, 2.6 V and 12.3 mV, as their old calibrations had it."""
-    writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
     counts = {"position_raw": POSITION_ZERO + 10, "velocity_raw": 5, "operator_force_raw": 0, "drive_raw": 3}
     volts = {"output_v": 2.6, "input_v": 0.0123}
     device = {"device": "ok", "sample_age_s": 1e-3}

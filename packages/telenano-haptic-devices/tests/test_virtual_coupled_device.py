@@ -12,8 +12,7 @@ from telenano_haptic_devices.impedance import coupling_of
 
 from telenano.hand import HapticConfig
 from telenano.virtual import ARMED_S, STARTED_S, VirtualRig, constant_timing
-from telenano.wire import HapticState
-from telenano.wire.messages import SessionEvent
+from telenano.wire import HapticState, SessionEvent
 
 HAND = "haptic_node@master"
 # alpha_f F_s (1 + 1/K_f) = F_m, as on the paper's master

@@ -29,13 +29,11 @@ from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from telenano.link import DirectionEngine, LinkSettings
 from telenano.link.fate import Direction
 from telenano.link.profiles import Profile
-from telenano.recording import RecordingWriter
-from telenano.recording.writer import FileSettings
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.serving import web_folder
 from telenano.settings import validate
 from telenano.testing import invoke
-from telenano.wire import ConfigError, encode
-from telenano.wire.messages import LinkFate, LinkFates
+from telenano.wire import ConfigError, LinkFate, LinkFates, encode
 
 FOLDER = web_folder() / "gallery"
 WAYS: tuple[Direction, ...] = ("forward", "backward")

@@ -10,8 +10,7 @@ from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, 
 
 from telenano.link import DirectionEngine, LinkSettings
 from telenano.timing import OffsetFilter
-from telenano.wire import Array, LinkNetwork, TelenanoError
-from telenano.wire.messages import LinkClock
+from telenano.wire import Array, LinkClock, LinkNetwork, TelenanoError
 
 NS_PER_MS = 1_000_000
 BEGAN_NS = 10**18

@@ -22,8 +22,7 @@ from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for,
 
 from telenano.link import LinkSettings
 from telenano.link.fate import Direction
-from telenano.recording import RecordingWriter
-from telenano.recording.writer import FileSettings
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.runtime.byte_link import ByteLink
 from telenano.runtime.loop.machine import resident_bytes
 from telenano.signals import children

@@ -16,9 +16,7 @@ from telenano_microscopy.image_files import Image, ImageFacts
 from telenano_nexus.nexus_files import write_images
 
 import telenano
-from telenano.recording import RecordingWriter, Selection
-from telenano.recording.export import export_recording
-from telenano.recording.recorder_config import RecorderConfig
+from telenano.recording import FileSettings, RecordingWriter, Selection, export_recording
 from telenano.testing import invoke
 from telenano.wire import AfmScanline, Array, RecordingError, encode
 
@@ -110,7 +108,7 @@ def scanline(number: int, direction: str, heights: list[float], lines: int = 2) 
 
 
 def test_each_image_of_a_recording_is_in_the_file_with_its_axes(tmp_path: Path) -> None:
-    writer = RecordingWriter.create("recorder@slave", RecorderConfig(directory=tmp_path, file_name="images.mcap"))
+    writer = RecordingWriter.create("recorder@slave", FileSettings(directory=tmp_path, file_name="images.mcap"))
     channel = writer.channel("afm/scanline", "afm_node@slave", "slave")
     at_ns = 1_700_000_000_000_000_000
     # two images, of which the second ended after its first line

@@ -7,9 +7,8 @@ import pytest
 from telenano_studies import plot
 from telenano_studies.plot import Trace, extremes, read_traces
 
-from telenano.recording import RecordingWriter
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.recording.indexed import IndexedRecording
-from telenano.recording.writer import FileSettings
 from telenano.testing import EPOCH_NS, hand_state, numbered
 from telenano.wire import encode
 

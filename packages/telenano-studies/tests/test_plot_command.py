@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from telenano_studies.plot import Trace, draw
 
-from telenano.recording import RecordingWriter
-from telenano.recording.writer import FileSettings
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.testing import EPOCH_NS, hand_state, invoke
 from telenano.wire import encode
 

@@ -12,11 +12,9 @@ from telenano.link import DirectionEngine
 from telenano.link.fate import Fate
 from telenano.lockstep import Schedule
 from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES
-from telenano.recording import RecordingWriter
-from telenano.recording.recorder_config import RecorderConfig
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.testing import numbered
-from telenano.wire import RecordingError, encode
-from telenano.wire.messages import LinkFate
+from telenano.wire import LinkFate, RecordingError, encode
 
 MS = 1_000_000
 EPOCH_NS = 10**18
@@ -36,7 +34,7 @@ class Tape:
     """A recording of a session over a link, written by hand."""
 
     def __init__(self, folder: Path) -> None:
-        self.writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
+        self.writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
         self.path = self.writer.path
 
     def write(self, topic: str, src: str, messages: list[dict[str, Any]]) -> None:

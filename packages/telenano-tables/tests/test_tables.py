@@ -12,10 +12,8 @@ import numpy as np
 import pyarrow.parquet as parquet
 import pytest
 
-from telenano.recording import RecordingWriter, Selection, columns_of
-from telenano.recording.export import export_recording
+from telenano.recording import FileSettings, RecordingWriter, Selection, columns_of, export_recording
 from telenano.recording.messages import RawChannel, RawMessage
-from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import CopyWriter
 from telenano.testing import EPOCH_NS, HEIGHTS_M, hand_recording, hand_state, rich_recording
 from telenano.wire import RecordingError, encode
@@ -153,7 +151,7 @@ def test_tables_written_in_batches_are_those_written_at_once(
 
 
 def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=tmp_path))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=tmp_path))
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     for seq in range(1000):
         writer.write(channel, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(hand_state(seq)))

@@ -13,7 +13,7 @@ from telenano_wide_area.datagram.place import Place
 from telenano_wide_area.datagram.sparse import SPARSE
 from telenano_wide_area.settings import DatagramSettings
 
-from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
+from telenano.runtime import ConnectionEvent, Subscriber
 from telenano.testing import VirtualClock
 from telenano.wire import Message, Received, compose
 

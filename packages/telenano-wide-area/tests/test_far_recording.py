@@ -22,12 +22,10 @@ from telenano_wide_area.relay.site_end import SiteEnd
 
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.recording import RecordingWriter
-from telenano.recording.writer import FileSettings
-from telenano.runtime import AccessControl, AddressBook, Participant, StructuredLog
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.runtime import AccessControl, AddressBook, Keyring, Participant, StructuredLog
 from telenano.runtime.bus.address_book import NodeEntry
 from telenano.runtime.loop.node_loop import NodeLoop
-from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.participant import NO_REALTIME
 from telenano.wire import Array, ConfigError, RecordingError, RecordingPiece, RefusedError, RigError
 

@@ -4,16 +4,18 @@ import ctypes
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
-import pytest
 from telenano_emulators.firmware import compiled as compile_library
 
 FOLDER = Path(__file__).parent
 # Scenarios of these tests name the doubles, and the processes of their rigs inherit that they may.
 os.environ["TELENANO_ALLOW_CODE"] = "1"
-needs_cc = pytest.mark.skipif(
-    shutil.which("cc") is None, reason="the doubles of vendors' libraries need a C compiler: apt install gcc libc6-dev"
-)
+# What `pytest.mark.skipif` is given for a test of them.
+WITHOUT_CC: dict[str, Any] = {
+    "condition": shutil.which("cc") is None,
+    "reason": "the doubles of vendors' libraries need a C compiler: apt install gcc libc6-dev",
+}
 
 
 def build(name: str) -> Path:

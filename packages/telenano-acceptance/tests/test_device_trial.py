@@ -19,7 +19,6 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle and doubles of vendors' libraries need a C compiler", allow_module_level=True)
 
-import live_devices
 import test_haptic_acceptance as simulated
 import test_instrument_acceptance as instruments
 from telenano_acceptance.handle.take import facts_of, record_take
@@ -36,13 +35,13 @@ from telenano_acceptance.trial.trial_command import make_trial
 from telenano_acceptance.trial.trial_file import Trial, read_trial, write_trial
 from telenano_emulators.handle_line import HandleLine, calibration
 from telenano_haptic_devices import haply_service
+from telenano_haptic_devices.doubles import live_devices
 from telenano_haptic_devices.impedance_config import CouplingConfig
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
 
 from telenano.cli import run_ahead
 from telenano.hand import HapticConfig
-from telenano.runtime.loop import realtime
-from telenano.testing import invoke
+from telenano.testing import invoke, options_of
 from telenano.wire import ConfigError
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
@@ -126,7 +125,7 @@ HANDS = {"push_n", "hand_m", "loose"}
 
 def test_every_fault_of_the_emulators_is_in_a_table() -> None:
     assert set(HAPLY) | MENDED_OR_HANDS == set(haply_service.ORDERS.split(" | "))
-    assert set(DOUBLES) | HANDS == set(live_devices._LINES)
+    assert set(DOUBLES) | HANDS == set(live_devices.LINES)
     given = {name for faults in (simulated.SOME | simulated.FURTHER).values() for name in faults}
     assert given | {"stumble", "stuck_buttons"} == set(simulated_link.DeviceFaults._fields)
 
@@ -236,13 +235,9 @@ ADDRESSES = {"--host", "--port", "--log-port", "--scenario", "--calibration", "-
 
 
 def test_every_option_of_the_emulated_instruments_is_in_the_table() -> None:
-    from telenano.cli.lazy_commands import load_row, package_commands
-
     found = set()
     for name in ("t7", "gwyscope", "nanonis"):
-        path = ("device", "simulate", name)
-        command: Any = load_row(name, package_commands()[path], path)
-        found |= {f"{name} {one.opts[0]}" for one in command.params if one.opts[0] not in ADDRESSES | {"--help"}}
+        found |= {f"{name} {option}" for option in options_of("device", "simulate", name) - ADDRESSES - {"--help"}}
     assert found == {name for name in INSTRUMENTS if " --" in name} | DECLARED
 
 
@@ -454,6 +449,7 @@ def test_ctrl_c_at_a_question_ends_it_with_a_file(tmp_path: Path) -> None:
     assert {line.result for line in read_trial(path).acceptance.lines} == {"pass", "retake"}
 
 
+@pytest.mark.usefixtures("without_realtime")
 def test_the_collector_leaves_alone_what_was_there_before_the_device_is_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -465,7 +461,6 @@ def test_the_collector_leaves_alone_what_was_there_before_the_device_is_opened(
         raise EndedError("enough")
 
     monkeypatch.setattr(devices.ProcessLink, "open", opened)
-    monkeypatch.setattr(realtime, "apply_realtime", lambda *settings: None)
     try:
         assert typed(tmp_path, "", "haply")[0] != 0
         assert frozen[0] > 10_000

@@ -7,20 +7,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import library_doubles
+from telenano.extend.hands import DeviceError, Gate
 from telenano_haptic_devices import haply
 from telenano_haptic_devices.coupling import CouplingSettings
 from telenano_haptic_devices.dhd import DhdWire
+from telenano_haptic_devices.doubles import libraries
 from telenano_haptic_devices.emulated_arm import EmulatedArm, hand_of
 from telenano_haptic_devices.haply import HaplyWire
+from telenano_haptic_devices.haply_messages import Answer
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.hd import HdWire
 from telenano_haptic_devices.impedance_wire import ImpedanceWire
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
-
-from telenano.extend.hands import DeviceError, Gate
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000
@@ -76,7 +76,7 @@ class MemoryConversation:
         del self._answers[:dropped]
         return dropped
 
-    def receive(self, patience_s: float = 0.0) -> haply.Answer:
+    def receive(self, patience_s: float = 0.0) -> Answer:
         return haply.DECODE(self._answers.pop(0))
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class Emulated:
 
     def __init__(self, kind: str, time: VirtualTime, folder: Path, **settings: Any) -> None:
         self.kind, self.time = kind, time
-        clock = {"now_ns": time.now_ns, "sleep": time.sleep}
+        clock: dict[str, Any] = {"now_ns": time.now_ns, "sleep": time.sleep}
         self.wire: ImpedanceWire
         if kind == "haply":
             self.service = HaplyService(EmulatedArm(hand_of(), haply.ARM))
@@ -101,8 +101,8 @@ class Emulated:
             self.wire = HaplyWire(HaplyConfig(**settings), connect=connect, **clock)
             return
         path = folder / f"{kind}.so"
-        shutil.copy(library_doubles.build(kind), path)
-        self.double = library_doubles.Double(path)
+        shutil.copy(libraries.build(kind), path)
+        self.double = libraries.Double(path)
         self.double.set("virtual_s", time.s)
         time.passes, time.taken_ns = self._pass, lambda: round(self.double.get("virtual_s") * 1e9)
         settings["library"] = str(path)

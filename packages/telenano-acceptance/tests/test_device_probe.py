@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import library_doubles
 import pytest
 import yaml
 from telenano_emulators.t7_model import calibration_of
 from telenano_haptic_devices.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
-from test_haply_service import Served
+from telenano_haptic_devices.doubles import libraries
+from telenano_haptic_devices.doubles.served import Served
 
 from telenano.hand import HapticConfig
 from telenano.testing import invoke
@@ -41,7 +41,7 @@ def told(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     if kind in ("dhd", "hd"):
         if shutil.which("cc") is None:
             pytest.skip("the doubles of vendors' libraries need a C compiler: apt install gcc")
-        library = shutil.copy(library_doubles.build(kind), tmp_path / f"{kind}.so")
+        library = shutil.copy(libraries.build(kind), tmp_path / f"{kind}.so")
         options += ["--set", f"haptic_node.{kind}.library={library}"]
     yield options
 

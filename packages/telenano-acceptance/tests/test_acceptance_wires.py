@@ -16,13 +16,13 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the doubles of vendors' libraries need a C compiler: apt install gcc", allow_module_level=True)
 
-from live_devices import write_hand
-from servo_bench import DEVICES, Emulated, VirtualTime
 from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of
 from telenano_acceptance.take import Clock, Take, Verdict, overall
 from telenano_haptic_devices.coupling import Vector
+from telenano_haptic_devices.doubles.live_devices import write_hand
+from telenano_haptic_devices.doubles.servo_bench import DEVICES, Emulated, VirtualTime
 from telenano_haptic_devices.emulated_arm import HandMotion
 from telenano_haptic_devices.impedance_config import CouplingConfig
 from telenano_haptic_devices.impedance_wire import Turn

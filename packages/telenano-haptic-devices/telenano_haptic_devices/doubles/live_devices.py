@@ -9,11 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
-import library_doubles
+from telenano_haptic_devices.doubles import libraries
 from telenano_haptic_devices.emulated_arm import HandMotion
 
 # What a test does, in the words of the doubles: that of the emulated service, for each.
-_LINES: dict[str, Callable[[float], str]] = {
+LINES: dict[str, Callable[[float], str]] = {
     "unplugged": lambda value: "pull" if value else "plug",
     "uncalibrated": lambda value: "lose-home" if value else "home",
     "not_a_number": lambda value: "nan" if value else "number",
@@ -67,7 +67,7 @@ class LiveDevice:
         """Return the settings of the driver's section."""
         if self.kind == "haply":
             return {"service": self.address}
-        return {"library": str(library_doubles.build(self.kind))}
+        return {"library": str(libraries.build(self.kind))}
 
     @property
     def options(self) -> list[str]:
@@ -86,7 +86,7 @@ class LiveDevice:
         self.address = re.findall(r"ws://\S+:\d+", self._process.stdout.readline())[0]
 
     def kill(self) -> None:
-        """kill -9 the emulated service; a double ends with its servo."""
+        """Kill -9 the emulated service; a double ends with its servo."""
         if self._process is None:
             return
         self._process.send_signal(signal.SIGKILL)
@@ -107,7 +107,7 @@ class LiveDevice:
         elif what == "sign":
             line, self._sign = "sign" if value != self._sign else "", value
         else:
-            line = _LINES[what](value)
+            line = LINES[what](value)
         assert self._process.stdin is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
