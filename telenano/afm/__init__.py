@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
+    from telenano.afm.contact.tip_sample import branch_force as branch_force
     from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbances import noise_start as noise_start
     from telenano.afm.disturbances import noise_step as noise_step

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording
     from telenano.recording.rewrite import CopyResult as CopyResult
+    from telenano.recording.rewrite import filter_recording as filter_recording
     from telenano.recording.session_folder import SessionFolder as SessionFolder
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.tables import columns_of as columns_of

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
     from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
     from telenano.runtime.bus.bus import Subscriber as Subscriber
+    from telenano.runtime.byte_link import ByteLink as ByteLink
     from telenano.runtime.byte_link import ByteLinkProcess as ByteLinkProcess
     from telenano.runtime.link_node import TRAIN as TRAIN
     from telenano.runtime.loop.commands import Command as Command

@@ -27,5 +27,6 @@ if TYPE_CHECKING:
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import load as load
     from telenano.settings.scenario import LoadedScenario as LoadedScenario
+    from telenano.settings.scenario import Scenario as Scenario
 else:
     __getattr__, __dir__ = face(__name__)

@@ -17,16 +17,19 @@ if TYPE_CHECKING:
     from telenano.testing.bench import NodeBench as NodeBench
     from telenano.testing.bench import afm_config as afm_config
     from telenano.testing.bench import afm_node as afm_node
+    from telenano.testing.bench import handed_over as handed_over
     from telenano.testing.bench import haptic_config as haptic_config
     from telenano.testing.bench import haptic_device_of as haptic_device_of
     from telenano.testing.bench import haptic_node as haptic_node
     from telenano.testing.bench import instrument_of as instrument_of
     from telenano.testing.bench import refused_laws as refused_laws
+    from telenano.testing.bench import refused_program as refused_program
     from telenano.testing.bench import trial as trial
     from telenano.testing.commands import invoke as invoke
     from telenano.testing.commands import options_of as options_of
     from telenano.testing.commands import run as run
     from telenano.testing.commands import run_apart as run_apart
+    from telenano.testing.commands import run_program as run_program
     from telenano.testing.damage import damaged as damaged
     from telenano.testing.examples import examples as examples
     from telenano.testing.frames import Frames as Frames
@@ -37,16 +40,26 @@ if TYPE_CHECKING:
     from telenano.testing.messages import fields_of as fields_of
     from telenano.testing.messages import hand_state as hand_state
     from telenano.testing.messages import numbered as numbered
+    from telenano.testing.messages import payload as payload
     from telenano.testing.messages import received as received
-    from telenano.testing.packages import describe as describe
-    from telenano.testing.packages import install as install
-    from telenano.testing.packages import said as said
+    from telenano.testing.packages import describe_package as describe_package
+    from telenano.testing.packages import environment_with as environment_with
+    from telenano.testing.packages import install_package as install_package
+    from telenano.testing.packages import run_with as run_with
+    from telenano.testing.packages import said_with as said_with
     from telenano.testing.processes import LiveRig as LiveRig
     from telenano.testing.recordings import HEIGHTS_M as HEIGHTS_M
+    from telenano.testing.recordings import foreign_recording as foreign_recording
     from telenano.testing.recordings import hand_recording as hand_recording
     from telenano.testing.recordings import record_fig12 as record_fig12
     from telenano.testing.recordings import recording_with as recording_with
     from telenano.testing.recordings import rich_recording as rich_recording
+    from telenano.testing.shared_files import Shared as Shared
+    from telenano.testing.shared_files import SharedFiles as SharedFiles
+    from telenano.testing.shared_files import disk_of as disk_of
+    from telenano.testing.shared_files import fill_at_each_write as fill_at_each_write
+    from telenano.testing.shared_files import race as race
+    from telenano.testing.shared_files import small_disk as small_disk
     from telenano.testing.sites import SiteLauncher as SiteLauncher
     from telenano.testing.vectors import assert_same_bytes as assert_same_bytes
     from telenano.testing.vectors import assert_same_schema as assert_same_schema
@@ -56,6 +69,8 @@ if TYPE_CHECKING:
     from telenano.testing.waiting import free_ports as free_ports
     from telenano.testing.waiting import until as until
     from telenano.testing.wires import RequestLine as RequestLine
+    from telenano.testing.wires import handle_wire as handle_wire
+    from telenano.testing.wires import shorten_waits as shorten_waits
     from telenano.timing.clock import VirtualClock as VirtualClock
     from telenano.virtual.rig import VirtualRig as VirtualRig
     from telenano.virtual.rig import record_session as record_session

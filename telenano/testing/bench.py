@@ -1,6 +1,6 @@
 """Nodes in virtual time, each alone on a bench, and what a package gives to one: drivers and programs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -78,21 +78,21 @@ class NodeBench:
         self.clock.advance_ns(round(duration_ms * 1e6))
 
 
-def afm_config(section: Mapping[str, Any] | None = None) -> Any:
+def afm_config(section: Any = None) -> Any:
     """Return the settings of a section `afm_node`, validated; ValueError names what is wrong."""
     from telenano.afm.config import AfmConfig
 
-    return AfmConfig.model_validate(section or {})
+    return section if isinstance(section, AfmConfig) else AfmConfig.model_validate(section or {})
 
 
-def instrument_of(section: Mapping[str, Any] | None = None) -> Any:
+def instrument_of(section: Any = None) -> Any:
     """Return the driver of a section `afm_node`, not yet open: the simulated instrument where it names none."""
     from telenano.devices.afm.instrument import driver_of
 
     return driver_of(afm_config(section))
 
 
-def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> Any:
+def afm_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
     """Return the node with a driver of a package, opened, whatever the section names as its driver.
 
     Raises:
@@ -102,20 +102,20 @@ def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = 
     return process.AfmNode(bench.context, afm_config(section), driver)
 
 
-def haptic_config(section: Mapping[str, Any] | None = None) -> Any:
+def haptic_config(section: Any = None) -> Any:
     """Return the settings of a section `haptic_node`, validated; ValueError names what is wrong."""
     from telenano.hand.config import HapticConfig
 
-    return HapticConfig.model_validate(section or {})
+    return section if isinstance(section, HapticConfig) else HapticConfig.model_validate(section or {})
 
 
-def haptic_device_of(section: Mapping[str, Any] | None = None) -> Any:
+def haptic_device_of(section: Any = None) -> Any:
     """Return the driver of a section `haptic_node`, not yet open: the simulated device where it names none."""
     process = import_module(f"{module_of(name_of(HAND))}.__main__")
     return process.device_of(haptic_config(section))
 
 
-def haptic_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> Any:
+def haptic_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
     """Return the node with a driver of a haptic device, opened, whatever the section names as its driver.
 
     Raises:
@@ -134,7 +134,7 @@ class InstrumentRig:
         section: The section `afm_node`.
     """
 
-    def __init__(self, bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, bench: NodeBench, driver: Any, section: Any = None) -> None:
         self.bench, self.line = bench, driver
         self.node = afm_node(bench, getattr(driver, "driver", driver), section)
         self._pass_ms = getattr(driver, "pass_ms", lambda duration_ms: None)
@@ -158,6 +158,21 @@ class InstrumentRig:
         """Give the node a command, and return what it refuses it with; empty where it does not."""
         fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
         return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))
+
+
+def handed_over(one: Any, other: Any) -> Any:
+    """Return another node that goes on from the state of one, as a re-run from the middle of a journal does."""
+    from telenano.wire.node_state import pack, restore
+
+    restore(other, pack(one), lambda *_: b"")
+    return other
+
+
+def refused_program(driver: str, program: str) -> str:
+    """Return why a program cannot run on a driver of the instrument; empty where it can."""
+    from telenano.devices.afm.capabilities import refusal
+
+    return refusal(driver, program)
 
 
 def refused_laws(driver: str) -> dict[str, str]:

@@ -32,6 +32,20 @@ def run(*arguments: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
+def run_program(*arguments: object) -> int:
+    """Return the exit code of the whole program in this process, which also says what is not installed."""
+    from telenano.cli.app import main
+
+    words, sys.argv = sys.argv, ["telenano", *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as ended:
+        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    finally:
+        sys.argv = words
+    return 0
+
+
 def run_apart(
     *arguments: object, folder: Path | None = None, timeout_s: float = 240.0, **environment: str
 ) -> "subprocess.CompletedProcess[str]":

@@ -5,7 +5,8 @@ from typing import Any
 import msgspec
 
 from telenano.recording import RecordedMessage, recorded
-from telenano.wire import TOPICS, Message, example
+from telenano.testing.examples import examples
+from telenano.wire import TOPICS, Message, encode, example
 from telenano.wire.codec import fields_of as fields_of_message
 
 _MS = 1_000_000
@@ -34,6 +35,11 @@ def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
     found = fields_of_message(example(topic))
     present = {name: value for name, value in found.items() if value is not None or name in required}
     return {name: value for name, value in (present | changes).items() if name not in ("seq", "t_ns", "src", "v")}
+
+
+def payload(topic: str, src: str, seq: int) -> bytes:
+    """Return an ordinary message of a source with a number, as it is on the wire."""
+    return encode(msgspec.structs.replace(examples(TOPICS[topic])["ordinary"], src=src, seq=seq))
 
 
 def received(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:

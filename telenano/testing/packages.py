@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 
-def describe(
+def describe_package(
     site: Path, name: str, entries: Mapping[str, Mapping[str, str]], version: str = "1.2", more: str = ""
 ) -> None:
     """Put what pip notes of a package in a folder of packages; `more` is further lines of its metadata."""
@@ -23,11 +23,11 @@ def describe(
     (facts / "entry_points.txt").write_text("".join(groups))
 
 
-def install(site: Path, name: str, files: Mapping[str, str], entries: Mapping[str, Mapping[str, str]]) -> None:
+def install_package(site: Path, name: str, files: Mapping[str, str], entries: Mapping[str, Mapping[str, str]]) -> None:
     """Put a package in a folder of packages.
 
     Args:
-        site: The folder, which `environment` puts on the path of Python.
+        site: The folder, which `environment_with` puts on the path of Python.
         name: The name of the package, which is also that of its module.
         files: The text of each file in the package.
         entries: By kind of entry (`telenano.KIND`) the target of each name.
@@ -35,22 +35,24 @@ def install(site: Path, name: str, files: Mapping[str, str], entries: Mapping[st
     for file, text in files.items():
         (site / name / file).parent.mkdir(parents=True, exist_ok=True)
         (site / name / file).write_text(text)
-    describe(site, name, entries)
+    describe_package(site, name, entries)
 
 
-def environment(site: Path, **more: str) -> dict[str, str]:
+def environment_with(site: Path, **more: str) -> dict[str, str]:
     """Return the environment of a process that has the packages of a folder."""
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path[1:]]), "COLUMNS": "500"} | more
 
 
-def run(script: str, site: Path, *arguments: str, **more: str) -> str:
+def run_with(script: str, site: Path, *arguments: str, **more: str) -> str:
     """Return what a script prints in a process that has the packages of a folder, which it runs in."""
     command = [sys.executable, "-W", "error", "-c", script, *arguments]
-    done = subprocess.run(command, cwd=site, capture_output=True, text=True, env=environment(site, **more), check=False)
+    done = subprocess.run(
+        command, cwd=site, capture_output=True, text=True, env=environment_with(site, **more), check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def said(script: str, site: Path, *arguments: str, **more: str) -> Any:
+def said_with(script: str, site: Path, *arguments: str, **more: str) -> Any:
     """Return the document that a script prints as JSON in a process that has the packages of a folder."""
-    return json.loads(run(script, site, *arguments, **more))
+    return json.loads(run_with(script, site, *arguments, **more))

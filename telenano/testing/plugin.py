@@ -92,3 +92,18 @@ def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
 def without_realtime(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no command of this process request real-time scheduling, which would outlast the test."""
     monkeypatch.setattr("telenano.runtime.loop.realtime.apply_realtime", lambda *settings: None)
+
+
+@pytest.fixture
+def networks_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return a folder whose profiles of networks are known by name in this test, as TELENANO_NETWORKS makes them."""
+    from telenano.link import profiles
+
+    def forget() -> None:
+        profiles._names.cache_clear()
+        profiles._read.cache_clear()
+
+    monkeypatch.setenv("TELENANO_NETWORKS", str(tmp_path))
+    forget()
+    yield tmp_path
+    forget()

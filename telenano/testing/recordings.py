@@ -2,12 +2,14 @@
 
 import fcntl
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.records import RejectedRecord
+from telenano.recording.rewrite import CopyWriter
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.settings import find_scenario, read_yaml
 from telenano.testing.messages import EPOCH_NS, hand_state, numbered
@@ -108,3 +110,14 @@ def hand_recording(folder: Path, messages: int) -> Path:
         writer.write(channel, t_ns, t_ns, seq, encode(hand_state(seq, t_ns=t_ns)))
     writer.finish()
     return writer.path
+
+
+def foreign_recording(path: Path, attachments: Mapping[str, bytes]) -> Path:
+    """Write a recording of a stranger: a topic that nobody here knows, and attachments of any name."""
+    facts = (("delivery", "lossless"), ("site", "slave"), ("src", "afm_node@slave"), ("topic", "new/topic"))
+    with CopyWriter(path) as writer:
+        channel = RawChannel("new/topic", "msgpack", facts, None)
+        writer.add(RawMessage(channel, EPOCH_NS, EPOCH_NS, 0, b"\x81\xa1a\x01"))
+        for name, content in attachments.items():
+            writer.attach(name, "text/plain", content, EPOCH_NS)
+    return path

@@ -1,8 +1,18 @@
 """A wire between a driver and an emulated instrument that answers requests, in virtual time."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from telenano.devices.afm import modbus_line
+from telenano.devices.afm.tcp_driver import TcpDriver
+
+# the frames between a host and the handle
+from telenano.devices.hand import wire as handle_wire
+
+if TYPE_CHECKING:
+    import pytest
+
+__all__ = ["RequestLine", "handle_wire", "shorten_waits"]
 _MS = 1_000_000
 
 
@@ -77,3 +87,10 @@ class RequestLine:
             "now_ns": lambda: self.now_ns,
             "sleep": lambda duration_s: self.pass_ms(max(1, round(duration_s * 1e3))),
         }
+
+
+def shorten_waits(monkeypatch: "pytest.MonkeyPatch", retry_ms: int, step_ms: int) -> None:
+    """Let the drivers of instruments on a network try again, and give a step up, after shorter times in a test."""
+    monkeypatch.setattr(modbus_line, "RETRY_NS", retry_ms * _MS)
+    for owner in (modbus_line, TcpDriver):
+        monkeypatch.setattr(owner, "STEP_NS", step_ms * _MS)

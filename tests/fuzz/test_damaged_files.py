@@ -14,7 +14,7 @@ import damaged_files as files
 import numpy as np
 import pytest
 
-from telenano.testing import run_apart
+from telenano.testing import damaged, run_apart
 
 Content = bytes | Callable[[Path], Any]
 ROOT = Path(__file__).parents[2]
@@ -267,7 +267,7 @@ def outcomes_of_damage(tmp_path: Path, name: str, seed: int, count: int) -> list
     whole = tmp_path / name
     files.WRITE[name](whole)
     paths = []
-    for number, content in enumerate(files.damaged(whole.read_bytes(), seed, count)):
+    for number, content in enumerate(damaged(whole.read_bytes(), seed, count)):
         path = tmp_path / f"{number}{whole.suffix}"
         path.write_bytes(content)
         # the sound one is read in between, by the same process, and begins and ends

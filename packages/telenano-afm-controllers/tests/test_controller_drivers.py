@@ -15,9 +15,8 @@ from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-from telenano.devices.afm.capabilities import refusal
 from telenano.extend.instruments import DeviceError
-from telenano.testing import afm_config, instrument_of, refused_laws
+from telenano.testing import afm_config, instrument_of, refused_laws, refused_program
 from telenano.wire import ConfigError
 
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "smith", "model_mediated", "tactile")
@@ -91,7 +90,7 @@ def test_a_nanonis_that_pushes_its_samples_waits_for_no_tap(tmp_path: Path) -> N
 
 def test_a_gwyscope_is_refused_no_law_and_no_program() -> None:
     programs = ("", "scan", "curve", "path", "tactile", "push")
-    assert {refusal("gwyscope", program) for program in programs} == {""}
+    assert {refused_program("gwyscope", program) for program in programs} == {""}
     assert refused_laws("gwyscope") == {}
 
 

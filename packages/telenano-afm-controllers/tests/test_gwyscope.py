@@ -32,10 +32,8 @@ from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.devices import TcpDriver
-from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
-from telenano.testing import afm_config, instrument_of
+from telenano.testing import afm_config, instrument_of, shorten_waits
 from telenano.wire import ConfigError, RefusedError
 
 MS = 1_000_000
@@ -374,9 +372,7 @@ FAULTS = {
 
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
-    monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    for owner in (modbus_line, TcpDriver):
-        monkeypatch.setattr(owner, "STEP_NS", 150 * MS)
+    shorten_waits(monkeypatch, retry_ms=100, step_ms=150)
     found = ControllerRig(bench_of("afm_node@slave"), Gwyscope())
     approach(found)
     return found

@@ -1,7 +1,9 @@
 """Files of several makers with a known content, as the tests write them from the descriptions of the formats."""
 
+import struct
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from recorded_maps import STIFFNESS_N_PER_M, adhesive
@@ -11,6 +13,29 @@ HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) **
 HEIGHT_M = np.linspace(20e-9, 0.0, 200)
 DOWN_N, UP_N = adhesive(HEIGHT_M)
 SENSITIVITY_M_PER_V = 50e-9
+
+
+def wave(
+    values: Any, *, unit: str = "m", side_unit: str = "m", labels: tuple[tuple[int, str], ...] = (), note: str = ""
+) -> bytes:
+    """Return an Igor binary wave of version 5; labels as (dimension, label)."""
+    data = np.asarray(values, "<f4").tobytes(order="F")
+    texts = [b"".join(text.encode().ljust(32, b"\0") for at, text in labels if at == place) for place in range(4)]
+    texts = [b"\0" * 32 + text if text else b"" for text in texts]
+    sides = [*np.shape(values), 0, 0, 0][:4]
+    head = bytearray(384)
+    struct.pack_into(
+        "<hhiiii4i4i3i", head, 0, 5, 0, 320 + len(data), 0, len(note), 0, 0, 0, 0, 0, *map(len, texts), 0, 0, 0
+    )
+    struct.pack_into("<ih", head, 76, int(np.prod(np.shape(values))), 2)
+    struct.pack_into("<4i4d", head, 132, *sides, 1e-8, 1e-8, 1.0, 1.0)
+    struct.pack_into("<4s", head, 212, unit.encode())
+    for place in range(2):
+        struct.pack_into("<4s", head, 216 + 4 * place, side_unit.encode())
+    # the sum of the sixteen-bit words of both headers is zero
+    total = sum(struct.unpack("<192h", bytes(head)))
+    struct.pack_into("<H", head, 2, -total & 0xFFFF)
+    return bytes(head) + data + note.encode() + b"".join(texts)
 
 
 def write_nid(path: Path, sets: list[tuple[dict[str, object], np.ndarray]], **sections: str) -> Path:

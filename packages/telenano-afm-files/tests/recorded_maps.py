@@ -9,10 +9,10 @@ import numpy.typing as npt
 from telenano_afm_files import recorded_map
 from telenano_afm_files.recorded_map import MapState
 
-from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
-from telenano.devices.afm.instrument import driver_of
+from telenano.afm import AfmConfig
+from telenano.devices import driver_of
 from telenano.extend.samples import PlantInputs
+from telenano.testing import afm_node
 
 Array = npt.NDArray[np.float64]
 STIFFNESS_N_PER_M = 2.0
@@ -83,7 +83,7 @@ class Rig:
     """An AFM over a recorded map on a bench."""
 
     def __init__(self, bench: Any, config: AfmConfig) -> None:
-        self.bench, self.node = bench, AfmNode(bench.context, config, driver_of(config))
+        self.bench, self.node = bench, afm_node(bench, driver_of(config), config)
 
     def go(self, x_s_m: float, steps: int = 1, x_m: float = 0.0, y_m: float = 0.0) -> Any:
         """Command a base and a place a millisecond apart; return the last state."""

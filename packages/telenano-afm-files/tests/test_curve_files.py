@@ -9,7 +9,7 @@ import afmformats
 import h5py
 import numpy as np
 import pytest
-from damaged_files import wave
+from maker_files import wave
 from telenano_afm_files.map_files import MAP_SUFFIXES
 from telenano_calibration.own_calibration import sensitivities_of_file
 from telenano_microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5

@@ -157,7 +157,7 @@ def test_a_map_of_afm_workshop_asks_for_its_constants_and_takes_them(tmp_path: P
 
 
 def test_a_folder_of_waves_is_a_map_of_asylum(tmp_path: Path) -> None:
-    from damaged_files import wave
+    from maker_files import wave
 
     note = "SpringConstant:2.0\rInvOLS:5e-8\rFastScanSize:1.2e-07\rSlowScanSize:4e-08\rIndexes:0,199,210,410"
     for i in range(3):

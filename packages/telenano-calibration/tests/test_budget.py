@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from made_sessions import Made
 from telenano_calibration import budget as budgets
 from telenano_calibration.budget import delay_budget, figure_budgets, scale_errors
 
 from telenano.analysis import Session
 from telenano.devices import HandleCalibration, InstrumentCalibration
 from telenano.recording import Timeline, open_recordings
-from telenano.testing import invoke
+from telenano.testing import hand_recording, invoke
 from telenano.wire import TelenanoError
 
 NOW = datetime(2026, 11, 1, tzinfo=UTC).isoformat()
@@ -121,7 +120,7 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
 def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
     recording_of: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = invoke(["budget", str(Made().write(tmp_path))])
+    found = invoke(["budget", str(hand_recording(tmp_path, 100))])
     assert found.exit_code != 0
     assert "fewer than 50 samples of the hand can be followed" in found.stderr
     recording = open_recordings([recording_of("virtual_impedance")])

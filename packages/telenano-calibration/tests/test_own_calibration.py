@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import constants, linalg
 from telenano_calibration.own_calibration import (
     AIR_DENSITY_KG_PER_M3,
     AIR_VISCOSITY_PA_S,
@@ -24,7 +24,6 @@ from telenano_calibration.own_calibration import (
 )
 from telenano_calibration.resonance import density, fit_spectrum, periodogram
 
-from telenano.afm.disturbances import BOLTZMANN_J_PER_K
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 
@@ -35,7 +34,7 @@ KNOWN = Thermal(M_PER_V, KELVIN)
 def spectrum(seed: int, averages: int = 50, lines: int = 4000) -> tuple[Any, Any]:
     """Return a thermal spectrum [V^2/Hz] of the lever, averaged, above a floor of 50 fm/sqrt(Hz)."""
     frequency = np.linspace(0.0, 0.5 * RATE, lines + 1)[1:]
-    mean_square = BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K
+    mean_square = BY_ANGLE * constants.k * KELVIN / K
     mean = density(frequency, RATE, mean_square, F0, Q) + (50e-15) ** 2
     random = np.random.default_rng(seed)
     return frequency, mean * random.gamma(averages, 1.0 / averages, lines) / M_PER_V**2
@@ -106,7 +105,7 @@ def segment_lines(window: np.ndarray, q: float, floor: float) -> tuple[Any, Any,
     frequency = RATE / count * np.arange(1, count // 2 + 1)
     turns = np.cos(2.0 * math.pi * np.outer(frequency, t))
     weighted = own / own[0] * covariance
-    mean_square = BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K
+    mean_square = BY_ANGLE * constants.k * KELVIN / K
     return frequency, 2.0 * dt * mean_square * (2.0 * turns @ weighted - 1.0) + floor, mean_square
 
 
@@ -165,7 +164,7 @@ def test_a_record_gives_what_its_spectrum_gives() -> None:
     for i, (of_place, of_speed) in enumerate(pushes.tolist()):
         x, v = a * x + b * v + of_place, c * x + d * v + of_speed
         course[i] = x
-    course *= math.sqrt(BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K / np.mean(course**2))
+    course *= math.sqrt(BY_ANGLE * constants.k * KELVIN / K / np.mean(course**2))
     found = stiffness_of_record(course / M_PER_V, KNOWN._replace(rate_hz=RATE))
     assert found.stiffness_n_per_m == pytest.approx(K, rel=0.05)
     assert found.resonance_hz == pytest.approx(F0, rel=2e-3)
@@ -297,7 +296,7 @@ def written(path: Path, head: str, unit_hz: float, unit_density: float, lever: s
     k, f0, q = LEVERS[lever]
     frequency = f0 / q / 20.0 * np.arange(1, 12_000)
     x = frequency / f0
-    square = BY_ANGLE * BOLTZMANN_J_PER_K * 300.0 / k
+    square = BY_ANGLE * constants.k * 300.0 / k
     mean = 2.0 * square / (math.pi * f0 * q * ((1.0 - x**2) ** 2 + (x / q) ** 2)) / 50e-9**2
     density = mean * np.random.default_rng(1).gamma(50, 1.0 / 50, len(mean))
     density = np.sqrt(density) / -unit_density if unit_density < 0.0 else density / unit_density

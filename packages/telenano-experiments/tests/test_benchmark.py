@@ -41,7 +41,7 @@ from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
 
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
-from telenano.laws.wave import WaveConfig
+from telenano.laws import LAWS
 from telenano.link import profile_named
 from telenano.lockstep import Schedule
 from telenano.testing import invoke
@@ -108,7 +108,7 @@ def test_the_least_sum_is_the_least_of_all_paths():
 
 
 def test_on_the_clean_network_force_and_position_are_those_of_the_closed_forms(outcomes):
-    gain, line = VirtualImpedanceConfig().force_gain, WaveConfig()
+    gain, line = VirtualImpedanceConfig().force_gain, LAWS["wave"].config()
     direct, paper, wave = (outcomes[law].measures for law in ("position_force", PAPER, "wave"))
     assert {outcome.verdict for outcome in outcomes.values()} == {"stable"}
     assert direct["force_held_n"] == pytest.approx(1.0, rel=1e-3)

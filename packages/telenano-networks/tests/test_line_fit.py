@@ -26,9 +26,7 @@ from telenano_networks.line_log import LineLog, Segment, read_log
 from telenano_networks.line_page import SLOWER
 from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 
-from telenano.link import DirectionEngine, LinkSettings
-from telenano.link.fate import Direction
-from telenano.link.profiles import Profile
+from telenano.link import Direction, DirectionEngine, LinkSettings, Profile
 from telenano.recording import FileSettings, RecordingWriter
 from telenano.serving import web_folder
 from telenano.settings import validate

@@ -1,7 +1,6 @@
 """A line of one's own in every study: its fitted network is taken, and a log or a table is refused with what to do."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from telenano_studies.loops.advice import Question
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.validate import scenario_of
 
-from telenano.link import LinkSettings, profile_named, profiles
+from telenano.link import LinkSettings, profile_named
 from telenano.testing import invoke
 
 # What takes a network by its name; NAME stands for what a person gives.
@@ -82,18 +81,8 @@ def test_each_study_is_in_the_table() -> None:
     assert names == {*NETWORKS, *NUMBERS, *OTHERS, *OWN} - {"benchmark", "profile", "picture", "udp", "up"}
 
 
-@pytest.fixture
-def _own_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    written(tmp_path, "a fitted profile")
-    monkeypatch.setenv("TELENANO_NETWORKS", str(tmp_path))
-    profiles._names.cache_clear()
-    yield
-    profiles._names.cache_clear()
-    profiles._read.cache_clear()
-
-
-@pytest.mark.usefixtures("_own_networks")
-def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one() -> None:
+def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one(networks_folder: Path) -> None:
+    written(networks_folder, "a fitted profile")
     # the parts that each of the commands begins with
     assert profile_named("my_line").round_trip_ms == 60.0
     assert LinkSettings.of({"profile": "my_line"}).forward.order == "link"

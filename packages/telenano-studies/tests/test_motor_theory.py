@@ -10,7 +10,7 @@ from telenano.hand import HapticConfig, MotorParams
 
 
 def device(preset: Any = "paper_bandwidth", **changes: Any) -> MotorParams:
-    return DeviceConfig(preset=preset, **changes).to_params()
+    return HapticConfig.model_validate({"device": {"preset": preset, **changes}}).device.to_params()
 
 
 def test_poles_and_bandwidth_of_the_printed_gain() -> None:

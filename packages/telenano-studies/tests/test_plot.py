@@ -8,7 +8,6 @@ from telenano_studies import plot
 from telenano_studies.plot import Trace, extremes, read_traces
 
 from telenano.recording import FileSettings, RecordingWriter
-from telenano.recording.indexed import IndexedRecording
 from telenano.testing import EPOCH_NS, hand_state, numbered
 from telenano.wire import encode
 
@@ -71,27 +70,9 @@ def _hand(folder: Path, messages: int) -> Path:
     return writer.path
 
 
-def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, unpacked = _hand(tmp_path, 2000), []
-    inside = IndexedRecording._content
-    monkeypatch.setattr(IndexedRecording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
-    monkeypatch.setattr("telenano.recording.messages.RecordedMessage.fields", None)
-    (trace,) = read_traces(path, ["session/event.seq"])
-    assert trace.values.tolist() == [0.0, 1999.0]
-    assert len(unpacked) == 2
-    unpacked.clear()
-    first, second = read_traces(path, ["haptic/state.seq", "haptic/state.position_m.2"])
-    assert (len(first.values), len(second.values)) == (2000, 2000)
-    # both fields by one pass
-    assert len(unpacked) == len(set(unpacked))
-
-
 def test_a_trace_of_any_length_is_kept_in_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = _hand(tmp_path, 3000)
     (whole,) = read_traces(path, ["haptic/state.position_m.2"])
-    monkeypatch.setattr("telenano.recording.columns._AT_ONCE", 100)
     monkeypatch.setattr(plot, "_MOST_KEPT", 400)
     (bounded,) = read_traces(path, ["haptic/state.position_m.2"])
     assert len(whole.values) == 3000

@@ -25,8 +25,7 @@ from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
 from telenano.link import LinkSettings
 from telenano.lockstep import Trajectory
-from telenano.settings import validate
-from telenano.settings.scenario import Scenario
+from telenano.settings import Scenario, validate
 from telenano.wire import ConfigError, RecordingError, RigError
 
 

@@ -13,9 +13,7 @@ import pyarrow.parquet as parquet
 import pytest
 
 from telenano.recording import FileSettings, RecordingWriter, Selection, columns_of, export_recording
-from telenano.recording.messages import RawChannel, RawMessage
-from telenano.recording.rewrite import CopyWriter
-from telenano.testing import EPOCH_NS, HEIGHTS_M, hand_recording, hand_state, rich_recording
+from telenano.testing import EPOCH_NS, HEIGHTS_M, foreign_recording, hand_recording, hand_state, rich_recording
 from telenano.wire import RecordingError, encode
 
 
@@ -100,12 +98,8 @@ def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path
 
 
 def test_an_attachment_of_a_strangers_recording_is_written_into_the_folder_and_nowhere_else(tmp_path: Path) -> None:
-    with CopyWriter(tmp_path / "s.mcap") as writer:
-        facts = (("delivery", "lossless"), ("site", "slave"), ("src", "afm_node@slave"), ("topic", "new/topic"))
-        channel = RawChannel("new/topic", "msgpack", facts, None)
-        writer.add(RawMessage(channel, EPOCH_NS, EPOCH_NS, 0, b"\x81\xa1a\x01"))
-        for name in ("../outside", "/outside", "columns.csv"):
-            writer.attach(name, "text/plain", b"not ours", EPOCH_NS)
+    names = ("../outside", "/outside", "columns.csv")
+    foreign_recording(tmp_path / "s.mcap", {name: b"not ours" for name in names})
     export_recording(tmp_path / "s.mcap", tmp_path / "csv", "csv")
     assert {path.name for path in tmp_path.iterdir()} == {"s.mcap", "csv"}
     assert (tmp_path / "csv" / "columns.csv").read_text().startswith("channel,column")

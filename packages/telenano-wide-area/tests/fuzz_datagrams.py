@@ -19,7 +19,7 @@ from telenano_wide_area.datagram.body import (
 from telenano_wide_area.datagram.replay_window import WINDOW
 from telenano_wide_area.datagram.sealing import Sealer
 
-from telenano.testing.frames import Frames
+from telenano.testing import Frames
 
 MOST = 2**64 - 1
 # a jump beyond the window that is possible now and then

@@ -18,7 +18,7 @@ from telenano.cli.commands import new as new_command
 from telenano.cli.new_package import Kind, new_package
 from telenano.cli.root import app
 from telenano.extend.samples import AfmSample
-from telenano.testing.packages import said
+from telenano.testing import said_with
 from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
@@ -158,7 +158,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         new_package(kind, name, site / name)
         put_on_path(site / name, site)
         folders.append(site / name)
-    document: dict[str, Any] = said(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
+    document: dict[str, Any] = said_with(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
     return document
 
 

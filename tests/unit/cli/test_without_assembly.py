@@ -32,6 +32,7 @@ from telenano.afm import AfmConfig
 from telenano.afm.programs.settings import requested
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings import find_scenario, validate
+from telenano.testing import invoke
 from telenano.wire.errors import TelenanoError
 
 assert not any(name.startswith("telenano_assembly") for name in sys.modules)
