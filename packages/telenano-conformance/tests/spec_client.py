@@ -13,7 +13,7 @@ import msgpack
 import yaml
 import zmq
 
-CONTRACT = Path(__file__).parents[2] / "proto"
+CONTRACT = Path(__file__).parents[3] / "proto"
 _ELEMENT = {"u1": "B", "i2": "h", "i4": "i", "i8": "q", "f4": "f", "f8": "d"}
 _TYPES = {
     "null": lambda v: v is None,

@@ -26,7 +26,7 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     target = tmp_path / "tables"
     copied = export_recording(rich, target, "parquet")
     assert copied.messages == 41
-    hand = parquet.read_table(target / "hand_state.parquet").to_pydict()
+    hand = parquet.read_table(target / "haptic_state.parquet").to_pydict()
     assert hand["position_m.2"] == [hand_state(seq).position_m[2] for seq in range(10)]
     assert hand["limited"] == [seq % 2 == 1 for seq in range(10)]
     forward = parquet.read_table(target / "teleop_forward@slave.parquet").to_pydict()
@@ -49,8 +49,8 @@ def test_pandas_has_topic_and_units_of_a_parquet_file_in_its_attrs(rich: Path, t
 def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     export_recording(rich, tmp_path / "csv", "csv", Selection.of(["haptic/*"]))
     names = {path.name for path in (tmp_path / "csv").iterdir()}
-    assert names == {"columns.csv", "hand_state.csv", "metadata.json", "site.yaml"}
-    with (tmp_path / "csv" / "hand_state.csv").open(newline="", encoding="utf-8") as file:
+    assert names == {"columns.csv", "haptic_state.csv", "metadata.json", "site.yaml"}
+    with (tmp_path / "csv" / "haptic_state.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["operator_force_n.2"]) for row in rows] == [
         hand_state(seq).operator_force_n[2] for seq in range(10)
@@ -77,7 +77,7 @@ def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Pa
 def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path, tmp_path: Path) -> None:
     for kind in ("parquet", "csv", "hdf5"):
         export_recording(rich, tmp_path / kind, kind)
-    schema = parquet.read_schema(tmp_path / "parquet" / "hand_state.parquet")
+    schema = parquet.read_schema(tmp_path / "parquet" / "haptic_state.parquet")
     force = schema.field("operator_force_n.2").metadata
     assert (force[b"unit"], force[b"description"][:5]) == (b"N", b"Force")
     assert json.loads(schema.metadata[b"telenano.versions"]) == {"python": "3"}
@@ -167,14 +167,14 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
 ) -> None:
     path = hand_recording(tmp_path, 1000)
     export_recording(path, tmp_path / "once", "parquet")
-    once = parquet.ParquetFile(tmp_path / "once" / "hand_state.parquet")
+    once = parquet.ParquetFile(tmp_path / "once" / "haptic_state.parquet")
     # The writer holds the metadata of every row group in memory until the file is closed.
     assert once.metadata.num_row_groups == 1
     monkeypatch.setattr("telenano_tables.table_batches._MOST_ROWS", 10)
     monkeypatch.setattr("telenano_tables.parquet_tables._MOST_ROWS", 100)
     monkeypatch.setattr("telenano_tables.parquet_tables._MOST_PARTS", 4 * once.metadata.num_columns)
     export_recording(path, tmp_path / "parts", "parquet")
-    names = [f"hand_state{part}.parquet" for part in ("", ".2", ".3")]
+    names = [f"haptic_state{part}.parquet" for part in ("", ".2", ".3")]
     assert sorted(each.name for each in (tmp_path / "parts").iterdir()) == sorted(names)
     files = [parquet.ParquetFile(tmp_path / "parts" / name) for name in names]
     assert [file.metadata.num_row_groups for file in files] == [4, 4, 2]
