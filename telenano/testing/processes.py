@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -39,7 +38,7 @@ class LiveRig:
         self.folder = folder
         self.out = folder / "out"
         # the path of a socket is short by law, and folders of tests are not
-        self.sockets = Path(tempfile.mkdtemp(prefix="tn-", dir="/tmp"))
+        self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
         self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
         self.process: subprocess.Popen[str] | None = None
 

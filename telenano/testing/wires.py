@@ -19,23 +19,34 @@ _MS = 1_000_000
 class RequestLine:
     """A connection over a network, with an emulated instrument at its end; time passes in `pass_ms`.
 
-    The line to one kind of instrument sets `model`, the instrument, whose `pass_time` is called with the time [ns], and
-    `driver`, which is given `clock`. Its `send` brings a request to the model, and `answer` brings back what that says.
-    A test makes the wire bad while it runs: `latency_ms` delays answers, `to_host` replaces their bytes, and the
-    instrument is not `reachable`, does not run (`running`), or is not `accepting` what is sent to it.
+    A driver is given `clock`, which has this connection and its time in the place of real ones. The line to one kind
+    of instrument may set `model`, whose `pass_time` is called with the time [ns], and `driver`, for `follow`. A test
+    makes the wire bad while it runs: `latency_ms` delays answers, `to_host` replaces their bytes, and the instrument is
+    not `reachable`, does not run (`running`), or is not `accepting` what is sent to it.
+
+    Args:
+        respond: What the instrument says to a request, None where it says nothing.
     """
 
     resolved = True
-    model: Any
+    model: Any = None
     driver: Any
 
-    def __init__(self) -> None:
+    def __init__(self, respond: Callable[[bytes], bytes | None] = lambda request: None) -> None:
         self.now_ns = 10**9
         self.reachable = self.running = self.accepting = True
         self.latency_ms = 0.0
         self.to_host: Callable[[bytes], bytes] = lambda sent: sent
         self.opened = self.closed = 0
+        self._respond = respond
         self._waiting: list[tuple[int, bytes]] = []
+
+    def send(self, request: bytes) -> None:
+        """Bring a request to the instrument, and what it says on its way back."""
+        if not self.reachable:
+            raise OSError(104, "Connection reset by peer")
+        if self.running and (said := self._respond(request)) is not None:
+            self.answer(said)
 
     def connect(self, host: str, port: int) -> Any:
         if not self.reachable:
@@ -67,7 +78,8 @@ class RequestLine:
         for _ in range(duration_ms):
             self.now_ns += _MS
             self.guard()
-            self.model.pass_time(self.now_ns)
+            if self.model is not None:
+                self.model.pass_time(self.now_ns)
 
     def guard(self) -> None:
         """Do what is due in between."""
