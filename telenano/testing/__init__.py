@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from telenano.extend.laws import longest_pause_periods as longest_pause_periods
     from telenano.extend.laws import paced as paced
     from telenano.recording.made_records import write_recording as write_recording
+    from telenano.testing.bench import HandRig as HandRig
     from telenano.testing.bench import InstrumentRig as InstrumentRig
     from telenano.testing.bench import NodeBench as NodeBench
     from telenano.testing.bench import afm_config as afm_config

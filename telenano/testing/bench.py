@@ -160,6 +160,35 @@ class InstrumentRig:
         return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))
 
 
+class HandRig:
+    """A haptic node on a bench, over a wire or with any driver, which a test commands as a law does.
+
+    Args:
+        bench: The bench of the node.
+        driver: The driver, or what has it as its attribute `driver` and lets its own time pass in `pass_ms`.
+        section: The section `haptic_node`.
+    """
+
+    def __init__(self, bench: NodeBench, driver: Any, section: Any = None) -> None:
+        self.bench, self.line = bench, driver
+        self.node = haptic_node(bench, getattr(driver, "driver", driver), section)
+        self._pass_ms = getattr(driver, "pass_ms", lambda duration_ms: None)
+        # where the device is wanted, on the axis of the paper [m]
+        self.x_m = 0.0
+
+    def tick(self, count: int = 1) -> None:
+        """Command the place `x_m` and let the node take its turn, once a millisecond, `count` times."""
+        for _ in range(count):
+            now_ns = self.bench.clock.now_ns()
+            command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
+            stamps = {"force_n": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": now_ns}
+            self.node.on_message(self.bench.received("haptic/command", "controller@master", **command, **stamps))
+            before_ns = self.bench.clock.monotonic_ns()
+            self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
+            self._pass_ms(1)
+            self.node.on_deadline(self.bench.clock.monotonic_ns())
+
+
 def handed_over(one: Any, other: Any) -> Any:
     """Return another node that goes on from the state of one, as a re-run from the middle of a journal does."""
     from telenano.wire.node_state import pack, restore

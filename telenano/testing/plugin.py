@@ -29,15 +29,22 @@ def bench_of() -> "type[NodeBench]":
 def virtual_rig(tmp_path: Path) -> "Iterator[Callable[..., VirtualRig]]":
     """Return what makes a rig of both sites in virtual time, of settings as `--set` takes them, and closes it.
 
-    Its recording is in a folder of its own; `seed`, `scenario` and `timing` are those of `VirtualRig`.
+    Its recording is in a folder of its own; `seed`, `scenario` and `timing` are those of `VirtualRig`. Where it is to
+    be `running`, both devices are armed and the programme of the hand has begun, 0.3 s after the nodes.
     """
-    from telenano.virtual import VirtualRig
+    from telenano.virtual import ARMED_S, STARTED_S, VirtualRig
 
     rigs: list[VirtualRig] = []
 
-    def made(*settings: str, seed: int = 1, **given: Any) -> VirtualRig:
-        rigs.append(VirtualRig(tmp_path / f"virtual_rig_{len(rigs)}", seed, settings, **given))
-        return rigs[-1]
+    def made(*settings: str, seed: int = 1, running: bool = False, **given: Any) -> VirtualRig:
+        rig = VirtualRig(tmp_path / f"virtual_rig_{len(rigs)}", seed, settings, **given)
+        rigs.append(rig)
+        if running:
+            rig.run_until(ARMED_S)
+            rig.command("arm", "*", place="hand")
+            rig.run_until(STARTED_S)
+            rig.command("start", "haptic_node")
+        return rig
 
     yield made
     for rig in rigs:

@@ -7,7 +7,7 @@ from telenano.devices import HandleCalibration, SerialHandle
 from telenano.extend.hands import DeviceError
 from telenano.hand import HapticConfig
 from telenano.settings import validate
-from telenano.testing import NodeBench, haptic_node
+from telenano.testing import HandRig, NodeBench
 from telenano_emulators.emulated_handle import EmulatedHandle, calibration_of
 
 PATH = "/dev/serial/by-id/telenano"
@@ -90,23 +90,8 @@ class HandleLine:
             self._waiting.append((max(before_ns, self.now_ns + round(self.latency_ms * _MS)), sent))
 
 
-class HandleRig:
+class HandleRig(HandRig):
     """A haptic node with the emulated handle on a bench."""
 
     def __init__(self, bench: NodeBench) -> None:
-        self.bench, self.line = bench, HandleLine()
-        self.node = haptic_node(bench, self.line.driver)
-        self.x_m = 0.0
-
-    def tick(self, count: int = 1) -> None:
-        """Command the place of the hand and let the node take its turn, once a millisecond."""
-        for _ in range(count):
-            now_ns = self.bench.clock.now_ns()
-            command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
-            stamps = {"force_n": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": now_ns}
-            received = self.bench.received("haptic/command", "controller@master", **command, **stamps)
-            self.node.on_message(received)
-            before_ns = self.bench.clock.monotonic_ns()
-            self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
-            self.line.pass_ms(1)
-            self.node.on_deadline(self.bench.clock.monotonic_ns())
+        super().__init__(bench, HandleLine())
