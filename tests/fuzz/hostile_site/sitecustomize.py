@@ -1,7 +1,7 @@
 """Loaded by every Python of a site whose PYTHONPATH has this folder: makes its half of the law a liar with a key.
 
 Beside each datagram that it sends there is one of `fuzz_datagrams`, and beside each message over TCP an extreme or a
-broken one of `fuzz_frames`, in the name and with the key of its machine.
+broken one of `telenano.testing.Frames`, in the name and with the key of its machine.
 """
 
 import sys
